@@ -1,0 +1,90 @@
+"""Build the extension: one zip a platform in build/, made and checked by Blender's own tool.
+
+    .venv/bin/python build_extension.py
+
+Downloads the wheels that blender_manifest.toml names into build/wheels, checks them
+against requirements-wheels.txt, builds, validates, and prints what each zip's megabytes are for.
+"""
+
+import hashlib
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+BUILD = ROOT / "build"
+LOCK = ROOT / "requirements-wheels.txt"
+
+
+def manifest() -> dict:
+    """blender_manifest.toml, parsed."""
+    return tomllib.loads((ROOT / "blender_manifest.toml").read_text())
+
+
+def download(wheel: Path) -> None:
+    """Fetch one wheel by its file name; pip refuses a hash that the lock does not list."""
+    _, _, python, _, platforms = wheel.stem.split("-")
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:",
+               "--require-hashes", "--requirement", LOCK, "--dest", wheel.parent,
+               "--python-version", python.removeprefix("cp"), "--implementation", "cp"]
+    for platform in platforms.split("."):
+        command += ["--platform", platform]
+    subprocess.run(command, check=True)
+
+
+def fetch_wheels() -> None:
+    """Bring build/wheels to what the manifest names; raises SystemExit where a hash is not the lock's."""
+    locked = set(re.findall(r"sha256:([0-9a-f]{64})", LOCK.read_text()))
+    for name in manifest()["wheels"]:
+        wheel = ROOT / name
+        if not wheel.exists():
+            wheel.parent.mkdir(parents=True, exist_ok=True)
+            download(wheel)
+        if hashlib.sha256(wheel.read_bytes()).hexdigest() not in locked:
+            raise SystemExit(f"{wheel.name} is not the file that {LOCK.name} lists; delete it and build again")
+
+
+def blender_tool(*arguments) -> None:
+    """Run Blender's extension tool, as `blender --command extension ...` would."""
+    bpy = Path(importlib.util.find_spec("bpy").origin).parent
+    (tool,) = bpy.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
+    subprocess.run([sys.executable, tool, *arguments], check=True)
+
+
+def build() -> list[Path]:
+    """One validated zip a platform, in the manifest's order of platforms."""
+    fetch_wheels()
+    blender_tool("build", "--source-dir", ROOT, "--output-dir", BUILD, "--split-platforms")
+    facts = manifest()
+    zips = [BUILD / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip"
+            for platform in facts["platforms"]]
+    for path in zips:
+        blender_tool("validate", path)
+    return zips
+
+
+def contents(path: Path) -> dict[str, int]:
+    """Packed bytes of a zip by purpose, largest first."""
+    sizes: dict[str, int] = {}
+    with zipfile.ZipFile(path) as archive:
+        for item in archive.infolist():
+            if item.filename.endswith(".whl"):
+                package, version, python = Path(item.filename).name.split("-")[:3]
+                purpose = f"{package} {version} for {python}"
+            elif item.filename.startswith("inference/weights/"):
+                purpose = "networks and stencils"
+            else:
+                purpose = "code"
+            sizes[purpose] = sizes.get(purpose, 0) + item.compress_size
+    return dict(sorted(sizes.items(), key=lambda item: -item[1]))
+
+
+if __name__ == "__main__":
+    for path in build():
+        print(f"\n{path.relative_to(ROOT)}  {path.stat().st_size / 1e6:.1f} MB")
+        for purpose, size in contents(path).items():
+            print(f"  {size / 1e6:7.2f} MB  {purpose}")
