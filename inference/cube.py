@@ -1,0 +1,126 @@
+"""The working frame: the smallest cube around a volume's active bounds, edge length 1.
+
+Positions in it lie in [-1/2, 1/2]^3; the optical density of the medium is
+sigma_hat = sigma_t * edge, dimensionless.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .scene import SceneError, Volume
+from .stencil import LEVEL0_CELLS
+from .trilinear import sample_trilinear
+
+# Columns of a transform count as perpendicular below this cosine.
+PERPENDICULAR = 1e-4
+
+
+@dataclass
+class Cube:
+    """Where the working cube lies in the world.
+
+    rotation: float64 (3, 3), columns are the cube's axes in the world.
+    centre: float64 (3,), world. edge: float, world units.
+    low, high: int (3,), first and one past the last active voxel on each axis.
+    """
+
+    rotation: np.ndarray
+    centre: np.ndarray
+    edge: float
+    low: np.ndarray
+    high: np.ndarray
+
+    def positions(self, world: np.ndarray) -> np.ndarray:
+        """World positions (..., 3) in the cube's frame."""
+        return (world - self.centre) @ self.rotation / self.edge
+
+    def directions(self, world: np.ndarray) -> np.ndarray:
+        """World unit vectors (..., 3) in the cube's frame."""
+        return world @ self.rotation
+
+
+def active_bounds(density: np.ndarray):
+    """First and one past the last voxel above 0 on each axis: two int (3,).
+
+    Raises SceneError where no voxel is above 0.
+    """
+    low, high = [], []
+    for axis in range(3):
+        others = tuple(a for a in range(3) if a != axis)
+        filled = np.flatnonzero(density.max(axis=others) > 0.0)
+        if filled.size == 0:
+            raise SceneError("the density grid is zero everywhere")
+        low.append(filled[0])
+        high.append(filled[-1] + 1)
+    return np.array(low), np.array(high)
+
+
+def fit_cube(volume: Volume) -> Cube:
+    """Smallest cube around the support of the active voxels' trilinear interpolation.
+
+    The cube follows the grid's axes where these are perpendicular in the world, and the
+    world's axes where the transform shears.
+    """
+    low, high = active_bounds(volume.density)
+    axes = volume.world_from_index[:3, :3]
+    sizes = np.linalg.norm(axes, axis=0)
+    rotation = axes / sizes
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > PERPENDICULAR:
+        rotation = np.eye(3)
+    elif np.linalg.det(rotation) < 0.0:
+        rotation[:, 0] *= -1.0
+    # A voxel's influence ends one voxel beyond its centre.
+    corners = np.array(np.meshgrid(*zip(low - 1.0, high * 1.0), indexing="ij")).reshape(3, -1)
+    world = axes @ corners + volume.world_from_index[:3, 3:]
+    local = rotation.T @ world
+    middle = 0.5 * (local.min(axis=1) + local.max(axis=1))
+    edge = float((local.max(axis=1) - local.min(axis=1)).max())
+    return Cube(rotation, rotation @ middle, edge, low, high)
+
+
+def _hat_integral(x):
+    """Integral of the unit hat function from -infinity to x."""
+    x = np.clip(x, -1.0, 1.0)
+    return np.where(x < 0.0, 0.5 * (1.0 + x) ** 2, 1.0 - 0.5 * (1.0 - x) ** 2)
+
+
+def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
+    """(cells, voxels): mean over each cell of linear interpolation between voxel centres."""
+    distance = edges[:, None] - np.arange(voxels)[None]
+    integral = _hat_integral(distance)
+    width = np.diff(edges)[:, None]
+    return ((integral[1:] - integral[:-1]) / width).astype(np.float32)
+
+
+def level0_density(volume: Volume, cube: Cube) -> np.ndarray:
+    """Mean density in each cell of the cube: float32 (256, 256, 256).
+
+    Exact means of the trilinear interpolant where grid and cube share axes; otherwise
+    (shear) the interpolant at 2x2x2 points a cell.
+    """
+    active = volume.density[tuple(slice(l, h) for l, h in zip(cube.low, cube.high))]
+    index_from_world = np.linalg.inv(volume.world_from_index)
+    index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
+    origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
+    scale = np.diag(index_from_cube)
+    if np.abs(index_from_cube - np.diag(scale)).max() > PERPENDICULAR * np.abs(scale).max():
+        return _resample_sheared(active, index_from_cube, origin)
+    edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
+    cells = active
+    for axis in range(3):
+        along = edges * scale[axis] + origin[axis]
+        weights = _cell_weights(along, active.shape[axis])
+        cells = np.moveaxis(np.tensordot(weights, cells, axes=(1, axis)), 0, axis)
+    return np.ascontiguousarray(np.maximum(cells, 0.0))
+
+
+def _resample_sheared(active, index_from_cube, origin):
+    cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
+    inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
+    for i in range(LEVEL0_CELLS):
+        points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
+        index = points.reshape(-1, 3) @ index_from_cube.T + origin
+        fine = sample_trilinear(active, index.astype(np.float32))
+        cells[i] = fine.reshape(2, LEVEL0_CELLS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
+    return cells

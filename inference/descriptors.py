@@ -1,0 +1,54 @@
+"""Features mu, S and P at the stencil's points around each x."""
+
+from typing import List
+
+import numpy as np
+
+from .fields import Lattice
+from .phase import PhaseFeatures
+from .stencil import LOW_POINTS, MIPS, POINTS, Stencil, frames
+
+
+def _lookup(lattice: Lattice, points: np.ndarray) -> np.ndarray:
+    """Nearest fine cell of points (N, k, 3) in the cube's frame: complex64 (N, k)."""
+    size = lattice.packed.shape[0]
+    cell = ((points - np.float32(lattice.origin)) * np.float32(lattice.scale)).astype(np.int32)
+    np.clip(cell, 0, size - 1, out=cell)
+    index = (cell[..., 0] * size + cell[..., 1]) * size + cell[..., 2]
+    return lattice.packed.reshape(-1).take(index)
+
+
+def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
+    """The stencil around each position: float32 (N, 192, 3) in the cube's frame.
+
+    positions: (N, 3); omega: (N, 3) camera-ray directions; sun: (3,) unit vector.
+    """
+    points = np.empty((len(positions), POINTS, 3), np.float32)
+    rotation = frames(omega, sun).astype(np.float32)
+    np.matmul(stencil.low, rotation.transpose(0, 2, 1), out=points[:, :LOW_POINTS])
+    points[:, LOW_POINTS:] = stencil.high[:, None] * sun.astype(np.float32)
+    points += positions[:, None].astype(np.float32)
+    return points
+
+
+def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun):
+    """Descriptors of points for one sun.
+
+    positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector.
+    Returns features float32 (3, N, 192) in the order mu, S, P, and gamma float32 (N,), the angle
+    between omega and the sun.
+    """
+    sun = np.asarray(sun, np.float64)
+    features = np.empty((3, len(positions), POINTS), np.float32)
+    points = stencil_points(stencil, positions, omega, sun)
+    for m in range(MIPS):
+        columns = np.flatnonzero(stencil.mips == m)
+        # A mip's points are one run of the low-frequency part and perhaps one of the high-frequency part.
+        for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
+            span = slice(run[0], run[-1] + 1)
+            values = _lookup(lattices[m], points[:, span])
+            features[0, :, span] = values.real
+            features[1, :, span] = values.imag
+    gamma = np.arccos(np.clip(np.asarray(omega, np.float64) @ sun, -1.0, 1.0)).astype(np.float32)
+    features[2] = phase(gamma)
+    return features, gamma

@@ -1,0 +1,217 @@
+"""What a render is asked for: plain descriptions of volumes, lights and cameras.
+
+Units: lengths in world units, extinction in 1/world unit, irradiance in W/m^2,
+radiance in W/(m^2 sr). Arrays are float32 unless stated; nothing here knows Blender.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, Optional, Tuple
+
+import numpy as np
+
+
+class SceneError(ValueError):
+    """The scene cannot be rendered as described; the message says what to change."""
+
+
+class Cancelled(Exception):
+    """The caller's `cancelled` callback asked the work to stop."""
+
+
+def _rgb(value, name: str) -> np.ndarray:
+    """A scalar or three numbers as float64 (3,); refuses anything not finite."""
+    rgb = np.asarray(value, dtype=np.float64)
+    if rgb.shape not in ((), (1,), (3,)):
+        raise SceneError(f"{name} must be one number or three, not shape {rgb.shape}")
+    rgb = np.broadcast_to(rgb, (3,)).copy()
+    if not np.all(np.isfinite(rgb)):
+        raise SceneError(f"{name} must be finite, not {rgb.tolist()}")
+    return rgb
+
+
+def _affine(matrix, name: str) -> np.ndarray:
+    matrix = np.asarray(matrix, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
+        raise SceneError(f"{name} must be a finite 4x4 matrix")
+    if abs(np.linalg.det(matrix[:3, :3])) == 0.0:
+        raise SceneError(f"{name} is singular: the object is scaled to nothing")
+    return matrix
+
+
+@dataclass
+class Volume:
+    """A density grid placed in the world.
+
+    density: float32 (nx, ny, nz), value at voxel centres, trilinear in between,
+        0 outside the grid.
+    world_from_index: float64 (4, 4) affine; voxel (i, j, k) has its centre at
+        world_from_index @ (i, j, k, 1).
+    name: used in messages.
+
+    Raises SceneError for an empty or non-finite grid, negative density, or a
+    singular transform.
+    """
+
+    density: np.ndarray
+    world_from_index: np.ndarray
+    name: str = "volume"
+
+    def __post_init__(self):
+        self.density = np.ascontiguousarray(self.density, dtype=np.float32)
+        if self.density.ndim != 3 or self.density.size == 0:
+            raise SceneError(f"{self.name}: density must be a 3D grid with at least one voxel")
+        low, high = float(self.density.min()), float(self.density.max())
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise SceneError(f"{self.name}: density holds NaN or infinite values")
+        if low < 0.0:
+            raise SceneError(f"{self.name}: density holds negative values (lowest {low:g})")
+        self.world_from_index = _affine(self.world_from_index, f"{self.name}: transform")
+
+
+@dataclass
+class Medium:
+    """How the density scatters.
+
+    sigma_t: extinction per unit density per world unit, scalar or RGB, >= 0.
+    albedo: single-scattering albedo, scalar or RGB, in [0, 1].
+    anisotropy: mean cosine of the Henyey-Greenstein phase function, in (-1, 1).
+
+    Raises SceneError outside these ranges.
+    """
+
+    sigma_t: np.ndarray
+    albedo: np.ndarray = 1.0
+    anisotropy: float = 0.0
+
+    def __post_init__(self):
+        self.sigma_t = _rgb(self.sigma_t, "extinction")
+        self.albedo = _rgb(self.albedo, "albedo")
+        self.anisotropy = float(self.anisotropy)
+        if np.any(self.sigma_t < 0.0):
+            raise SceneError(f"extinction must not be negative: {self.sigma_t.tolist()}")
+        if np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0):
+            raise SceneError(f"albedo must lie in [0, 1]: {self.albedo.tolist()}")
+        if not -1.0 < self.anisotropy < 1.0:
+            raise SceneError(f"anisotropy must lie strictly between -1 and 1, not {self.anisotropy:g}")
+
+
+@dataclass
+class Sun:
+    """Parallel light.
+
+    direction: (3,) world vector towards the sun; normalised here.
+    irradiance: W/m^2 on a surface that faces the sun, scalar or RGB, >= 0.
+
+    Raises SceneError for a zero direction or negative irradiance.
+    """
+
+    direction: np.ndarray
+    irradiance: np.ndarray = 1.0
+    name: str = "sun"
+
+    def __post_init__(self):
+        direction = np.asarray(self.direction, dtype=np.float64)
+        length = np.linalg.norm(direction) if direction.shape == (3,) else np.nan
+        if not np.isfinite(length) or length == 0.0:
+            raise SceneError(f"{self.name}: direction must be three finite numbers, not all zero")
+        self.direction = direction / length
+        self.irradiance = _rgb(self.irradiance, f"{self.name}: irradiance")
+        if np.any(self.irradiance < 0.0):
+            raise SceneError(f"{self.name}: irradiance must not be negative")
+
+
+@dataclass
+class Camera:
+    """A view with Blender's axes: looks along -Z, +Y up.
+
+    world_matrix: (4, 4) camera to world; scale is ignored.
+    resolution: (width, height) in pixels.
+    fov: horizontal field of view in radians (perspective).
+    ortho_scale: world units across the image's width (orthographic).
+    shift: (x, y) lens shift in units of the image's width; positive moves the
+        window right and up.
+    clip: (near, far) distances along the viewing axis.
+    region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive,
+        rows from the top; None renders the whole image. The layer has the
+        region's size.
+    """
+
+    world_matrix: np.ndarray
+    projection: Literal["perspective", "orthographic"] = "perspective"
+    resolution: Tuple[int, int] = (1920, 1080)
+    fov: float = 0.6911112070083618
+    ortho_scale: float = 6.0
+    shift: Tuple[float, float] = (0.0, 0.0)
+    clip: Tuple[float, float] = (0.0, np.inf)
+    region: Optional[Tuple[int, int, int, int]] = None
+
+    def __post_init__(self):
+        self.world_matrix = _affine(self.world_matrix, "camera: transform")
+        if self.projection not in ("perspective", "orthographic"):
+            raise SceneError(f"camera: projection {self.projection!r} is not supported")
+        width, height = (int(n) for n in self.resolution)
+        if width < 1 or height < 1:
+            raise SceneError(f"camera: resolution {width}x{height} has no pixels")
+        self.resolution = (width, height)
+        if self.projection == "perspective" and not 0.0 < self.fov < np.pi:
+            raise SceneError(f"camera: field of view {self.fov:g} must lie between 0 and pi")
+        if self.projection == "orthographic" and not 0.0 < self.ortho_scale < np.inf:
+            raise SceneError(f"camera: orthographic scale {self.ortho_scale:g} must be positive")
+        near, far = self.clip
+        if not 0.0 <= near < far:
+            raise SceneError(f"camera: clip range {near:g} to {far:g} is empty")
+        if self.region is not None:
+            x0, y0, x1, y1 = (int(n) for n in self.region)
+            if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+                raise SceneError(f"camera: region {self.region} does not lie in the image")
+            self.region = (x0, y0, x1, y1)
+
+    @property
+    def window(self) -> Tuple[int, int, int, int]:
+        """(x0, y0, x1, y1) of the pixels to render."""
+        return self.region or (0, 0, *self.resolution)
+
+
+@dataclass
+class Settings:
+    """How to render.
+
+    depth_samples: network evaluations along each camera ray that meets the medium.
+    model: name of the network (a file in inference/weights).
+    seed: of the stratification offsets; the same seed gives the same image.
+    threads: worker threads, 0 for one a core; the image does not depend on it.
+    memory_limit: bytes the render may use on top of its input; it is refused
+        with a message where it would need more.
+    """
+
+    depth_samples: int = 8
+    model: str = "mrpnn"
+    seed: int = 0
+    threads: int = 0
+    memory_limit: int = 8 << 30
+
+    def __post_init__(self):
+        if int(self.depth_samples) < 1:
+            raise SceneError(f"depth samples must be at least 1, not {self.depth_samples}")
+        if int(self.threads) < 0:
+            raise SceneError(f"threads must not be negative: {self.threads}")
+
+
+@dataclass
+class Layer:
+    """What a render returns, rows from the top.
+
+    rgb: float32 (H, W, 3) linear radiance, premultiplied by alpha.
+    alpha: float32 (H, W), 1 - transmittance of the camera ray.
+    depth: float32 (H, W) mean distance along the ray at which light scatters,
+        world units; infinity where alpha is 0.
+    single, multiple: float32 (H, W, 3); rgb is their sum.
+    report: inference.report.Report.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    single: np.ndarray
+    multiple: np.ndarray
+    report: "object" = field(default=None)

@@ -1,0 +1,90 @@
+"""Descriptors: the lattice lookup of inference against interpolation at each point."""
+
+import numpy as np
+import pytest
+
+from inference.descriptors import describe, stencil_points
+from inference.fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
+from inference.phase import PhaseFeatures, henyey_greenstein
+from inference.stencil import LAYER_POINTS, LOW_POINTS, make_stencil
+from training.descriptors import describe_points
+
+SUN = np.array([0.36, -0.48, 0.8])
+SIGMA_HAT = 150.0
+
+
+@pytest.fixture(scope="module")
+def stencil():
+    return make_stencil()
+
+
+@pytest.fixture(scope="module")
+def fields(stencil):
+    random = np.random.default_rng(1)
+    coarse = random.random((32, 32, 32)).astype(np.float32) ** 3
+    level0 = coarse.repeat(8, 0).repeat(8, 1).repeat(8, 2)
+    padded = padded_levels(density_pyramid(level0), stencil)
+    return padded, unit_optical_depths(padded, SUN)
+
+
+@pytest.fixture(scope="module")
+def rays():
+    random = np.random.default_rng(2)
+    positions = random.uniform(-0.5, 0.5, (300, 3))
+    omega = random.normal(size=(300, 3))
+    return positions, omega / np.linalg.norm(omega, axis=1, keepdims=True)
+
+
+def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
+    lattices = build_lattices(*fields, SIGMA_HAT, stencil)
+    features, gamma = describe(stencil, lattices, PhaseFeatures(stencil, 0.6), *rays, SUN)
+    expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
+    # A point within rounding of a cell's border may fall on either side.
+    different = np.abs(features[:2] - expected) > 1e-4
+    assert different.mean() < 1e-4
+    np.testing.assert_allclose(gamma, np.arccos(rays[1] @ SUN), atol=1e-4)
+
+
+def test_stencil_follows_view_and_sun(stencil, rays):
+    """Turning view and sun together turns the stencil with them."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    positions, omega = np.zeros_like(rays[0]), rays[1]
+    points = stencil_points(stencil, positions, omega, SUN)
+    turned = stencil_points(stencil, positions, omega @ turn.T, turn @ SUN)
+    np.testing.assert_allclose(turned, points @ turn.T, atol=1e-6)
+    # High-frequency points lie on the ray to the sun.
+    np.testing.assert_allclose(points[0, LOW_POINTS:], stencil.high[:, None] * SUN, atol=1e-7)
+
+
+def test_homogeneous_cube_at_its_centre(stencil):
+    """All density 1: mu is one constant inside, and S of the centre has its closed form."""
+    padded = padded_levels(density_pyramid(np.ones((256,) * 3, np.float32)), stencil)
+    sun = np.array([0.0, 0.0, 1.0])
+    lattices = build_lattices(padded, unit_optical_depths(padded, sun), 10.0, stencil)
+    omega = np.array([[0.0, 1.0, 0.0]])
+    features, _ = describe(stencil, lattices, PhaseFeatures(stencil, 0.0), np.zeros((1, 3)), omega, sun)
+    inside = stencil.mips < 4
+    np.testing.assert_allclose(features[0, 0, inside], np.log1p(10.0 / 64.0), rtol=1e-5)
+    # The centre reads field 0: exp(-0.578 * 10 * 0.5), the sun half a cube away.
+    np.testing.assert_allclose(features[1, 0, 0], np.exp(-0.578 * 10.0 * 0.5), rtol=0.02)
+    # Isotropic scattering: P of the centre is log(1 + 1/(4 pi)).
+    np.testing.assert_allclose(features[2, 0, 0], np.log1p(henyey_greenstein(0.0, 0.0)), rtol=1e-6)
+
+
+def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
+    """A.3: a point behind the cube sees the sun through it, one beside the sun's ray sees all of it."""
+    padded = padded_levels(density_pyramid(np.ones((256,) * 3, np.float32)), stencil)
+    sun = np.array([0.0, 0.0, 1.0])
+    lattices = build_lattices(padded, unit_optical_depths(padded, sun), 3.0, stencil)
+    mip = 5
+    lattice = lattices[mip]
+    def read(x, y, z):
+        cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int)
+        return lattice.packed[tuple(cell)].imag
+    behind = np.exp(-(0.578**mip) * 3.0)
+    np.testing.assert_allclose(read(0.0, 0.0, -0.6), behind, rtol=0.02)
+    np.testing.assert_allclose(read(0.0, 0.0, 0.6), 1.0, rtol=0.02)
+    np.testing.assert_allclose(read(0.0, 0.6, -0.6), 1.0, rtol=0.02)
+    assert sum(LAYER_POINTS) == 192

@@ -1,0 +1,1 @@
+"""Training: procedural volumes, path-traced targets, networks. Not shipped with the extension."""
