@@ -17,8 +17,8 @@ from ..inference.scene import SceneError
 from .openvdb_module import load_openvdb
 
 # What differs from Cycles' defaults for a reason: defaults stop after 0 volume bounces, clamp
-# indirect light at 10, denoise, roulette weak lights away, and blur each pixel over its neighbours
-# (the layer shoots through pixel centres).
+# indirect light at 10, denoise, roulette weak lights away, and filter over the pixel and its
+# neighbours, where the layer shoots through pixel centres (Cycles' box filter ignores its width).
 UNBIASED = {
     "device": "CPU",
     "feature_set": "SUPPORTED",
@@ -32,7 +32,7 @@ UNBIASED = {
     "light_sampling_threshold": 0.0,
     "sample_clamp_direct": 0.0,
     "sample_clamp_indirect": 0.0,
-    "pixel_filter_type": "BOX",
+    "pixel_filter_type": "BLACKMAN_HARRIS",
     "filter_width": 0.01,
     "transparent_max_bounces": 1024,
     "volume_step_rate": 1.0,
@@ -52,12 +52,16 @@ class Reference:
     a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha.
     seconds: wall-clock time of both together, scene preparation included.
     samples: samples a pixel in each half.
+    bounces: most scattering events along a path.
+    version: of the Blender that rendered them.
     """
 
     a: np.ndarray
     b: np.ndarray
     seconds: float
     samples: int
+    bounces: int
+    version: str
 
 
 def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None) -> Reference:
@@ -87,7 +91,7 @@ def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=
             report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {samples} samples a pixel")
             reference.cycles.seed = 2 * seed + half
             halves.append(_render(reference))
-    return Reference(*halves, time.perf_counter() - start, samples)
+    return Reference(*halves, time.perf_counter() - start, samples, bounces, bpy.app.version_string)
 
 
 def check_homogeneous_box() -> float:
