@@ -1,0 +1,1 @@
+"""Between Blender and `inference`: the scene is read here, and layers are handed back here."""

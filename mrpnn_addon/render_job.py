@@ -1,0 +1,94 @@
+"""One render of a scene that has been read: on a worker thread, or at once."""
+
+import json
+import threading
+from dataclasses import dataclass
+from typing import List, Optional
+
+from .. import inference
+from ..inference.scene import Cancelled, Layer, Settings
+from .layer_exr import write_layer
+from .layer_frame import in_frame
+from .scene import SceneDescription
+
+
+@dataclass
+class Finished:
+    """layer: in the frame of Blender's image. seconds: of the whole render.
+    warnings: of reading and of rendering.
+    """
+
+    layer: Layer
+    seconds: float
+    warnings: List[str]
+
+
+def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
+                 progress=None, cancelled=None) -> Finished:
+    """Render; no bpy, so any thread may.
+
+    exr_path: absolute path of a multi-layer EXR to write, or None.
+
+    Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` turned true, and
+    OSError where the file cannot be written.
+    """
+    layer = inference.render(scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled)
+    layer = in_frame(layer, scene.camera, scene.crop)
+    warnings = [*scene.warnings, *layer.report.warnings]
+    if exr_path:
+        write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report))
+    return Finished(layer, layer.report.seconds["total"], warnings)
+
+
+def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
+    """Header attributes of an EXR: frame, settings, network and seconds a stage."""
+    found = {
+        "Frame": scene.frame,
+        "mrpnn.depthSamples": settings.depth_samples,
+        "mrpnn.seed": settings.seed,
+        "mrpnn.model": report.model,
+        "mrpnn.modelChecksum": report.checksum,
+        "mrpnn.report": json.dumps(report.to_dict()),
+    }
+    for stage, seconds in report.seconds.items():
+        found[f"mrpnn.seconds.{stage.replace(' ', '_')}"] = float(seconds)
+    return found
+
+
+class RenderJob:
+    """render_scene on a worker thread, watched from Blender's main thread.
+
+    fraction, message: how far it is. result: once done, a Finished, or None with `error` set.
+    """
+
+    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: Optional[str]):
+        self.fraction, self.message = 0.0, ""
+        self.result: Optional[Finished] = None
+        self.error: Optional[BaseException] = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(scene, settings, exr_path), name="mrpnn render")
+        self._thread.start()
+
+    def _run(self, scene, settings, exr_path):
+        try:
+            self.result = render_scene(scene, settings, exr_path, self._progress, self._stop.is_set)
+        except BaseException as error:  # Carried to the main thread, which knows how to show it.
+            self.error = error
+
+    def _progress(self, fraction: float, message: str):
+        self.fraction, self.message = fraction, message
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def cancelled(self) -> bool:
+        return isinstance(self.error, Cancelled)
+
+    def stop(self):
+        """Ask the worker to end; it does within a second."""
+        self._stop.set()
+
+    def wait(self):
+        self._thread.join()

@@ -1,0 +1,83 @@
+"""Which objects a render shows, instances included."""
+
+from dataclasses import dataclass
+from typing import Iterator, Optional, Set
+
+import bpy
+import numpy as np
+
+from ..inference.scene import SceneError
+
+
+@dataclass
+class Shown:
+    """One visible object or instance.
+
+    object: the evaluated object; valid only until the next one is asked for.
+    matrix: float64 (4, 4), object to world.
+    name: for messages.
+    """
+
+    object: bpy.types.Object
+    matrix: np.ndarray
+    name: str
+
+
+def shown_objects(depsgraph) -> Iterator[Shown]:
+    """All objects and instances that the depsgraph's view layer shows in renders."""
+    in_render = None if depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
+    for instance in depsgraph.object_instances:
+        instanced = instance.object
+        # An instance is there because the object that makes it is.
+        source = instance.parent if instance.is_instance else instanced
+        name = source.original.name
+        if instance.is_instance and instanced.name != name:
+            name = f"{instanced.name} in {name}"
+        if in_render is not None:
+            if source.original not in in_render or instanced.original.hide_render:
+                continue
+        if instance.show_self:
+            yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name)
+
+
+def render_visible(view_layer) -> Set[bpy.types.Object]:
+    """The view layer's objects that neither they nor their collections hide in renders."""
+    return {
+        member
+        for layer_collection in _rendered_collections(view_layer.layer_collection)
+        for member in layer_collection.collection.objects
+        if not member.hide_render
+    }
+
+
+def _rendered_collections(layer_collection):
+    if layer_collection.exclude or layer_collection.collection.hide_render:
+        return
+    yield layer_collection
+    for child in layer_collection.children:
+        yield from _rendered_collections(child)
+
+
+def require_evaluated(depsgraph) -> None:
+    """Outside a render, Blender evaluates only what the viewport shows.
+
+    Raises SceneError where a volume or a sun is hidden there and yet visible in renders: it could
+    only be left out of the image.
+    """
+    if depsgraph.mode == 'RENDER':
+        return
+    for candidate in render_visible(depsgraph.view_layer):
+        kind = _rendered_kind(candidate)
+        if kind and not candidate.visible_get(view_layer=depsgraph.view_layer):
+            raise SceneError(
+                f"{kind} \"{candidate.name}\" is hidden in the viewport but not in renders; show it, "
+                "or hide it in renders too"
+            )
+
+
+def _rendered_kind(candidate) -> Optional[str]:
+    if candidate.type == 'VOLUME':
+        return "Volume object"
+    if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':
+        return "sun"
+    return None

@@ -1,0 +1,140 @@
+"""Operator `mrpnn.render`: the scene's volumes into an Image, and into an EXR file if wanted."""
+
+import os
+
+import bpy
+from bpy.props import StringProperty
+
+from ..inference.scene import Cancelled, SceneError
+from ..mrpnn_addon.last_render import LastRender, remember
+from ..mrpnn_addon.layer_image import show_in_image
+from ..mrpnn_addon.render_job import RenderJob, render_scene
+from ..mrpnn_addon.scene import read_scene
+
+SECONDS_A_TICK = 0.1
+
+
+class MRPNN_OT_render(bpy.types.Operator):
+    """Render the volumes that the active camera sees, lit by the scene's suns; Esc stops"""
+
+    bl_idname = "mrpnn.render"
+    bl_label = "Render Volumes"
+
+    filepath: StringProperty(
+        name="EXR File", subtype='FILE_PATH', options={'SKIP_SAVE'},
+        description="Multi-layer OpenEXR file to write; without it, the scene's own setting holds",
+    )
+
+    _job = None
+    _timer = None
+
+    def execute(self, context):
+        """Render at once; Blender waits."""
+        try:
+            finished = render_scene(read_scene(context.evaluated_depsgraph_get()), context.scene.mrpnn.settings(),
+                                    self._exr_path(context.scene))
+        except (SceneError, OSError) as error:
+            return self._fail(error)
+        return self._deliver(context, finished)
+
+    def invoke(self, context, event):
+        """Render on a worker thread; Blender stays usable."""
+        if bpy.app.background:
+            return self.execute(context)
+        if MRPNN_OT_render._job is not None:
+            self.report({'WARNING'}, "MRPNN is rendering already; Esc stops it")
+            return {'CANCELLED'}
+        try:
+            scene = read_scene(context.evaluated_depsgraph_get())
+            settings, exr_path = context.scene.mrpnn.settings(), self._exr_path(context.scene)
+        except SceneError as error:
+            return self._fail(error)
+        # From here on the worker needs no bpy: the scene may change under it.
+        MRPNN_OT_render._job = RenderJob(scene, settings, exr_path)
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
+        manager.progress_begin(0, 100)
+        manager.modal_handler_add(self)
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context, event):
+        job = MRPNN_OT_render._job
+        if event.type == 'ESC':
+            job.stop()
+            return {'RUNNING_MODAL'}
+        if event.type != 'TIMER':
+            return {'PASS_THROUGH'}
+        context.window_manager.progress_update(int(100 * job.fraction))
+        context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
+        if not job.done:
+            return {'PASS_THROUGH'}
+        self._end(context)
+        if job.cancelled:
+            self.report({'INFO'}, "MRPNN render stopped")
+            return {'CANCELLED'}
+        if isinstance(job.error, (SceneError, OSError)):
+            return self._fail(job.error)
+        if job.error is not None:
+            raise job.error
+        return self._deliver(context, job.result)
+
+    def cancel(self, context):
+        """Blender calls this where it ends the operator itself, as when it closes or loads a file."""
+        job = MRPNN_OT_render._job
+        job.stop()
+        job.wait()
+        self._end(context)
+
+    def _end(self, context):
+        MRPNN_OT_render._job = None
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.progress_end()
+        context.workspace.status_text_set(None)
+
+    def _exr_path(self, scene):
+        path = self.filepath or (scene.mrpnn.exr_path if scene.mrpnn.use_exr else "")
+        if not path:
+            return None
+        path = bpy.path.abspath(path)
+        if not os.path.isabs(path):
+            raise SceneError(f"the EXR file {path} lies beside the .blend file, which is not saved yet; "
+                             "save it, or enter a full path")
+        if not os.path.isdir(os.path.dirname(path)):
+            raise SceneError(f"the folder of the EXR file does not exist: {os.path.dirname(path)}")
+        return path
+
+    def _fail(self, error):
+        remember(LastRender(error=str(error)))
+        self.report({'ERROR'}, str(error))
+        return {'CANCELLED'}
+
+    def _deliver(self, context, finished):
+        image = show_in_image(finished.layer)
+        _display(context, image)
+        remember(LastRender(finished.seconds, finished.warnings))
+        for warning in finished.warnings:
+            self.report({'WARNING'}, warning)
+        self.report({'INFO'}, f"MRPNN rendered {image.size[0]} x {image.size[1]} pixels in {finished.seconds:.1f} s "
+                              f"into image \"{image.name}\"")
+        return {'FINISHED'}
+
+
+def _display(context, image):
+    """Show the image in an open Image Editor, or open a window with one."""
+    if bpy.app.background:
+        return
+    editors = _image_editors(context)
+    if not editors:
+        # Blender's own render view: a new window or area, as the user's preferences say.
+        bpy.ops.render.view_show('INVOKE_DEFAULT')
+        editors = _image_editors(context)
+    if editors:
+        editors[0].image = image
+
+
+def _image_editors(context):
+    return [area.spaces.active for window in context.window_manager.windows for area in window.screen.areas
+            if area.type == 'IMAGE_EDITOR']
+
+
+classes = (MRPNN_OT_render,)

@@ -1,0 +1,58 @@
+"""Panel in the render properties, for every engine."""
+
+import textwrap
+
+import bpy
+
+from ..mrpnn_addon.last_render import last_render
+from ..operators.compare import MRPNN_OT_compare
+from ..operators.render import MRPNN_OT_render
+
+LINE_LENGTH = 48
+
+
+class MRPNN_PT_render(bpy.types.Panel):
+    bl_label = "MRPNN Volumes"
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "render"
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.mrpnn
+        layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(settings, "depth_samples")
+        column.prop(settings, "model")
+        column.prop(settings, "seed")
+        column.prop(settings, "threads")
+        row = column.row(heading="Write EXR")
+        row.prop(settings, "use_exr", text="")
+        path = row.row()
+        path.active = settings.use_exr
+        path.prop(settings, "exr_path", text="")
+        layout.operator(MRPNN_OT_compare.bl_idname)
+        _draw_last(layout, last_render())
+
+
+def _draw_last(layout, last):
+    """Time and warnings of the last render, or why it failed."""
+    if last is None:
+        return
+    if last.error:
+        _draw_text(layout.box(), last.error, 'ERROR')
+        return
+    layout.label(text=f"Last render: {last.seconds:.1f} s", icon='TIME')
+    for warning in last.warnings:
+        _draw_text(layout.box(), warning, 'INFO')
+
+
+def _draw_text(layout, text, icon):
+    # Labels do not wrap by themselves.
+    column = layout.column(align=True)
+    for index, line in enumerate(textwrap.wrap(text, LINE_LENGTH)):
+        column.label(text=line, icon=icon if index == 0 else 'BLANK1')
+
+
+classes = (MRPNN_PT_render,)

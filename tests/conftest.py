@@ -1,0 +1,44 @@
+"""Fixtures for the tests that run inside Blender (the bpy module)."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture(scope="session")
+def addon():
+    """The extension's package, imported from the repository and registered in this process.
+
+    The repository's root is the package; Blender gives it its name, and so does this.
+    """
+    pytest.importorskip("bpy")
+    spec = importlib.util.spec_from_file_location(
+        "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["mrpnn"] = package
+    spec.loader.exec_module(package)
+    package.register()
+    yield package
+    package.unregister()
+    del sys.modules["mrpnn"]
+
+
+@pytest.fixture
+def scene(addon):
+    """An empty scene with a black World; the extension stays registered."""
+    from . import blender_scenes
+    return blender_scenes.empty_scene()
+
+
+@pytest.fixture(scope="session")
+def shared_volumes():
+    """The folder of real volumes beside the project."""
+    folder = SHARED / "volumes"
+    if not folder.is_dir():
+        pytest.skip("the folder ../shared/volumes is absent")
+    return folder
