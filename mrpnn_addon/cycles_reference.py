@@ -15,6 +15,7 @@ import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import load_openvdb
+from .visibility import shown_objects
 
 # What differs from Cycles' defaults for a reason: defaults stop after 0 volume bounces, clamp
 # indirect light at 10, denoise, roulette weak lights away, and filter over the pixel and its
@@ -92,6 +93,23 @@ def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=
             reference.cycles.seed = 2 * seed + half
             halves.append(_render(reference))
     return Reference(*halves, time.perf_counter() - start, samples, bounces, bpy.app.version_string)
+
+
+def volumes_and_suns(depsgraph) -> list:
+    """The objects that the layer shows, or that instance what it shows: what a reference has to hold.
+
+    Raises SceneError where one object instances surfaces or other lights together with volumes,
+    since the reference would show those too.
+    """
+    sources, others = {}, {}
+    for shown in shown_objects(depsgraph):
+        volume = shown.object.type == 'VOLUME' and shown.object.visible_camera
+        sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
+        (sources if volume or sun else others)[shown.source.name] = shown.source
+    for name in sources.keys() & others.keys():
+        raise SceneError(f"object \"{name}\" instances a volume or sun together with something that is not "
+                         "rendered; Cycles' image would show both, so they cannot be compared")
+    return list(sources.values())
 
 
 def check_homogeneous_box() -> float:

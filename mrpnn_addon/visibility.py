@@ -16,11 +16,13 @@ class Shown:
     object: the evaluated object; valid only until the next one is asked for.
     matrix: float64 (4, 4), object to world.
     name: for messages.
+    source: the original object in the scene that is it, or instances it.
     """
 
     object: bpy.types.Object
     matrix: np.ndarray
     name: str
+    source: bpy.types.Object
 
 
 def shown_objects(depsgraph) -> Iterator[Shown]:
@@ -37,7 +39,7 @@ def shown_objects(depsgraph) -> Iterator[Shown]:
             if source.original not in in_render or instanced.original.hide_render:
                 continue
         if instance.show_self:
-            yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name)
+            yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
 
 
 def render_visible(view_layer) -> Set[bpy.types.Object]:
