@@ -9,7 +9,7 @@ Results depend on the arguments alone, not on the number of threads.
 import numba
 import numpy as np
 
-from .transport import F0, F1, F2, HALF, draw, fly, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms
+from .transport import F0, F1, F2, HALF, draw, fly, jitter, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms
 
 #: Collisions after which a path is dropped. Russian roulette ends a path of albedo 0.99
 #: after some 400; this bounds the conservative ones.
@@ -32,24 +32,17 @@ def _sun_light(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, lig
             cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
             light[s] = through * phase_hg(cosine, g)
         return state
-    # trilinear look-up of every sun's optical depth at once, clamped at the border
+    # the suns' optical depths at one of the eight cells around, chosen with its trilinear
+    # weight: on average the transmittance is interpolated, which where shadows have sharp
+    # edges is much closer than exp(-interpolated depth), always too dark (exp is convex)
     cells = padded.shape[0] - 2
     m = depth.shape[0]
-    scale, top = np.float32(m) / np.float32(cells), np.float32(m - 1)
-    qx = min(max(x * scale - HALF, F0), top)
-    qy = min(max(y * scale - HALF, F0), top)
-    qz = min(max(z * scale - HALF, F0), top)
-    i, j, k = min(int(qx), m - 2), min(int(qy), m - 2), min(int(qz), m - 2)
-    u, v, w = qx - np.float32(i), qy - np.float32(j), qz - np.float32(k)
-    a00, a01, a10, a11 = (F1 - u) * (F1 - v), (F1 - u) * v, u * (F1 - v), u * v
-    # depth is optical depth for sigma 1 per cube edge; sigma here is per cell
+    state, i, j, k = jitter(np.float32(m) / np.float32(cells), x, y, z, state)
+    i, j, k = min(max(i - 1, 0), m - 1), min(max(j - 1, 0), m - 1), min(max(k - 1, 0), m - 1)
+    # depth is for sigma 1 per cube edge; sigma here is per cell
     sigma_cube = sigma * np.float32(cells)
     for s in range(count):
-        low = a00 * depth[i, j, k, s] + a01 * depth[i, j + 1, k, s]
-        low += a10 * depth[i + 1, j, k, s] + a11 * depth[i + 1, j + 1, k, s]
-        high = a00 * depth[i, j, k + 1, s] + a01 * depth[i, j + 1, k + 1, s]
-        high += a10 * depth[i + 1, j, k + 1, s] + a11 * depth[i + 1, j + 1, k + 1, s]
-        tau = sigma_cube * (low + w * (high - low))
+        tau = sigma_cube * depth[i, j, k, s]
         if tau < _OPAQUE:
             cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
             light[s] = np.exp(-tau) * phase_hg(cosine, g)
@@ -246,8 +239,8 @@ def trace_points(
         depth = np.empty((0, 0, 0, 0), np.float32)
     else:
         depth = np.ascontiguousarray(np.moveaxis(np.asarray(sun_tau, np.float32), 0, -1))
-        if depth.ndim != 4 or depth.shape[3] != len(suns) or len(set(depth.shape[:3])) != 1 or depth.shape[0] < 2:
-            raise ValueError(f"sun_tau must be ({len(suns)}, M, M, M) with M >= 2")
+        if depth.ndim != 4 or depth.shape[3] != len(suns) or len(set(depth.shape[:3])) != 1 or depth.shape[0] < 1:
+            raise ValueError(f"sun_tau must be ({len(suns)}, M, M, M)")
     return _points_kernel(
         grid.padded, grid.majorant, suns, depth, (positions + np.float32(0.5)) * np.float32(grid.cells), directions,
         _per_point(sigma, count, "sigma") / np.float32(grid.cells), _per_point(anisotropy, count, "anisotropy"),

@@ -141,16 +141,28 @@ def _inverse(d):
 
 
 @numba.njit(cache=True, fastmath=True)
+def jitter(scale, x, y, z, state):
+    """One of the eight cells around a position, chosen with its trilinear weight.
+
+    `scale` converts to the cells of the grid; its cell (i, j, k) is returned as
+    (i + 1, j + 1, k + 1), as a grid with one layer of padding is indexed.
+    Returns (state, i, j, k).
+    """
+    state, bits = draw(state)
+    i = int(x * scale + HALF + np.float32(np.int32(bits >> _U43)) * _TO21)
+    j = int(y * scale + HALF + np.float32(np.int32((bits >> _U22) & _MASK21)) * _TO21)
+    k = int(z * scale + HALF + np.float32(np.int32(bits & _MASK21)) * _TO21)
+    return state, i, j, k
+
+
+@numba.njit(cache=True, fastmath=True)
 def _corner(x, y, z, padded, state):
     """Density at one of the eight cells around a position, chosen with its trilinear weight.
 
     Its mean is the trilinear density, and every use here is linear in the density: one
     read instead of eight, without bias.
     """
-    state, bits = draw(state)
-    i = int(x + HALF + np.float32(np.int32(bits >> _U43)) * _TO21)
-    j = int(y + HALF + np.float32(np.int32((bits >> _U22) & _MASK21)) * _TO21)
-    k = int(z + HALF + np.float32(np.int32(bits & _MASK21)) * _TO21)
+    state, i, j, k = jitter(F1, x, y, z, state)
     return padded[i, j, k], state
 
 
