@@ -61,11 +61,11 @@ class Comparison:
         target = Path(path)
         partial = target.with_name(f".{target.name}.{os.getpid()}.part")
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
             partial.write_text(json.dumps(asdict(self), indent=1) + "\n")
             os.replace(partial, target)
         except OSError as error:
-            partial.unlink(missing_ok=True)
+            if partial.exists():
+                partial.unlink()
             raise SceneError(f"cannot write {path}: {error.strerror}") from None
 
 
