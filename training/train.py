@@ -2,14 +2,15 @@
 
     nice python -m training.train --data data/train --run runs/first --steps 20000
 
-Reads the data into memory, holds the last volumes back for validation, and goes on from
-the run's checkpoint if there is one. The loss is relative L2 on radiance,
+Reads the data into memory, holds the first volumes back for validation, and goes on from
+the run's checkpoint if there is one, with whatever volumes there are by then. The loss is relative L2 on radiance,
 (y - t)^2 / (stop_gradient(y)^2 + eps^2): linear in the targets' noise, so that it
 converges to their mean. The exported weights are an exponential moving average.
 """
 
 import argparse
 import json
+import math
 import os
 import pathlib
 import time
@@ -82,7 +83,7 @@ def rate(step: int, steps: int) -> float:
     """Linear warm-up, then cosine decay to zero."""
     if step < WARM_UP:
         return (step + 1) / WARM_UP
-    return 0.5 * (1.0 + np.cos(np.pi * (step - WARM_UP) / max(steps - WARM_UP, 1)))
+    return 0.5 * (1.0 + math.cos(math.pi * (step - WARM_UP) / max(steps - WARM_UP, 1)))
 
 
 def main():
@@ -98,14 +99,14 @@ def main():
     torch.manual_seed(arguments.seed)
 
     files = sorted(arguments.data.glob("*.npz"))
-    train, held = load(files[:-VALIDATION_VOLUMES]), load(files[-VALIDATION_VOLUMES:])
+    train, held = load(files[VALIDATION_VOLUMES:]), load(files[:VALIDATION_VOLUMES])
     rows = len(train["gamma"])
     configuration = {
         "network": "mrpnn",
         "anisotropy_range": ANISOTROPY_RANGE,
         "sigma_hat_range": SIGMA_HAT_RANGE,
-        "volumes": [files[0].stem, files[-VALIDATION_VOLUMES - 1].stem],
-        "validation_volumes": [files[-VALIDATION_VOLUMES].stem, files[-1].stem],
+        "volumes": [files[VALIDATION_VOLUMES].stem, files[-1].stem],
+        "validation_volumes": [files[0].stem, files[VALIDATION_VOLUMES - 1].stem],
         "rows": rows,
         "points_a_volume": POINTS,
         "suns_a_point": SUNS,

@@ -1,0 +1,116 @@
+"""What this scene needs, decided before any work: pure functions of the scene."""
+
+from dataclasses import dataclass, field
+from typing import List, Tuple
+
+import numpy as np
+
+from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
+from .stencil import LEVEL0_CELLS
+
+# Suns count as parallel, and are merged, below this angle in radians.
+PARALLEL = 1e-6
+# Bytes that the fields of one volume need at the peak, whatever its resolution.
+FIELD_BYTES = 56 * LEVEL0_CELLS**3
+# Bytes that a voxel of the input needs on top, for itself and for each sun.
+VOXEL_BYTES, VOXEL_SUN_BYTES = 8, 4
+
+
+@dataclass
+class Channels:
+    """Colour channels with one extinction, rendered together.
+
+    indices: of the RGB channels. sigma_t: (V,), of each volume.
+    """
+
+    indices: List[int]
+    sigma_t: np.ndarray
+
+
+@dataclass
+class Plan:
+    """The work that a scene asks for, and in words what it does not."""
+
+    volumes: List[Tuple[Volume, Medium]]
+    suns: List[Sun]
+    channels: List[Channels]
+    multiple: List[bool]  # (V,), whether the network runs for a volume
+    planned: List[str] = field(default_factory=list)
+    left_out: List[str] = field(default_factory=list)
+    memory: int = 0  # bytes, estimated peak on top of the input
+
+
+def distinct_albedos(medium: Medium, indices: List[int]):
+    """Albedos above 0 among some channels, and the channels of each."""
+    values = sorted({float(medium.albedo[c]) for c in indices if medium.albedo[c] > 0.0})
+    return [(value, [c for c in indices if medium.albedo[c] == value]) for value in values]
+
+
+def merge_parallel(suns: List[Sun]) -> List[Sun]:
+    """Suns with one direction become one, since light is linear."""
+    merged = []
+    for sun in suns:
+        for other in merged:
+            if np.linalg.norm(sun.direction - other.direction) < PARALLEL:
+                other.irradiance = other.irradiance + sun.irradiance
+                break
+        else:
+            merged.append(Sun(sun.direction, sun.irradiance, sun.name))
+    return merged
+
+
+def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
+    """Decide what to render.
+
+    Raises SceneError where there is nothing to render or the memory limit is too small.
+    """
+    if not volumes:
+        raise SceneError("there is no volume to render")
+    if not suns:
+        raise SceneError("there is no sun: without light the image would be black")
+    planned, left_out = [], []
+
+    kept = [(v, m) for v, m in volumes if np.any(m.sigma_t > 0.0) and v.density.max() > 0.0]
+    for volume, medium in volumes:
+        if not np.any(medium.sigma_t > 0.0):
+            left_out.append(f"{volume.name}: its extinction is 0")
+        elif not volume.density.max() > 0.0:
+            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+
+    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
+    left_out += [f"{sun.name}: its irradiance is 0" for sun in suns if not np.any(sun.irradiance > 0.0)]
+    merged = merge_parallel(bright)
+    if len(merged) < len(bright):
+        left_out.append(f"{len(bright) - len(merged)} suns parallel to another: merged")
+
+    # Channels in which every volume has the same extinction share rays, fields and feature stage.
+    channels = []
+    for c in range(3):
+        sigma_t = np.array([m.sigma_t[c] for _, m in kept])
+        for group in channels:
+            if np.array_equal(group.sigma_t, sigma_t):
+                group.indices.append(c)
+                break
+        else:
+            channels.append(Channels([c], sigma_t))
+    if len(channels) == 1:
+        left_out.append("two of three colour channels' rays and fields: extinction is grey")
+
+    multiple = [bool(np.any(m.albedo > 0.0)) and bool(merged) for _, m in kept]
+    for (volume, medium), needed in zip(kept, multiple):
+        if not needed:
+            left_out.append(f"{volume.name}: multiple scattering, its albedo is 0")
+            continue
+        stages = len(distinct_albedos(medium, [0, 1, 2]))
+        planned.append(f"{volume.name}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
+
+    voxels = sum(volume.density.size for volume, _ in kept)
+    memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
+    x0, y0, x1, y1 = camera.window
+    memory += (x1 - x0) * (y1 - y0) * 4 * 12
+    if memory > settings.memory_limit:
+        raise SceneError(
+            f"the render needs about {memory / 2**30:.1f} GiB and the limit is "
+            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, use smaller grids or a smaller image"
+        )
+    return Plan(kept, merged, channels, multiple, planned, left_out, memory)

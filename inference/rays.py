@@ -1,0 +1,48 @@
+"""Camera rays through pixel centres, and where they meet a grid."""
+
+import numpy as np
+
+from .scene import Camera
+
+
+def camera_rays(camera: Camera):
+    """Rays of the camera's window, row by row from the top.
+
+    Returns origins and unit directions, float64 (N, 3) in the world, and the distances
+    (N,) along each ray to the near and the far clipping plane.
+    """
+    x0, y0, x1, y1 = camera.window
+    width, height = camera.resolution
+    columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    # Image plane coordinates in units of the image's width, x right, y up.
+    u = ((columns.ravel() + 0.5) - 0.5 * width) / width + camera.shift[0]
+    v = (0.5 * height - (rows.ravel() + 0.5)) / width + camera.shift[1]
+    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+    eye = camera.world_matrix[:3, 3]
+    forward = np.full_like(u, -1.0)
+    if camera.projection == "orthographic":
+        local = np.stack([u * camera.ortho_scale, v * camera.ortho_scale, np.zeros_like(u)], axis=1)
+        origins = eye + local @ rotation.T
+        directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
+        cosine = np.ones_like(u)
+    else:
+        extent = 2.0 * np.tan(0.5 * camera.fov)
+        local = np.stack([u * extent, v * extent, forward], axis=1)
+        length = np.linalg.norm(local, axis=1)
+        directions = (local / length[:, None]) @ rotation.T
+        origins = np.broadcast_to(eye, directions.shape).copy()
+        cosine = 1.0 / length
+    # Clipping planes are perpendicular to the viewing axis.
+    return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
+
+
+def box_interval(origins, directions, low, high):
+    """Distances (N,) at which rays enter and leave an axis-aligned box; entry > exit on a miss."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1.0 / directions
+        a = (low - origins) * inverse
+        b = (high - origins) * inverse
+    # A ray that runs inside a face's plane divides 0 by 0: that axis does not bound it.
+    near = np.where(np.isnan(a) | np.isnan(b), -np.inf, np.minimum(a, b)).max(axis=1)
+    far = np.where(np.isnan(a) | np.isnan(b), np.inf, np.maximum(a, b)).min(axis=1)
+    return near, far

@@ -1,0 +1,334 @@
+"""Scene in, layer out: plan, fields, descriptors, network, composition."""
+
+import concurrent.futures
+import os
+
+import numpy as np
+
+from .cube import fit_cube, level0_density
+from .descriptors import describe
+from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
+from .grid import Grid
+from .march import march
+from .network import Network, load_network
+from .phase import PhaseFeatures, henyey_greenstein
+from .plan import Plan, distinct_albedos, make_plan
+from .rays import camera_rays
+from .report import Report, process_peak_memory
+from .scene import Camera, Cancelled, Layer, Medium, Settings, Sun, Volume
+
+# Points a network call; rays a marching task are chosen to hold about this many steps.
+POINTS_A_TASK = 2048
+STEPS_A_TASK = 600_000
+# Share of the progress bar that marching takes.
+MARCH_SHARE = 0.4
+
+
+class MultipleField:
+    """Everything that predicts multiple scattering in one volume, for one extinction and sun.
+
+    Outside the range of optical density that the network was trained on, the prediction is that at the
+    range's end: scaled down in proportion below it, where multiple scattering is
+    linear in density, and held above it.
+    """
+
+    def __init__(self, network: Network, volume: Volume, medium: Medium):
+        self.network, self.volume, self.medium = network, volume, medium
+        self.cube = fit_cube(volume)
+        self.padded = padded_levels(density_pyramid(level0_density(volume, self.cube)), network.stencil)
+        low, high = network.anisotropy_range
+        self.anisotropy = float(np.clip(medium.anisotropy, low, high))
+        self.phase = PhaseFeatures(network.stencil, self.anisotropy)
+
+    def warnings(self, sigma_t: float):
+        found = []
+        if self.anisotropy != self.medium.anisotropy:
+            found.append(
+                f"{self.volume.name}: anisotropy {self.medium.anisotropy:g} is outside the network's range; "
+                f"multiple scattering uses {self.anisotropy:g}"
+            )
+        peak = self.peak_sigma_hat(sigma_t)
+        if peak > self.network.sigma_hat_range[1]:
+            found.append(
+                f"{self.volume.name}: optical density {peak:.3g} is beyond the network's range of "
+                f"{self.network.sigma_hat_range[1]:g}; multiple scattering is less accurate"
+            )
+        return found
+
+    def peak_sigma_hat(self, sigma_t: float) -> float:
+        return sigma_t * self.cube.edge * float(self.volume.density.max())
+
+    def light(self, sigma_t: float, direction: np.ndarray):
+        """Prepare the lattices for one sun; direction: (3,) in the world."""
+        self.sun = self.cube.directions(direction)
+        peak = self.peak_sigma_hat(sigma_t)
+        low, high = self.network.sigma_hat_range
+        used = min(max(peak, low), high)
+        self.scale = np.float32(min(peak / low, 1.0))
+        sigma_hat = sigma_t * self.cube.edge * used / peak
+        depths = unit_optical_depths(self.padded, self.sun)
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil)
+
+    def predict(self, positions, directions, albedos) -> np.ndarray:
+        """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
+        features, gamma = describe(
+            self.network.stencil,
+            self.lattices,
+            self.phase,
+            self.cube.positions(positions),
+            self.cube.directions(directions),
+            self.sun,
+        )
+        return self.network.multiple(features, self.anisotropy, gamma, albedos) * self.scale
+
+
+class Work:
+    """Runs tasks on threads, in order of submission, with progress and cancellation."""
+
+    def __init__(self, settings: Settings, progress, cancelled):
+        self.threads = settings.threads or os.cpu_count() or 1
+        self.pool = concurrent.futures.ThreadPoolExecutor(self.threads)
+        self.progress = progress or (lambda fraction, message: None)
+        self.cancelled = cancelled or (lambda: False)
+
+    def check(self):
+        if self.cancelled():
+            raise Cancelled()
+
+    def map(self, function, tasks, start: float, end: float, message: str):
+        """Yield function(task) for each task; a bounded number is in flight."""
+        tasks = list(tasks)
+        pending, done = [], 0
+        iterator = iter(tasks)
+        for task in iterator:
+            pending.append(self.pool.submit(function, task))
+            if len(pending) > 2 * self.threads:
+                break
+        while pending:
+            self.check()
+            result = pending.pop(0).result()
+            for task in iterator:
+                pending.append(self.pool.submit(function, task))
+                break
+            done += 1
+            self.progress(start + (end - start) * done / len(tasks), message)
+            yield result
+
+    def close(self):
+        self.pool.shutdown(cancel_futures=True)
+
+
+def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
+    """(N,) offsets in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
+
+    Neighbouring pixels get offsets far apart, so that what error is left has no
+    low frequencies. Depends on the pixel's place in the whole image alone.
+    """
+    x0, y0, x1, y1 = camera.window
+    columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    shift = np.random.default_rng(seed).random()
+    # Powers of the reciprocal of the plastic number.
+    return np.mod(shift + columns.ravel() * 0.7548776662466927 + rows.ravel() * 0.5698402909980532, 1.0)
+
+
+def render(volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None) -> Layer:
+    """Render volumes lit by suns.
+
+    volumes: list of (Volume, Medium); suns: list of Sun. progress(fraction,
+    message) is called on the calling thread; cancelled() -> bool is asked several times a
+    second. The same seed gives the same image for any number of threads.
+    Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
+    """
+    settings = settings or Settings()
+    report = Report()
+    work = Work(settings, progress, cancelled)
+    try:
+        with report.stage("total"):
+            layer = _render(volumes, suns, camera, settings, work, report)
+    finally:
+        work.close()
+    report.threads = work.threads
+    report.peak_memory = process_peak_memory()
+    return layer
+
+
+def _render(volumes, suns, camera, settings, work, report):
+    plan = make_plan(volumes, suns, camera, settings)
+    report.planned, report.left_out = plan.planned, plan.left_out
+    network = None
+    if any(plan.multiple):
+        with report.stage("network loading"):
+            network = load_network(settings.model)
+        report.model, report.checksum = network.name, network.checksum
+
+    x0, y0, x1, y1 = camera.window
+    height, width = y1 - y0, x1 - x0
+    single = np.zeros((height * width, 3))
+    multiple = np.zeros((height * width, 3))
+    alpha = np.zeros(height * width)
+    depth = np.zeros(height * width)
+    report.count("pixels", height * width)
+
+    with report.stage("shadows"):
+        grids = _prepare_grids(plan, work)
+    fields = {}
+    for number, channels in enumerate(plan.channels if plan.volumes else []):
+        share = 1.0 / len(plan.channels)
+        start = number * share
+        samples = _march_camera_rays(
+            plan, channels, grids, camera, settings, work, report, start, start + share * MARCH_SHARE,
+            single, alpha, depth,
+        )
+        if network is not None and len(samples["pixel"]):
+            _add_multiple(
+                plan, channels, network, fields, samples, work, report, start + share * MARCH_SHARE, start + share,
+                multiple,
+            )
+
+    weight = np.maximum(alpha, 1e-30)
+    shape = (height, width)
+    single, multiple = (a.reshape(*shape, 3).astype(np.float32) for a in (single, multiple))
+    return Layer(
+        rgb=single + multiple,
+        alpha=np.clip(alpha, 0.0, 1.0).reshape(shape).astype(np.float32),
+        depth=np.where(alpha > 0.0, depth / weight, np.inf).reshape(shape).astype(np.float32),
+        single=single,
+        multiple=multiple,
+        report=report,
+    )
+
+
+def _prepare_grids(plan: Plan, work: Work):
+    grids = []
+    for volume, _ in plan.volumes:
+        work.check()
+        work.progress(0.0, f"shadows of {volume.name}")
+        grid = Grid(volume)
+        for sun in plan.suns:
+            work.check()
+            grid.add_sun(sun.direction)
+        grids.append(grid)
+    return grids
+
+
+def _march_camera_rays(plan, channels, grids, camera, settings, work, report, start, end, single, alpha, depth):
+    """Fill single, alpha and depth; return the depth samples of all rays, in order."""
+    origins, directions, clip_near, clip_far = camera_rays(camera)
+    offsets = stratum_offsets(camera, settings.seed)
+    near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
+    for grid, sigma_t in zip(grids, channels.sigma_t):
+        if sigma_t > 0.0:
+            enter, leave = grid.interval(origins, directions)
+            enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
+            meets = enter < leave
+            near[meets] = np.minimum(near[meets], enter[meets])
+            far[meets] = np.maximum(far[meets], leave[meets])
+    hit = np.flatnonzero(near < far)
+    report.count("rays that miss every volume", len(origins) - len(hit))
+    report.count("rays marched", len(hit))
+    empty = np.empty(0, int)
+    if not len(hit):
+        return {"pixel": empty}
+
+    voxel = min(grid.voxel for grid in grids)
+    longest = (far[hit] - near[hit]).max() * 2 / voxel
+    size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
+    tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
+    # Phase function of single scattering, by volume and sun.
+    def phase(rays):
+        cosine = directions[rays] @ np.stack([sun.direction for sun in plan.suns]).T
+        return np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
+
+    def task(rays):
+        segment = march(
+            grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
+            offsets[rays], settings.depth_samples,
+        )
+        return rays, segment, segment.single * phase(rays)
+
+    parts = []
+    share = len(channels.indices) / 3.0
+    with report.stage("march"):
+        for rays, segment, lit in work.map(task, tasks, start, end, "single scattering"):
+            for c in channels.indices:
+                albedo = np.array([m.albedo[c] for _, m in plan.volumes])
+                irradiance = np.array([sun.irradiance[c] for sun in plan.suns])
+                single[rays, c] = np.einsum("rvl,v,l->r", lit, albedo, irradiance)
+            alpha[rays] += segment.alpha * share
+            depth[rays] += segment.alpha * segment.depth * share
+            pixels = rays[segment.sample_ray]
+            parts.append((pixels, segment))
+    pixel = np.concatenate([p for p, _ in parts])
+    distance = np.concatenate([s.sample_distance for _, s in parts])
+    report.count("points", len(pixel))
+    return {
+        "pixel": pixel,
+        "weight": np.concatenate([s.sample_weight for _, s in parts]),
+        "fraction": np.concatenate([s.sample_fraction for _, s in parts]),
+        "position": origins[pixel] + distance[:, None] * directions[pixel],
+        "direction": directions[pixel],
+    }
+
+
+def _add_multiple(plan, channels, network, fields, samples, work, report, start, end, multiple):
+    """Add the predicted multiple scattering of every volume and sun to the image."""
+    jobs = [(v, sun) for v, needed in enumerate(plan.multiple) if needed for sun in plan.suns]
+    for number, (v, sun) in enumerate(jobs):
+        volume, medium = plan.volumes[v]
+        albedos = distinct_albedos(medium, channels.indices)
+        inside = np.flatnonzero(samples["fraction"][:, v] > 0.0)
+        if not albedos or not len(inside) or channels.sigma_t[v] == 0.0:
+            continue
+        message = f"multiple scattering of {volume.name}"
+        work.progress(start + (end - start) * number / len(jobs), message)
+        with report.stage("fields"):
+            if v not in fields:
+                work.check()
+                fields[v] = MultipleField(network, volume, medium)
+                report.warnings += fields[v].warnings(float(channels.sigma_t[v]))
+            work.check()
+            fields[v].light(float(channels.sigma_t[v]), sun.direction)
+            work.check()
+        values = [value for value, _ in albedos]
+
+        def task(points, field=fields[v]):
+            return points, field.predict(samples["position"][points], samples["direction"][points], values)
+
+        tasks = [inside[i : i + POINTS_A_TASK] for i in range(0, len(inside), POINTS_A_TASK)]
+        first = start + (end - start) * number / len(jobs)
+        last = start + (end - start) * (number + 1) / len(jobs)
+        with report.stage("network"):
+            for points, radiance in work.map(task, tasks, first, last, message):
+                weight = samples["weight"][points] * samples["fraction"][points, v]
+                pixels = samples["pixel"][points]
+                for (value, members), row in zip(albedos, radiance):
+                    added = np.bincount(pixels - pixels[0], weight * row * value)
+                    for c in members:
+                        multiple[pixels[0] : pixels[0] + len(added), c] += added * sun.irradiance[c]
+        report.count("network points", len(inside))
+
+
+def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") -> np.ndarray:
+    """Multiple-scattered in-scattered radiance at points, as the network sees it.
+
+    positions, directions: (N, 3) world positions and unit camera-ray directions.
+    Returns float32 (N, 3), W/(m^2 sr) for the sun's irradiance; the pixel's albedo factor is not included.
+    Raises SceneError as `render` does.
+    """
+    positions = np.asarray(positions, np.float64).reshape(-1, 3)
+    directions = np.asarray(directions, np.float64).reshape(-1, 3)
+    field = MultipleField(load_network(model), volume, medium)
+    result = np.zeros((len(positions), 3), np.float32)
+    for sigma_t in np.unique(medium.sigma_t[medium.sigma_t > 0.0]):
+        members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
+        albedos = distinct_albedos(medium, members)
+        if not albedos:
+            continue
+        field.light(float(sigma_t), sun.direction)
+        for i in range(0, len(positions), POINTS_A_TASK):
+            span = slice(i, i + POINTS_A_TASK)
+            radiance = field.predict(positions[span], directions[span], [value for value, _ in albedos])
+            for (_, channels), row in zip(albedos, radiance):
+                for c in channels:
+                    result[span, c] = row * sun.irradiance[c]
+    return result

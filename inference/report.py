@@ -1,0 +1,54 @@
+"""What a render did: the plan, counts, seconds a stage, memory."""
+
+import contextlib
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import Dict, List, Optional
+
+
+@dataclass
+class Report:
+    """Filled while a render runs.
+
+    model, checksum: the network's name and sha256. planned, left_out: sentences.
+    warnings: what the user should know, naming objects. counts: pixels, rays, points.
+    seconds: by stage; "march" and "network" overlap on several threads, so that "total" is measured
+    apart. peak_memory: bytes, of the whole process, None where the platform does not tell.
+    """
+
+    model: str = ""
+    checksum: str = ""
+    threads: int = 0
+    planned: List[str] = field(default_factory=list)
+    left_out: List[str] = field(default_factory=list)
+    warnings: List[str] = field(default_factory=list)
+    counts: Dict[str, int] = field(default_factory=dict)
+    seconds: Dict[str, float] = field(default_factory=dict)
+    peak_memory: Optional[int] = None
+
+    @contextlib.contextmanager
+    def stage(self, name: str):
+        """Add the time spent inside to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def count(self, name: str, number: int):
+        self.counts[name] = self.counts.get(name, 0) + int(number)
+
+    def to_dict(self) -> dict:
+        """Plain types only, for JSON and image metadata."""
+        return dict(vars(self))
+
+
+def process_peak_memory() -> Optional[int]:
+    """Largest resident size of this process so far in bytes; None on Windows."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

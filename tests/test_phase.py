@@ -1,0 +1,62 @@
+"""Phase function and its integral over cones, against numerical integration."""
+
+import numpy as np
+import pytest
+
+from inference.phase import PhaseFeatures, cone_half_angles, cumulative_phase, henyey_greenstein
+from inference.stencil import LOW_POINTS, frames, make_stencil
+
+GS = (-0.3, 0.0, 0.5, 0.857, 0.95)
+
+
+@pytest.mark.parametrize("g", GS)
+def test_integrates_to_one_with_mean_cosine_g(g):
+    z, w = np.polynomial.legendre.leggauss(4000)
+    p = henyey_greenstein(z, g)
+    assert 2 * np.pi * (w * p).sum() == pytest.approx(1.0, abs=1e-9)
+    assert 2 * np.pi * (w * p * z).sum() == pytest.approx(g, abs=1e-9)
+
+
+@pytest.mark.parametrize("g", GS)
+@pytest.mark.parametrize("half_angle", [0.3, 0.9, 1.5])
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.6, 3.0])
+def test_cone_against_numerical_integration_of_eq_3(g, half_angle, angle):
+    # Directions inside the cone around z; the light arrives at `angle` from its axis.
+    z, w = np.polynomial.legendre.leggauss(400)
+    low = np.cos(half_angle)
+    z, w = low + (z + 1) * (1 - low) / 2, w * (1 - low) / 2
+    phi = (np.arange(400) + 0.5) * 2 * np.pi / 400
+    cosine = np.sqrt(1 - z * z)[:, None] * np.cos(phi) * np.sin(angle) + z[:, None] * np.cos(angle)
+    expected = (henyey_greenstein(cosine, g) * w[:, None]).sum() * 2 * np.pi / 400
+    assert cumulative_phase(np.cos(angle), half_angle, g) == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("g", GS)
+def test_whole_sphere_holds_everything(g):
+    np.testing.assert_allclose(cumulative_phase(np.linspace(-1, 1, 9), np.pi, g), 1.0, atol=1e-6)
+
+
+def test_cone_of_a_cell():
+    # A cell of 1/256 seen from one edge length away: sin(c/2) = 1/2 of 1.
+    assert cone_half_angles(np.array([1 / 256]), np.array([0]))[0] == pytest.approx(np.arcsin(0.5))
+    assert cone_half_angles(np.array([0.1 / 256]), np.array([0]))[0] == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.857])
+def test_features_against_directions_in_space(g):
+    """P of every point from world directions, without the table's use of the stencil's frame."""
+    stencil = make_stencil()
+    table = PhaseFeatures(stencil, g)
+    random = np.random.default_rng(5)
+    omega, sun = random.normal(size=(2, 3))
+    omega, sun = omega / np.linalg.norm(omega), sun / np.linalg.norm(sun)
+    rotation = frames(omega[None], sun)[0]
+    points = np.concatenate([stencil.low @ rotation.T, stencil.high[:, None] * sun])
+    distance = np.linalg.norm(points, axis=1)
+    v = points / np.maximum(distance, 1e-12)[:, None]
+    half_angle = cone_half_angles(distance, stencil.mips)
+    expected = np.log1p(cumulative_phase(v @ omega, half_angle, g) * cumulative_phase(v @ sun, half_angle, g))
+    expected[0] = np.log1p(henyey_greenstein(omega @ sun, g))
+    result = table(np.array([np.arccos(omega @ sun)]))[0]
+    np.testing.assert_allclose(result, expected, atol=2e-4)
+    assert len(expected) - LOW_POINTS == 32
