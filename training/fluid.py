@@ -135,5 +135,6 @@ def simulate_smoke(rng, cells=32, steps=44):
         flow = np.ascontiguousarray(np.moveaxis(velocity, 0, -1))
         density = _carry_sharp(density, flow, 2.0, top) * np.float32(decay)
         velocity = np.ascontiguousarray(np.moveaxis(_carry(flow, flow, 1.0, 1.0, shape[2]), -1, 0))
-    density *= np.clip((density.shape[2] - np.arange(density.shape[2])) / (0.1 * density.shape[2]), 0, 1).astype(np.float32)
+    below_top = (density.shape[2] - np.arange(density.shape[2])) / (0.1 * density.shape[2])
+    density *= np.clip(below_top, 0, 1).astype(np.float32)
     return np.maximum(density, 0).astype(np.float32)

@@ -9,7 +9,9 @@ Results depend on the arguments alone, not on the number of threads.
 import numba
 import numpy as np
 
-from .transport import F0, F1, F2, HALF, draw, fly, jitter, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms
+from .transport import (
+    F0, F1, F2, HALF, draw, fly, interpolate, jitter, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms,
+)
 
 #: Collisions after which a path is dropped. Russian roulette ends a path of albedo 0.99
 #: after some 400; this bounds the conservative ones.
@@ -32,17 +34,25 @@ def _sun_light(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, lig
             cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
             light[s] = through * phase_hg(cosine, g)
         return state
-    # the suns' optical depths at one of the eight cells around, chosen with its trilinear
+    # The suns' optical depths at one of the eight cells around, chosen with its trilinear
     # weight: on average the transmittance is interpolated, which where shadows have sharp
-    # edges is much closer than exp(-interpolated depth), always too dark (exp is convex)
+    # edges is much closer than exp(-interpolated depth), always too dark (exp is convex).
     cells = padded.shape[0] - 2
     m = depth.shape[0]
-    state, i, j, k = jitter(np.float32(m) / np.float32(cells), x, y, z, state)
+    scale = np.float32(m) / np.float32(cells)
+    state, i, j, k = jitter(scale, x, y, z, state)
     i, j, k = min(max(i - 1, 0), m - 1), min(max(j - 1, 0), m - 1), min(max(k - 1, 0), m - 1)
+    # from that cell's centre to here, in cells
+    sx = x - (np.float32(i) + HALF) / scale
+    sy = y - (np.float32(j) + HALF) / scale
+    sz = z - (np.float32(k) + HALF) / scale
+    between = interpolate(x - HALF * sx, y - HALF * sy, z - HALF * sz, padded)
     # depth is for sigma 1 per cube edge; sigma here is per cell
     sigma_cube = sigma * np.float32(cells)
     for s in range(count):
-        tau = sigma_cube * depth[i, j, k, s]
+        # along the sun's direction the depth's derivative is the density itself
+        nearer = sx * suns[s, 0] + sy * suns[s, 1] + sz * suns[s, 2]
+        tau = max(sigma_cube * depth[i, j, k, s] - sigma * between * nearer, F0)
         if tau < _OPAQUE:
             cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
             light[s] = np.exp(-tau) * phase_hg(cosine, g)
@@ -217,7 +227,9 @@ def trace_points(
 
     density: (N, N, N) or what `transport.prepare` made of it (prepare once for many calls).
     suns: (S, 3) unit vectors towards the suns. sun_tau: optical depth towards each sun for
-    sigma 1, (S, M, M, M), cell-centred on the cube; None for unbiased ratio tracking.
+    sigma 1, (S, M, M, M), cell-centred on the cube: several times faster, but shadow edges finer than
+    its cells are softened (transmittance too high by under 2 % where a cell holds optical depth
+    1, several % at depth 4 and hard edges); None for unbiased ratio tracking.
     positions: (P, 3) in the cube; directions: (P, 3) of the camera ray, away from the camera.
     sigma, anisotropy: (P,) or scalar; albedos: (P, A) or (A,).
 

@@ -156,6 +156,20 @@ def jitter(scale, x, y, z, state):
 
 
 @numba.njit(cache=True, fastmath=True)
+def interpolate(x, y, z, padded):
+    """Trilinear density at a position."""
+    i, j, k = int(x + HALF), int(y + HALF), int(z + HALF)
+    u, v, w = x + HALF - np.float32(i), y + HALF - np.float32(j), z + HALF - np.float32(k)
+    a = padded[i, j, k] + w * (padded[i, j, k + 1] - padded[i, j, k])
+    b = padded[i, j + 1, k] + w * (padded[i, j + 1, k + 1] - padded[i, j + 1, k])
+    c = padded[i + 1, j, k] + w * (padded[i + 1, j, k + 1] - padded[i + 1, j, k])
+    d = padded[i + 1, j + 1, k] + w * (padded[i + 1, j + 1, k + 1] - padded[i + 1, j + 1, k])
+    a += v * (b - a)
+    c += v * (d - c)
+    return a + u * (c - a)
+
+
+@numba.njit(cache=True, fastmath=True)
 def _corner(x, y, z, padded, state):
     """Density at one of the eight cells around a position, chosen with its trilinear weight.
 

@@ -236,7 +236,9 @@ def blobs(rng):
     slope = rng.uniform(-0.6, 0.6, 3).astype(np.float32)
 
     def density(points):
-        total = sum(w * np.exp(-0.5 * (((points - c) @ f.T) ** 2).sum(axis=1)) for c, f, w in zip(centres, frames, weights))
+        total = np.zeros(len(points), np.float32)
+        for centre, frame, weight in zip(centres, frames, weights):
+            total += weight * np.exp(-0.5 * (((points - centre) @ frame.T) ** 2).sum(axis=1))
         return total * np.clip(1 + points @ slope, 0, None)
 
     return density

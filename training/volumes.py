@@ -161,7 +161,7 @@ def contact_sheet(sample: Sample, size: int = 192) -> np.ndarray:
 def main(argv=None):
     from PIL import Image
 
-    parser = argparse.ArgumentParser(prog="python -m training.volumes", description="Contact sheet of procedural volumes.")
+    parser = argparse.ArgumentParser(prog="python -m training.volumes", description="Contact sheet of volumes.")
     parser.add_argument("--seeds", default="0-23", help="a range, both ends included: 0-23")
     parser.add_argument("--resolution", type=int, default=192)
     parser.add_argument("--out", type=Path, required=True, help="folder for contact_sheet.png")
@@ -172,8 +172,8 @@ def main(argv=None):
         start = time.perf_counter()
         sample = make_volume(seed, options.resolution)
         seconds = time.perf_counter() - start
-        density = sample.density
-        print(f"{seed:6d} {sample.kind:12s} mean {density.mean():.4f} filled {(density > 0).mean():.3f} {seconds:.1f} s", flush=True)
+        mean, filled = sample.density.mean(), (sample.density > 0).mean()
+        print(f"{seed:6d} {sample.kind:12s} mean {mean:.4f} filled {filled:.3f} {seconds:.1f} s", flush=True)
         tiles.append(contact_sheet(sample))
     columns = 3
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
