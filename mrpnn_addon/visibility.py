@@ -1,9 +1,8 @@
 """Which objects a render shows, instances included."""
 
 from dataclasses import dataclass
-from typing import Iterator, Optional, Set
+from typing import Iterator, Optional
 
-import bpy
 import numpy as np
 
 from ..inference.scene import SceneError
@@ -19,10 +18,12 @@ class Shown:
     source: the original object in the scene that is it, or instances it.
     """
 
-    object: bpy.types.Object
+    # Quoted: held by `typing` or a dataclass, Blender's types outlive
+    # Blender, and the bpy module hangs when the process ends.
+    object: "bpy.types.Object"
     matrix: np.ndarray
     name: str
-    source: bpy.types.Object
+    source: "bpy.types.Object"
 
 
 def shown_objects(depsgraph) -> Iterator[Shown]:
@@ -42,7 +43,7 @@ def shown_objects(depsgraph) -> Iterator[Shown]:
             yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
 
 
-def render_visible(view_layer) -> Set[bpy.types.Object]:
+def render_visible(view_layer) -> set:
     """The view layer's objects that neither they nor their collections hide in renders."""
     return {
         member
