@@ -13,11 +13,14 @@ from .transport import (
     F0, F1, F2, HALF, draw, fly, interpolate, jitter, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms,
 )
 
-#: Collisions after which a path is dropped. Russian roulette ends a path of albedo 0.99
-#: after some 400; this bounds the conservative ones.
-MAX_COLLISIONS = 4096
+#: Collisions after which a path is dropped. In a solid block of optical depth 1000 and albedo 1
+#: a limit of 4096 loses up to 5 % of the light, this one nothing that shows, for a fifth more time.
+MAX_COLLISIONS = 65536
 #: Rays tried for one scattering point before it is given up.
 MAX_TRIES = 2000
+
+#: Optical depth a cell above which a field of that grid's resolution is too coarse.
+FIELD_LIMIT = np.float32(5.0)
 
 _ROULETTE = np.float32(0.05)
 _NEGLIGIBLE = np.float32(1e-12)
@@ -28,7 +31,7 @@ _OPAQUE = np.float32(30.0)
 def _sun_light(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, light, state):
     """Fill light[s] with transmittance(x -> sun s) times the phase function towards it."""
     count = suns.shape[0]
-    if depth.shape[0] == 0:
+    if depth.shape[0] == 0 or sigma > FIELD_LIMIT:
         for s in range(count):
             through, state = transmit(x, y, z, suns[s, 0], suns[s, 1], suns[s, 2], sigma, padded, majorant, state)
             cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
@@ -227,9 +230,9 @@ def trace_points(
 
     density: (N, N, N) or what `transport.prepare` made of it (prepare once for many calls).
     suns: (S, 3) unit vectors towards the suns. sun_tau: optical depth towards each sun for
-    sigma 1, (S, M, M, M), cell-centred on the cube: several times faster, but shadow edges finer than
-    its cells are softened (transmittance too high by under 2 % where a cell holds optical depth
-    1, several % at depth 4 and hard edges); None for unbiased ratio tracking.
+    sigma 1, (S, M, M, M), cell-centred on the cube; None for unbiased ratio tracking,
+    several times slower. The field's own resolution is its only error: under 1 % of the mean
+    up to an optical depth of 1 a density cell, 1 to 3 % at 2.5; above FIELD_LIMIT it is not used.
     positions: (P, 3) in the cube; directions: (P, 3) of the camera ray, away from the camera.
     sigma, anisotropy: (P,) or scalar; albedos: (P, A) or (A,).
 
