@@ -5,6 +5,9 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, 
 
 from ..inference import Settings, available_models
 
+# Blender 4.5 wants to be told that "//" may start a path; earlier versions do not know the word.
+RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
+
 # Blender keeps no reference to the strings of a dynamic enum, so they live here.
 _model_items = []
 
@@ -31,7 +34,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     use_exr: BoolProperty(
         name="Write EXR", default=False, description="Write the layer to a multi-layer OpenEXR file after each render")
     exr_path: StringProperty(
-        name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', description="File that Write EXR writes")
+        name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
+        description="File that Write EXR writes")
 
     def settings(self) -> Settings:
         """As `inference.render` takes them."""

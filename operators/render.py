@@ -8,6 +8,7 @@ from bpy.props import StringProperty
 from ..inference.scene import Cancelled, SceneError
 from ..mrpnn_addon.last_render import LastRender, remember
 from ..mrpnn_addon.layer_image import show_in_image
+from ..mrpnn_addon.properties import RELATIVE_PATH
 from ..mrpnn_addon.render_job import RenderJob, render_scene
 from ..mrpnn_addon.scene import read_scene
 
@@ -21,7 +22,7 @@ class MRPNN_OT_render(bpy.types.Operator):
     bl_label = "Render Volumes"
 
     filepath: StringProperty(
-        name="EXR File", subtype='FILE_PATH', options={'SKIP_SAVE'},
+        name="EXR File", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
         description="Multi-layer OpenEXR file to write; without it, the scene's own setting holds",
     )
 

@@ -1,0 +1,186 @@
+"""Rendering inside Blender: the operator, the worker thread and the render engine."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+# After bpy: its compiled libraries must come first.
+import OpenEXR
+
+from . import blender_scenes
+
+
+@pytest.fixture
+def cloud(scene, tmp_path):
+    """A scene with a small cloud, at few pixels and depth samples."""
+    scene.render.resolution_x, scene.render.resolution_y = 32, 24
+    scene.mrpnn.depth_samples = 2
+    return blender_scenes.cloud_scene(scene, tmp_path)
+
+
+def image_pixels():
+    """The operator's image, float32 (H, W, 4), rows from the top."""
+    image = bpy.data.images["MRPNN"]
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1]
+
+
+def channels(path):
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: channel.pixels for name, channel in file.channels().items()}
+
+
+def combined(path, view_layer="ViewLayer."):
+    found = channels(path)
+    return np.stack([found[f"{view_layer}Combined.{c}"] for c in "RGBA"], axis=-1)
+
+
+def test_the_operator_gives_the_layer_of_the_library(addon, scene, cloud, tmp_path):
+    assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {'FINISHED'}
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    layer = addon.inference.render(
+        described.volumes, described.suns, described.camera, addon.inference.Settings(depth_samples=2))
+    found = image_pixels()
+    np.testing.assert_array_equal(found[..., :3], layer.rgb)
+    np.testing.assert_array_equal(found[..., 3], layer.alpha)
+    assert layer.alpha.max() > 0.5 and layer.multiple.max() > 0.0
+    written = channels(tmp_path / "layer.exr")
+    np.testing.assert_array_equal(written["ViewLayer.Multiple.G"], layer.multiple[..., 1])
+    np.testing.assert_array_equal(combined(tmp_path / "layer.exr"), found)
+
+
+def test_alpha_is_that_of_cycles(addon, scene, cloud, tmp_path):
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    bpy.ops.mrpnn.render()
+    alpha = image_pixels()[..., 3]
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=128)[..., 3]
+    assert abs(alpha.mean() / reference.mean() - 1.0) < 0.01
+    # Pixel by pixel within what a box filter over a pixel's area differs from its centre.
+    assert np.abs(alpha - reference).max() < 0.1
+
+
+def test_settings_of_the_scene_are_used(addon, scene, cloud, tmp_path):
+    settings = scene.mrpnn
+    settings.depth_samples, settings.seed, settings.threads = 3, 5, 1
+    settings.use_exr, settings.exr_path = True, str(tmp_path / "scene.exr")
+    bpy.ops.mrpnn.render()
+    with OpenEXR.File(settings.exr_path) as file:
+        header = dict(file.header())
+    assert header["mrpnn.depthSamples"] == 3 and header["mrpnn.seed"] == 5
+    one = image_pixels().copy()
+    settings.threads = 2
+    bpy.ops.mrpnn.render()
+    np.testing.assert_array_equal(image_pixels(), one)
+    settings.seed = 6
+    bpy.ops.mrpnn.render()
+    assert not np.array_equal(image_pixels()[..., :3], one[..., :3])
+    np.testing.assert_array_equal(image_pixels()[..., 3], one[..., 3])
+
+
+def test_problems_are_errors_with_a_message(addon, scene, cloud, tmp_path):
+    with pytest.raises(RuntimeError, match="folder of the EXR file does not exist"):
+        bpy.ops.mrpnn.render(filepath=str(tmp_path / "missing" / "x.exr"))
+    with pytest.raises(RuntimeError, match="not saved yet"):
+        bpy.ops.mrpnn.render(filepath="//x.exr")
+    cloud.data.filepath = str(tmp_path / "gone.vdb")
+    with pytest.raises(RuntimeError, match="\"Cloud\": file not found"):
+        bpy.ops.mrpnn.render(filepath=str(tmp_path / "x.exr"))
+    assert not (tmp_path / "x.exr").exists() and "MRPNN" not in bpy.data.images
+
+
+def test_a_worker_thread_gives_the_same_layer(addon, scene, cloud):
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    job = addon.mrpnn_addon.render_job.RenderJob(described, scene.mrpnn.settings(), None)
+    job.wait()
+    assert job.done and job.error is None and job.fraction > 0.9
+    bpy.ops.mrpnn.render()
+    np.testing.assert_array_equal(image_pixels()[..., :3], job.result.layer.rgb)
+
+
+def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
+    scene.render.resolution_x = scene.render.resolution_y = 256
+    settings = addon.inference.Settings(depth_samples=64)
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    path = tmp_path / "layer.exr"
+    job = addon.mrpnn_addon.render_job.RenderJob(described, settings, str(path))
+    # Until the network is at work, deep inside the render.
+    while "multiple" not in job.message and not job.done:
+        time.sleep(0.01)
+    job.stop()
+    job.wait()
+    assert job.cancelled and job.result is None and not path.exists()
+    assert not [thread for thread in threading.enumerate() if thread.name == "mrpnn render"]
+
+
+def test_a_workers_error_reaches_the_main_thread(addon, scene, cloud, tmp_path):
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    settings = addon.inference.Settings(model="no such network")
+    job = addon.mrpnn_addon.render_job.RenderJob(described, settings, None)
+    job.wait()
+    assert isinstance(job.error, addon.inference.SceneError) and "no such network" in str(job.error)
+
+
+# The engine
+
+
+def render_engine(scene, path):
+    scene.render.engine = 'MRPNN'
+    scene.view_layers[0].use_pass_z = True
+    scene.render.image_settings.file_format = 'OPEN_EXR_MULTILAYER'
+    scene.render.image_settings.color_depth = '32'
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+
+
+def test_f12_puts_the_layer_into_the_render_result(addon, scene, cloud, tmp_path):
+    bpy.ops.mrpnn.render(filepath=str(tmp_path / "operator.exr"))
+    render_engine(scene, tmp_path / "engine.exr")
+    np.testing.assert_array_equal(combined(tmp_path / "engine.exr"), combined(tmp_path / "operator.exr"))
+    np.testing.assert_array_equal(
+        channels(tmp_path / "engine.exr")["ViewLayer.Depth.Z"], channels(tmp_path / "operator.exr")["ViewLayer.Depth.Z"])
+
+
+def test_the_engine_sees_what_only_renders_show(addon, scene, cloud, tmp_path):
+    """Hidden in the viewport, the cloud is not there for the operator; a render evaluates it."""
+    render_engine(scene, tmp_path / "shown.exr")
+    cloud.hide_viewport = True
+    render_engine(scene, tmp_path / "hidden.exr")
+    np.testing.assert_array_equal(combined(tmp_path / "hidden.exr"), combined(tmp_path / "shown.exr"))
+
+
+@pytest.mark.parametrize("crop", [False, True])
+def test_the_render_region_is_cut_as_blender_cuts_it(addon, scene, cloud, tmp_path, crop):
+    bpy.ops.mrpnn.render()
+    whole = image_pixels().copy()
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, crop
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.71, 0.13, 0.62
+    bpy.ops.mrpnn.render()
+    part = image_pixels()
+    # Columns 8 to 21 of 32, rows 3 to 13 of 24 from the bottom.
+    rows, columns = slice(24 - 14, 24 - 3), slice(8, 22)
+    if crop:
+        np.testing.assert_array_equal(part, whole[rows, columns])
+    else:
+        expected = np.zeros_like(whole)
+        expected[rows, columns] = whole[rows, columns]
+        np.testing.assert_array_equal(part, expected)
+    render_engine(scene, tmp_path / "engine.exr")
+    np.testing.assert_array_equal(combined(tmp_path / "engine.exr"), part)
+
+
+def test_built_in_panels_show_for_the_engine_only_while_registered(addon):
+    panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_volume]
+    assert all('MRPNN' in panel.COMPAT_ENGINES for panel in panels)
+    addon.unregister()
+    try:
+        assert not [panel for panel in bpy.types.Panel.__subclasses__()
+                    if 'MRPNN' in getattr(panel, 'COMPAT_ENGINES', ())]
+        assert not hasattr(bpy.types.Scene, 'mrpnn') and not hasattr(bpy.types, 'MRPNN_OT_render')
+    finally:
+        addon.register()
