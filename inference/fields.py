@@ -101,21 +101,26 @@ def fine_centres(m: int, margin: int, n_from: int, margin_from: int) -> np.ndarr
     return cube * n_from + margin_from - 0.5
 
 
-def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil) -> List[Lattice]:
+def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, mapper=map) -> List[Lattice]:
     """Lattices of mips 0..7 for one optical density and one sun.
 
     padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
     interpolated before the logarithm and the optical depth before the exponential.
+    mapper: `map`, or an executor's, to build mips side by side.
     """
-    lattices = []
     margin = margins(stencil)
-    for m in range(MIPS):
+
+    def build(m: int) -> Lattice:
         n, source = LEVEL0_CELLS >> m, max(m, 1)
-        n_source = LEVEL0_CELLS >> source
-        density = _refine(padded[m], FINE[m], fine_centres(m, margin[m], n, margin[m]))
-        depth = _refine(unit_depths[source - 1], 2, fine_centres(m, margin[m], n_source, margin[source]))
-        packed = np.empty(density.shape, np.complex64)
-        np.log1p(density * np.float32(sigma_hat / DENSITY_SCALE), out=packed.real)
-        np.exp(depth * np.float32(-sigma_hat * BETA**source), out=packed.imag)
-        lattices.append(Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m])))
-    return lattices
+        feature = _refine(padded[m], FINE[m], fine_centres(m, margin[m], n, margin[m]))
+        # Level 0 is not refined and must not be written to.
+        feature = np.multiply(feature, np.float32(sigma_hat / DENSITY_SCALE), out=None if FINE[m] == 1 else feature)
+        packed = np.empty(feature.shape, np.complex64)
+        packed.real = np.log1p(feature, out=feature)
+        centres = fine_centres(m, margin[m], LEVEL0_CELLS >> source, margin[source])
+        feature = _refine(unit_depths[source - 1], 2, centres)
+        feature *= np.float32(-sigma_hat * BETA**source)
+        packed.imag = np.exp(feature, out=feature)
+        return Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]))
+
+    return list(mapper(build, range(MIPS)))

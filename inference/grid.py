@@ -8,6 +8,10 @@ from .scene import Volume
 from .transmittance import sun_optical_depth
 from .trilinear import pad_with_zeros, sample_padded
 
+# Optical depth of a voxel above which shadows integrate the first voxel on its own, and in how many steps.
+THIN_VOXEL = 0.25
+LOCAL_STEPS = 3
+
 
 class Grid:
     """The active part of a volume's density and its optical depth towards each sun.
@@ -47,24 +51,42 @@ class Grid:
         """Density at continuous indices float32 (N, 3)."""
         return sample_padded(self.density, index)
 
-    def sample_sun_depth(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
-        """Optical depth (N,) from continuous indices (N, 3) towards a sun.
+    def thickness(self, sigma_t: float) -> float:
+        """Largest optical depth of one voxel."""
+        return float(self.density.max()) * sigma_t * self.voxel
 
-        Points outside are moved towards the sun onto the support; where that misses it
-        the depth is 0.
+    def set_extinction(self, sigma_t: float):
+        """Turn the suns' optical depths into transmittance for one extinction."""
+        self.sigma_t = np.float32(sigma_t)
+        self.sun_tr = [np.exp(depth * -self.sigma_t) for depth in self.sun_depths]
+        # Where a voxel is thick, the way through the first one is integrated on its own.
+        self.local_steps = 0 if self.thickness(sigma_t) < THIN_VOXEL else LOCAL_STEPS
+
+    def sample_sun_tr(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
+        """Transmittance (N,) from continuous indices float32 (N, 3) to a sun.
+
+        Transmittance is interpolated, not optical depth: across a shadow's edge the
+        exponential of a mean depth would be too dark. Points outside are moved towards the sun onto the
+        support; where that misses it the transmittance is 1.
         """
-        depth = self.sun_depths[sun]
-        # The padded lattice's index 0 is voxel -1.
-        last = np.array(depth.shape, np.float32) - 2
-        if not may_be_outside:
-            return sample_padded_inside(depth, index, last)
-        near, far = box_interval(index, self.sun_directions[sun][None], *self.box)
-        meets = far > np.maximum(near, 0.0)
-        moved = index + np.maximum(near, 0.0)[:, None] * np.where(meets[:, None], self.sun_directions[sun], 0.0)
-        result = sample_padded_inside(depth, moved.astype(np.float32), last)
-        return np.where(meets, result, np.float32(0.0))
-
-
-def sample_padded_inside(padded, index, last):
-    """As `sample_padded`, clamped to the support: for fields that are not 0 outside."""
-    return sample_padded(padded, np.clip(index, np.float32(-1.0), last - np.float32(1.0)))
+        direction = self.sun_directions[sun]
+        if may_be_outside:
+            near, far = box_interval(index, direction[None], *self.box)
+            meets = far > np.maximum(near, 0.0)
+            index = index + (np.maximum(near, 0.0) * meets)[:, None] * direction
+            index = index.astype(np.float32)
+        tau = np.zeros(len(index), np.float32)
+        if self.local_steps:
+            # To the next slice across the sun's main axis, by the midpoint rule.
+            step = 1.0 / (np.abs(direction).max() * self.local_steps)
+            move = (direction * step).astype(np.float32)
+            index = index + np.float32(0.5) * move
+            for _ in range(self.local_steps):
+                tau += self.sample_density(index)
+                index = index + move
+            index -= np.float32(0.5) * move
+            tau *= self.sigma_t * np.float32(step)
+        # Beyond the support nothing attenuates, and the field holds no cells: the rim, at most one voxel off, stands in.
+        last = np.array(self.density.shape, np.float32) - 3
+        tr = np.exp(-tau) * sample_padded(self.sun_tr[sun], np.clip(index, np.float32(-1.0), last))
+        return np.where(meets, tr, np.float32(1.0)) if may_be_outside else tr

@@ -1,6 +1,6 @@
 """Along camera rays: transmittance, exact single scattering and depths to sample.
 
-Rays are cut into steps of at most half a voxel. Within a step extinction is constant and
+Rays are cut into steps of at most half a voxel, less where voxels are optically thick. Within a step extinction is constant and
 the optical depth towards the sun linear, so that the integrals over a step are exact and
 steps may be optically thick.
 """
@@ -12,8 +12,12 @@ import numpy as np
 
 from .grid import Grid
 
-# Steps per voxel of the finest grid.
-STEPS_A_VOXEL = 2
+# Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
+STEPS_A_VOXEL = (2, 8)
+# Steps behind less transmittance than this are lit by nothing that shows.
+HIDDEN = 1e-4
+# Optical depth that counts as no light at all.
+OPAQUE = np.float32(60.0)
 # Rays fainter than this are not sampled in depth.
 FAINTEST_ALPHA = 1e-4
 
@@ -38,6 +42,12 @@ class RaySegment:
     sample_fraction: np.ndarray
 
 
+def steps_a_voxel(grids: List[Grid], sigma_t) -> int:
+    """Two steps for each optical depth that a voxel may hold, overlaps included, within bounds."""
+    thickest = sum(grid.thickness(s) for grid, s in zip(grids, sigma_t))
+    return int(np.clip(np.ceil(2 * thickest), *STEPS_A_VOXEL))
+
+
 def mean_transmittance(start, end):
     """Mean of exp(-tau) over a step along which tau goes linearly from start to end, both >= 0."""
     x = np.abs(end - start)
@@ -49,13 +59,14 @@ def mean_transmittance(start, end):
 def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int) -> RaySegment:
     """March rays through all grids.
 
-    sigma_t: (V,) extinction per unit density of each grid, one colour channel; origins,
+    grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
+    colour channel; origins,
     directions: float64 (R, 3); near, far: (R,) interval that holds all grids; offsets:
     (R,) in [0, 1), of each ray's strata.
     """
     rays, volumes, suns = len(origins), len(grids), len(grids[0].sun_depths)
     voxel = min(grid.voxel for grid in grids)
-    steps = max(int(np.ceil((far - near).max() * STEPS_A_VOXEL / voxel)), 1)
+    steps = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
     dt = ((far - near) / steps).astype(np.float32)[:, None]
 
     # Continuous indices at the start of each ray, in double precision; steps in single.
@@ -84,7 +95,7 @@ def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, d
     distance = near[:, None] + middles * dt
     depth = (weight * distance).sum(axis=1) / np.maximum(alpha, 1e-30)
 
-    single = _single(grids, sigma, total, before, dt, indices, sigma_t, suns)
+    single = _single(grids, sigma, total, before, dt, indices, suns)
 
     sampled = np.flatnonzero(alpha > FAINTEST_ALPHA)
     u = (np.arange(depth_samples) + offsets[sampled, None]) / depth_samples * alpha[sampled, None]
@@ -108,7 +119,7 @@ def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, d
     )
 
 
-def _single(grids, sigma, total, before, dt, indices, sigma_t, suns):
+def _single(grids, sigma, total, before, dt, indices, suns):
     """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1."""
     volumes, rays, steps = sigma.shape
     single = np.zeros((rays, volumes, suns))
@@ -120,12 +131,13 @@ def _single(grids, sigma, total, before, dt, indices, sigma_t, suns):
     ray, edge = np.nonzero(ends)
     position = [indices(v, ray, edge.astype(np.float32)) for v in range(volumes)]
     for l in range(suns):
-        shadow = np.zeros(ends.shape, np.float32)
+        tr = np.ones(len(ray), np.float32)
         for v, grid in enumerate(grids):
-            tau = grid.sample_sun_depth(position[v], l, may_be_outside=volumes > 1)
-            shadow[ray, edge] += tau * np.float32(sigma_t[v])
+            tr *= grid.sample_sun_tr(position[v], l, may_be_outside=volumes > 1)
+        shadow = np.full(ends.shape, OPAQUE, np.float32)
+        shadow[ray, edge] = -np.log(np.maximum(tr, np.exp(-OPAQUE)))
         # Integral over a step of exp(-tau to the camera - tau to the sun).
-        light = before * mean_transmittance(shadow[:, :-1], shadow[:, 1:] + total * dt) * dt
+        light = before * filled * mean_transmittance(shadow[:, :-1], shadow[:, 1:] + total * dt) * dt
         for v in range(volumes):
             single[:, v, l] = (sigma[v] * light).sum(axis=1)
     return single

@@ -9,7 +9,7 @@ from .cube import fit_cube, level0_density
 from .descriptors import describe
 from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
 from .grid import Grid
-from .march import march
+from .march import march, steps_a_voxel
 from .network import Network, load_network
 from .phase import PhaseFeatures, henyey_greenstein
 from .plan import Plan, distinct_albedos, make_plan
@@ -58,8 +58,8 @@ class MultipleField:
     def peak_sigma_hat(self, sigma_t: float) -> float:
         return sigma_t * self.cube.edge * float(self.volume.density.max())
 
-    def light(self, sigma_t: float, direction: np.ndarray):
-        """Prepare the lattices for one sun; direction: (3,) in the world."""
+    def light(self, sigma_t: float, direction: np.ndarray, mapper=map):
+        """Prepare the lattices for one sun; direction: (3,) in the world; mapper: as in `build_lattices`."""
         self.sun = self.cube.directions(direction)
         peak = self.peak_sigma_hat(sigma_t)
         low, high = self.network.sigma_hat_range
@@ -67,7 +67,7 @@ class MultipleField:
         self.scale = np.float32(min(peak / low, 1.0))
         sigma_hat = sigma_t * self.cube.edge * used / peak
         depths = unit_optical_depths(self.padded, self.sun)
-        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil)
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil, mapper)
 
     def predict(self, positions, directions, albedos) -> np.ndarray:
         """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
@@ -230,8 +230,10 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
     if not len(hit):
         return {"pixel": empty}
 
+    for grid, sigma_t in zip(grids, channels.sigma_t):
+        grid.set_extinction(float(sigma_t))
     voxel = min(grid.voxel for grid in grids)
-    longest = (far[hit] - near[hit]).max() * 2 / voxel
+    longest = (far[hit] - near[hit]).max() * steps_a_voxel(grids, channels.sigma_t) / voxel
     size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
     tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
     # Phase function of single scattering, by volume and sun.
@@ -287,7 +289,7 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
                 fields[v] = MultipleField(network, volume, medium)
                 report.warnings += fields[v].warnings(float(channels.sigma_t[v]))
             work.check()
-            fields[v].light(float(channels.sigma_t[v]), sun.direction)
+            fields[v].light(float(channels.sigma_t[v]), sun.direction, work.pool.map)
             work.check()
         values = [value for value, _ in albedos]
 
