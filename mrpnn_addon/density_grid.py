@@ -74,9 +74,10 @@ def unreadable(path: str, reason: str) -> str:
 
 
 def _metadata(path, where):
+    openvdb = load_openvdb()
     try:
         # Never readAll: it can end the whole process on unusual files.
-        return load_openvdb().readAllGridMetadata(path)
+        return openvdb.readAllGridMetadata(path)
     except READ_ERRORS as error:
         raise SceneError(f"{where}: {unreadable(path, error)}") from error
 
