@@ -107,12 +107,15 @@ class _Progress:
 
 
 def register():
-    global _handle
-    _handle = bpy.utils.register_cli_command(COMMAND, main)
+    # The bpy module has no command line, and crashes at its end over a command still registered.
+    if not bpy.app.module:
+        global _handle
+        _handle = bpy.utils.register_cli_command(COMMAND, main)
 
 
 def unregister():
-    bpy.utils.unregister_cli_command(_handle)
+    if not bpy.app.module:
+        bpy.utils.unregister_cli_command(_handle)
 
 
 _handle = None
