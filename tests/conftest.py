@@ -1,6 +1,7 @@
 """Fixtures for the tests that run inside Blender (the bpy module)."""
 
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -8,6 +9,24 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
+
+
+# The bpy module may hang for ever at the end of a process in which something still refers to its
+# types, as the traceback of a failed test does: leave without it, once pytest has said everything.
+_status = None
+
+
+def pytest_sessionfinish(exitstatus):
+    global _status
+    _status = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure():
+    if "bpy" in sys.modules and _status is not None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_status)
 
 
 @pytest.fixture(scope="session")

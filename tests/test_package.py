@@ -73,7 +73,7 @@ INSTALLED_RENDER = """
     assert result == {"FINISHED"}, result
     assert "bl_ext.user_default.mrpnn" in bpy.context.preferences.addons
 
-    # A fog ball from Blender's own primitives: a mesh sphere turned into a volume.
+    # A fog ball under the sun, seen from above.
     for item in list(bpy.data.objects):
         bpy.data.objects.remove(item)
     openvdb = importlib.import_module("bl_ext.user_default.mrpnn.mrpnn_addon.openvdb_module").load_openvdb()
@@ -124,6 +124,9 @@ INSTALLED_RENDER = """
 
     bpy.ops.preferences.addon_disable(module="bl_ext.user_default.mrpnn")
     assert not hasattr(bpy.types, "MRPNN_OT_render"), "disabling must unregister"
+    # Enabled again, so that the process ends as a user's script does; Blender must survive that too.
+    bpy.ops.preferences.addon_enable(module="bl_ext.user_default.mrpnn")
+    assert hasattr(bpy.types, "MRPNN_OT_render")
     print("installed extension rendered")
 """
 
