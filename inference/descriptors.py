@@ -11,11 +11,12 @@ from .stencil import LOW_POINTS, MIPS, POINTS, Stencil, frames
 
 def _lookup(lattice: Lattice, points: np.ndarray) -> np.ndarray:
     """Nearest fine cell of points (N, k, 3) in the cube's frame: complex64 (N, k)."""
-    size = lattice.packed.shape[0]
+    _, ny, nz = lattice.packed.shape
     cell = ((points - np.float32(lattice.origin)) * np.float32(lattice.scale)).astype(np.int32)
-    np.clip(cell, 0, size - 1, out=cell)
-    index = (cell[..., 0] * size + cell[..., 1]) * size + cell[..., 2]
-    return lattice.packed.reshape(-1).take(index)
+    index = (cell[..., 0] * ny + cell[..., 1]) * nz + cell[..., 2]
+    index -= (lattice.first[0] * ny + lattice.first[1]) * nz + lattice.first[2]
+    # The lattice holds every cell that a stencil can read; clipping costs less than checking.
+    return lattice.packed.reshape(-1).take(index, mode="clip")
 
 
 def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:

@@ -63,64 +63,74 @@ def unit_optical_depths(padded: List[np.ndarray], direction: np.ndarray) -> List
 class Lattice:
     """Features of one mip, ready for one lookup a point.
 
-    packed: complex64 (s, s, s); real part the density feature, imaginary part the scaled
+    packed: complex64 (sx, sy, sz); real part the density feature, imaginary part the scaled
         transmittance, at fine-cell centres.
-    origin: cube coordinate of the lattice's lower corner, the same on every axis.
-    scale: fine cells per cube edge.
+    origin: cube coordinate of fine cell 0, the same on every axis. scale: fine cells per
+        cube edge. first: int (3,), the fine cell that packed[0, 0, 0] is.
     """
 
     packed: np.ndarray
     origin: float
     scale: float
+    first: np.ndarray
 
 
-def _refine(grid: np.ndarray, factor: int, cells: np.ndarray) -> np.ndarray:
-    """Linear interpolation at the centres of fine cells, separably; clamped at the rim.
+def _fine_span(m: int, stencil: Stencil, low, high):
+    """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
+    margin, reach, scale = margins(stencil)[m], stencil.reach(m), (LEVEL0_CELLS >> m) * FINE[m]
+    cells = scale + 2 * margin * FINE[m]
+    # One cell of slack on either side for rounding.
+    first = np.floor((low - reach + 0.5) * scale).astype(int) + margin * FINE[m] - 1
+    last = np.floor((high + reach + 0.5) * scale).astype(int) + margin * FINE[m] + 2
+    return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
 
-    cells: (s,) positions of fine-cell centres in cells of the grid, centres at integers.
+
+def _refine(grid: np.ndarray, centres) -> np.ndarray:
+    """Linear interpolation at fine-cell centres, separably; clamped at the rim.
+
+    centres: three arrays, positions in cells of the grid, whose centres lie at integers.
     """
-    if factor == 1 and cells.size == grid.shape[0]:
-        return grid
-    n = grid.shape[0]
-    position = np.clip(cells, 0.0, n - 1.0)
-    below = np.minimum(position.astype(int), n - 2)
-    weights = np.zeros((cells.size, n), np.float32)
-    rows = np.arange(cells.size)
-    weights[rows, below] = 1.0 - (position - below)
-    weights[rows, below + 1] = position - below
+    weights, spans = [], []
+    for axis, position in enumerate(centres):
+        n = grid.shape[axis]
+        position = np.clip(position, 0.0, n - 1.0)
+        below = np.minimum(position.astype(int), n - 2)
+        spans.append(slice(below[0], below[-1] + 2))
+        rows = np.zeros((len(position), below[-1] + 2 - below[0]), np.float32)
+        rows[np.arange(len(position)), below - below[0]] = 1.0 - (position - below)
+        rows[np.arange(len(position)), below - below[0] + 1] = position - below
+        weights.append(rows)
     # One matrix product an axis, none of which moves the grid in memory.
-    grid = (weights @ grid.reshape(n, -1)).reshape(-1, n, n)
-    return np.matmul(np.matmul(weights, grid), weights.T)
+    grid = np.ascontiguousarray(grid[tuple(spans)])
+    x, y, z = grid.shape
+    grid = (weights[0] @ grid.reshape(x, -1)).reshape(-1, y, z)
+    return np.matmul(np.matmul(weights[1], grid), weights[2].T)
 
 
-def fine_centres(m: int, margin: int, n_from: int, margin_from: int) -> np.ndarray:
-    """Centres of mip m's fine cells, in cells of a lattice with n_from cells along the cube's edge."""
-    n, factor = LEVEL0_CELLS >> m, FINE[m]
-    count = (n + 2 * margin) * factor
-    cube = (np.arange(count) + 0.5) / (n * factor) - margin / n
-    return cube * n_from + margin_from - 0.5
-
-
-def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, mapper=map) -> List[Lattice]:
-    """Lattices of mips 0..7 for one optical density and one sun.
+def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map):
+    """Lattices of mips 0..7 for one optical density and one sun: a list of Lattice.
 
     padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
     interpolated before the logarithm and the optical depth before the exponential.
-    mapper: `map`, or an executor's, to build mips side by side.
+    low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
+    stencils cannot reach is not built. mapper: `map`, or an executor's, to build mips side by side.
     """
     margin = margins(stencil)
+    low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
 
     def build(m: int) -> Lattice:
         n, source = LEVEL0_CELLS >> m, max(m, 1)
-        feature = _refine(padded[m], FINE[m], fine_centres(m, margin[m], n, margin[m]))
-        # Level 0 is not refined and must not be written to.
-        feature = np.multiply(feature, np.float32(sigma_hat / DENSITY_SCALE), out=None if FINE[m] == 1 else feature)
+        first, last = _fine_span(m, stencil, low, high)
+        # Fine-cell centres in cube edges from the cube's lower corner, then in cells of the source.
+        cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
+        feature = _refine(padded[m], [c * n + margin[m] - 0.5 for c in cube])
+        feature *= np.float32(sigma_hat / DENSITY_SCALE)
         packed = np.empty(feature.shape, np.complex64)
         packed.real = np.log1p(feature, out=feature)
-        centres = fine_centres(m, margin[m], LEVEL0_CELLS >> source, margin[source])
-        feature = _refine(unit_depths[source - 1], 2, centres)
+        n = LEVEL0_CELLS >> source
+        feature = _refine(unit_depths[source - 1], [c * n + margin[source] - 0.5 for c in cube])
         feature *= np.float32(-sigma_hat * BETA**source)
         packed.imag = np.exp(feature, out=feature)
-        return Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]))
+        return Lattice(packed, -0.5 - margin[m] / (LEVEL0_CELLS >> m), float((LEVEL0_CELLS >> m) * FINE[m]), first)
 
     return list(mapper(build, range(MIPS)))

@@ -58,8 +58,11 @@ class MultipleField:
     def peak_sigma_hat(self, sigma_t: float) -> float:
         return sigma_t * self.cube.edge * float(self.volume.density.max())
 
-    def light(self, sigma_t: float, direction: np.ndarray, mapper=map):
-        """Prepare the lattices for one sun; direction: (3,) in the world; mapper: as in `build_lattices`."""
+    def light(self, sigma_t: float, direction: np.ndarray, positions: np.ndarray, mapper=map):
+        """Prepare the lattices for one sun and the points that will be asked for.
+
+        direction: (3,) in the world; positions: (N, 3) in the world; mapper: as in `build_lattices`.
+        """
         self.sun = self.cube.directions(direction)
         peak = self.peak_sigma_hat(sigma_t)
         low, high = self.network.sigma_hat_range
@@ -67,7 +70,10 @@ class MultipleField:
         self.scale = np.float32(min(peak / low, 1.0))
         sigma_hat = sigma_t * self.cube.edge * used / peak
         depths = unit_optical_depths(self.padded, self.sun)
-        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil, mapper)
+        points = self.cube.positions(positions)
+        self.lattices = build_lattices(
+            self.padded, depths, sigma_hat, self.network.stencil, points.min(axis=0), points.max(axis=0), mapper
+        )
 
     def predict(self, positions, directions, albedos) -> np.ndarray:
         """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
@@ -289,7 +295,7 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
                 fields[v] = MultipleField(network, volume, medium)
                 report.warnings += fields[v].warnings(float(channels.sigma_t[v]))
             work.check()
-            fields[v].light(float(channels.sigma_t[v]), sun.direction, work.pool.map)
+            fields[v].light(float(channels.sigma_t[v]), sun.direction, samples["position"][inside], work.pool.map)
             work.check()
         values = [value for value, _ in albedos]
 
@@ -319,14 +325,16 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
     """
     positions = np.asarray(positions, np.float64).reshape(-1, 3)
     directions = np.asarray(directions, np.float64).reshape(-1, 3)
-    field = MultipleField(load_network(model), volume, medium)
     result = np.zeros((len(positions), 3), np.float32)
+    if not len(positions):
+        return result
+    field = MultipleField(load_network(model), volume, medium)
     for sigma_t in np.unique(medium.sigma_t[medium.sigma_t > 0.0]):
         members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
         albedos = distinct_albedos(medium, members)
         if not albedos:
             continue
-        field.light(float(sigma_t), sun.direction)
+        field.light(float(sigma_t), sun.direction, positions)
         for i in range(0, len(positions), POINTS_A_TASK):
             span = slice(i, i + POINTS_A_TASK)
             radiance = field.predict(positions[span], directions[span], [value for value, _ in albedos])

@@ -45,6 +45,19 @@ def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays
     np.testing.assert_allclose(gamma, np.arccos(rays[1] @ SUN), atol=1e-4)
 
 
+def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
+    """What is left out is what no stencil around these points reads."""
+    positions = 0.1 + 0.05 * rays[0]
+    whole = build_lattices(*fields, SIGMA_HAT, stencil)
+    cut = build_lattices(*fields, SIGMA_HAT, stencil, positions.min(axis=0), positions.max(axis=0))
+    assert sum(l.packed.size for l in cut) < 0.1 * sum(l.packed.size for l in whole)
+    phase = PhaseFeatures(stencil, 0.6)
+    np.testing.assert_array_equal(
+        describe(stencil, cut, phase, positions, rays[1], SUN)[0],
+        describe(stencil, whole, phase, positions, rays[1], SUN)[0],
+    )
+
+
 def test_stencil_follows_view_and_sun(stencil, rays):
     """Turning view and sun together turns the stencil with them."""
     from scipy.spatial.transform import Rotation
@@ -81,7 +94,7 @@ def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
     mip = 5
     lattice = lattices[mip]
     def read(x, y, z):
-        cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int)
+        cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int) - lattice.first
         return lattice.packed[tuple(cell)].imag
     behind = np.exp(-(0.578**mip) * 3.0)
     np.testing.assert_allclose(read(0.0, 0.0, -0.6), behind, rtol=0.02)
