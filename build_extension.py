@@ -28,7 +28,7 @@ def manifest() -> dict:
 def download(wheel: Path) -> None:
     """Fetch one wheel by its file name; pip refuses a hash that the lock does not list."""
     _, _, python, _, platforms = wheel.stem.split("-")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:",
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--quiet", "--no-deps", "--only-binary=:all:",
                "--require-hashes", "--requirement", LOCK, "--dest", wheel.parent,
                "--python-version", python.removeprefix("cp"), "--implementation", "cp"]
     for platform in platforms.split("."):

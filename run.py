@@ -30,9 +30,10 @@ def install(requirements: str) -> None:
     wanted = hashlib.sha256(text.encode()).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:
         return
+    print(f"installing {requirements} into {VENV.name}; the first time takes minutes", flush=True)
     if not PYTHON.exists():
         venv.create(VENV, with_pip=True)
-    subprocess.run([PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+    subprocess.run([PYTHON, "-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check",
                     "--requirement", ROOT / requirements], check=True)
     stamp.write_text(wanted)
 
