@@ -28,11 +28,8 @@ WEIGHT_DECAY = 1e-4
 GRADIENT_NORM = 1.0
 RADIANCE_EPS = 3e-3
 AVERAGING = 0.999
-VALIDATION_VOLUMES = 24
 # Of a row's albedos, how many are used each time it is drawn.
 ALBEDOS_A_STEP = 2
-REPORT_EVERY = 500
-
 
 def load(files):
     """All rows of the files as torch tensors."""
@@ -86,27 +83,31 @@ def rate(step: int, steps: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * (step - WARM_UP) / max(steps - WARM_UP, 1)))
 
 
-def main():
+def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=pathlib.Path, required=True)
     parser.add_argument("--run", type=pathlib.Path, required=True)
     parser.add_argument("--steps", type=int, default=20000)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--validation", type=int, default=24, help="volumes held back")
+    parser.add_argument("--report-every", type=int, default=500, help="steps between reports and checkpoints")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(options)
     arguments.run.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
 
     files = sorted(arguments.data.glob("*.npz"))
-    train, held = load(files[VALIDATION_VOLUMES:]), load(files[:VALIDATION_VOLUMES])
+    if len(files) <= arguments.validation:
+        parser.error(f"{arguments.data} holds {len(files)} volumes; more than {arguments.validation} are needed")
+    train, held = load(files[arguments.validation :]), load(files[: arguments.validation])
     rows = len(train["gamma"])
     configuration = {
         "network": "mrpnn",
         "anisotropy_range": ANISOTROPY_RANGE,
         "sigma_hat_range": SIGMA_HAT_RANGE,
-        "volumes": [files[VALIDATION_VOLUMES].stem, files[-1].stem],
-        "validation_volumes": [files[0].stem, files[VALIDATION_VOLUMES - 1].stem],
+        "volumes": [files[arguments.validation].stem, files[-1].stem],
+        "validation_volumes": [files[0].stem, files[arguments.validation - 1].stem],
         "rows": rows,
         "points_a_volume": POINTS,
         "suns_a_point": SUNS,
@@ -153,10 +154,11 @@ def main():
             for slow, fast in zip(averaged.parameters(), net.parameters()):
                 slow.lerp_(fast, 1.0 - keep)
         total += loss.item()
-        if (step + 1) % REPORT_EVERY == 0 or step + 1 == arguments.steps:
+        if (step + 1) % arguments.report_every == 0 or step + 1 == arguments.steps:
             held_loss, held_bias = validate(averaged, held)
             seconds = time.perf_counter() - start
-            line = {"step": step + 1, "loss": total / REPORT_EVERY, "held_loss": held_loss, "held_bias": held_bias, "seconds": seconds}
+            line = {"step": step + 1, "loss": total / arguments.report_every, "held_loss": held_loss}
+            line |= {"held_bias": held_bias, "seconds": seconds}
             print(json.dumps(line), flush=True)
             with open(arguments.run / "progress.jsonl", "a") as log:
                 log.write(json.dumps(line) + "\n")
