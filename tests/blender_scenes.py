@@ -1,7 +1,6 @@
 """Small scenes made with bpy, and small volumes made with its OpenVDB."""
 
 import itertools
-import math
 
 import bpy
 import numpy as np
@@ -150,6 +149,22 @@ def render_cycles(scene, folder, samples=64, bounces=0):
     return pixels.reshape(image.size[1], image.size[0], 4)[::-1]
 
 
-def radians(*degrees):
-    """Euler angles."""
-    return tuple(math.radians(angle) for angle in degrees)
+def write_multilayer(scene):
+    """Have the scene's renders written as multi-layer EXR, 32-bit."""
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # 5.0 and later
+        settings.media_type = 'MULTI_LAYER_IMAGE'
+    settings.file_format = 'OPEN_EXR_MULTILAYER'
+    settings.color_depth = '32'
+
+
+def compositor(scene):
+    """An empty compositor tree of the scene; gives it and the input socket of its result."""
+    if bpy.app.version < (5, 0, 0):
+        scene.use_nodes = True
+        scene.node_tree.nodes.clear()
+        return scene.node_tree, scene.node_tree.nodes.new("CompositorNodeComposite").inputs["Image"]
+    tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out='OUTPUT', socket_type='NodeSocketColor')
+    scene.compositing_node_group = tree
+    return tree, tree.nodes.new("NodeGroupOutput").inputs["Image"]

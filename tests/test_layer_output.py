@@ -93,34 +93,17 @@ def test_a_write_that_fails_leaves_nothing_and_keeps_the_old_file(addon, layer, 
 def test_blenders_compositor_sees_the_layers(addon, scene, layer, tmp_path):
     path = tmp_path / "layer.exr"
     addon.mrpnn_addon.layer_exr.write_layer(str(path), layer, "ViewLayer", {})
-    image = bpy.data.images.load(str(path))
-    scene.use_nodes = True
-    tree = scene.node_tree
-    tree.nodes.clear()
+    tree, result = blender_scenes.compositor(scene)
     node = tree.nodes.new("CompositorNodeImage")
-    node.image = image
-    assert image.type == 'MULTILAYER'
+    node.image = bpy.data.images.load(str(path))
+    assert node.image.type == 'MULTILAYER'
     assert {"Combined", "Alpha", "Depth", "Single", "Multiple"} <= {output.name for output in node.outputs}
     # Through the compositor and out again, the multiple layer is what was written.
-    tree.links.new(node.outputs["Multiple"], tree.nodes.new("CompositorNodeComposite").inputs["Image"])
-    height, width = layer.alpha.shape
-    scene.render.engine = 'BLENDER_WORKBENCH'
-    scene.render.resolution_x, scene.render.resolution_y = width, height
-    composed = composite(scene, tmp_path)
-    np.testing.assert_allclose(composed, layer.multiple, rtol=1e-6)
-
-
-def composite(scene, folder):
-    """The compositor's result, float32 (H, W, 3), without a 3D render: an EXR file."""
+    tree.links.new(node.outputs["Multiple"], result)
+    scene.render.resolution_y, scene.render.resolution_x = layer.alpha.shape
     blender_scenes.add_camera(scene)
-    scene.render.engine = 'CYCLES'
-    scene.cycles.samples = 1
-    scene.render.image_settings.file_format = 'OPEN_EXR'
-    scene.render.image_settings.color_depth = '32'
-    scene.render.filepath = str(folder / "composite.exr")
-    bpy.ops.render.render(write_still=True)
-    found, _ = channels(scene.render.filepath)
-    return np.stack([found[c] for c in "RGB"], axis=-1)
+    composed = blender_scenes.render_cycles(scene, tmp_path, samples=1)
+    np.testing.assert_allclose(composed[..., :3], layer.multiple, rtol=1e-6)
 
 
 def pixels(image):

@@ -31,8 +31,9 @@ def image_pixels():
 
 
 def channels(path):
+    """All channels; from 5.0 on Blender writes a part for each pass."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: channel.pixels for name, channel in file.channels().items()}
+        return {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
 
 
 def combined(path, view_layer="ViewLayer."):
@@ -131,8 +132,7 @@ def test_a_workers_error_reaches_the_main_thread(addon, scene, cloud, tmp_path):
 def render_engine(scene, path):
     scene.render.engine = 'MRPNN'
     scene.view_layers[0].use_pass_z = True
-    scene.render.image_settings.file_format = 'OPEN_EXR_MULTILAYER'
-    scene.render.image_settings.color_depth = '32'
+    blender_scenes.write_multilayer(scene)
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
 
