@@ -107,14 +107,15 @@ class _Progress:
 
 
 def register():
-    # The bpy module has no command line, and crashes at its end over a command still registered.
-    if not bpy.app.module:
+    # The bpy module has no program, so no command line, and crashes at its end over a command still
+    # registered. (bpy.app.module would say so, but Blender 4.2 and 4.3 lack it.)
+    if bpy.app.binary_path:
         global _handle
         _handle = bpy.utils.register_cli_command(COMMAND, main)
 
 
 def unregister():
-    if not bpy.app.module:
+    if bpy.app.binary_path:
         bpy.utils.unregister_cli_command(_handle)
 
 
