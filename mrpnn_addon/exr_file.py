@@ -6,7 +6,6 @@ because no EXR writer is present in every Blender that the extension runs in.
 
 import os
 import struct
-import tempfile
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from typing import Dict, Union
@@ -45,18 +44,21 @@ def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, 
         places.append(place)
         place += 8 + len(block)
 
-    descriptor, unfinished = tempfile.mkstemp(suffix=".exr.part", dir=os.path.dirname(os.path.abspath(path)))
-    try:
-        with os.fdopen(descriptor, "wb") as file:
+    # Beside the file, so that it can be renamed, under a name that no other process picks.
+    unfinished = f"{path}.{os.getpid()}.part"
+    with open(unfinished, "wb") as file:
+        try:
             file.write(header)
             file.write(struct.pack(f"<{len(places)}Q", *places))
             for index, block in enumerate(blocks):
                 file.write(struct.pack("<ii", index * LINES_PER_BLOCK, len(block)))
                 file.write(block)
-        os.replace(unfinished, path)
-    except BaseException:
-        os.unlink(unfinished)
-        raise
+            file.close()
+            os.replace(unfinished, path)
+        except BaseException:
+            file.close()
+            os.unlink(unfinished)
+            raise
 
 
 def _block(rows: np.ndarray) -> bytes:
