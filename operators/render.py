@@ -1,5 +1,6 @@
 """Operator `mrpnn.render`: the scene's volumes into an Image, and into an EXR file if wanted."""
 
+import functools
 import os
 
 import bpy
@@ -111,7 +112,9 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     def _deliver(self, context, finished):
         image = show_in_image(finished.layer)
-        _display(context, image)
+        if not bpy.app.background:
+            # Once this operator has ended: opening a window runs its handlers again.
+            bpy.app.timers.register(functools.partial(_display, image.name))
         remember(LastRender(finished.seconds, finished.warnings))
         for warning in finished.warnings:
             self.report({'WARNING'}, warning)
@@ -120,21 +123,21 @@ class MRPNN_OT_render(bpy.types.Operator):
         return {'FINISHED'}
 
 
-def _display(context, image):
+def _display(name):
     """Show the image in an open Image Editor, or open a window with one."""
-    if bpy.app.background:
+    image, windows = bpy.data.images.get(name), bpy.context.window_manager.windows
+    if image is None or not windows:
         return
-    editors = _image_editors(context)
-    if not editors:
+    if not _image_editors():
         # Blender's own render view: a new window or area, as the user's preferences say.
-        bpy.ops.render.view_show('INVOKE_DEFAULT')
-        editors = _image_editors(context)
-    if editors:
-        editors[0].image = image
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.render.view_show('INVOKE_DEFAULT')
+    for editor in _image_editors()[:1]:
+        editor.image = image
 
 
-def _image_editors(context):
-    return [area.spaces.active for window in context.window_manager.windows for area in window.screen.areas
+def _image_editors():
+    return [area.spaces.active for window in bpy.context.window_manager.windows for area in window.screen.areas
             if area.type == 'IMAGE_EDITOR']
 
 

@@ -8,7 +8,8 @@ from ..mrpnn_addon.last_render import last_render
 from ..operators.compare import MRPNN_OT_compare
 from ..operators.render import MRPNN_OT_render
 
-LINE_LENGTH = 48
+# Of Blender's interface font, at scale 1.
+PIXELS_A_LETTER = 8
 
 
 class MRPNN_PT_render(bpy.types.Panel):
@@ -33,25 +34,26 @@ class MRPNN_PT_render(bpy.types.Panel):
         path.active = settings.use_exr
         path.prop(settings, "exr_path", text="")
         layout.operator(MRPNN_OT_compare.bl_idname)
-        _draw_last(layout, last_render())
+        letters = context.region.width / (PIXELS_A_LETTER * context.preferences.system.ui_scale)
+        _draw_last(layout, last_render(), max(int(letters), 20))
 
 
-def _draw_last(layout, last):
-    """Time and warnings of the last render, or why it failed."""
+def _draw_last(layout, last, letters):
+    """Time and warnings of the last render, or why it failed, in lines of so many letters."""
     if last is None:
         return
     if last.error:
-        _draw_text(layout.box(), last.error, 'ERROR')
+        _draw_text(layout.box(), last.error, 'ERROR', letters)
         return
     layout.label(text=f"Last render: {last.seconds:.1f} s", icon='TIME')
     for warning in last.warnings:
-        _draw_text(layout.box(), warning, 'INFO')
+        _draw_text(layout.box(), warning, 'INFO', letters)
 
 
-def _draw_text(layout, text, icon):
+def _draw_text(layout, text, icon, letters):
     # Labels do not wrap by themselves.
     column = layout.column(align=True)
-    for index, line in enumerate(textwrap.wrap(text, LINE_LENGTH)):
+    for index, line in enumerate(textwrap.wrap(text, letters)):
         column.label(text=line, icon=icon if index == 0 else 'BLANK1')
 
 
