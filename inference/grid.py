@@ -6,9 +6,10 @@ from .cube import active_bounds
 from .rays import box_interval
 from .scene import Volume
 from .transmittance import sun_optical_depth
-from .trilinear import pad_with_zeros, sample_padded
+from .trilinear import interpolate, locate, occupied_cells, pad_with_zeros, sample_padded
 
-# Optical depth of a voxel above which shadows integrate the first voxel on its own, and in how many steps.
+# Optical depth of a voxel above which shadows integrate the first voxel on its own, and
+# in how many steps.
 THIN_VOXEL = 0.25
 LOCAL_STEPS = 3
 
@@ -25,6 +26,7 @@ class Grid:
         low, high = active_bounds(volume.density)
         active = volume.density[tuple(slice(l, h) for l, h in zip(low, high))]
         self.density = pad_with_zeros(active)
+        self.occupied = occupied_cells(self.density)
         self.box = np.full(3, -1.0), np.array(active.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
@@ -48,8 +50,12 @@ class Grid:
         return box_interval(self.index(origins), directions @ self.linear.T, *self.box)
 
     def sample_density(self, index: np.ndarray) -> np.ndarray:
-        """Density at continuous indices float32 (N, 3)."""
-        return sample_padded(self.density, index)
+        """Density (N,) at continuous indices float32 (N, 3); empty cells cost one look."""
+        base, fraction = locate(self.density, index)
+        filled = np.flatnonzero(self.occupied.reshape(-1).take(base))
+        density = np.zeros(len(index), np.float32)
+        density[filled] = interpolate(self.density, base[filled], fraction[filled])
+        return density
 
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel."""
@@ -66,8 +72,8 @@ class Grid:
         """Transmittance (N,) from continuous indices float32 (N, 3) to a sun.
 
         Transmittance is interpolated, not optical depth: across a shadow's edge the
-        exponential of a mean depth would be too dark. Points outside are moved towards the sun onto the
-        support; where that misses it the transmittance is 1.
+        exponential of a mean depth would be too dark. Points outside are moved towards the
+        sun onto the support; where that misses it the transmittance is 1.
         """
         direction = self.sun_directions[sun]
         if may_be_outside:
@@ -86,7 +92,7 @@ class Grid:
                 index = index + move
             index -= np.float32(0.5) * move
             tau *= self.sigma_t * np.float32(step)
-        # Beyond the support nothing attenuates, and the field holds no cells: the rim, at most one voxel off, stands in.
+        # Beyond the support the field holds no cells: the rim, at most one voxel off, stands in.
         last = np.array(self.density.shape, np.float32) - 3
         tr = np.exp(-tau) * sample_padded(self.sun_tr[sun], np.clip(index, np.float32(-1.0), last))
         return np.where(meets, tr, np.float32(1.0)) if may_be_outside else tr

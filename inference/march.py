@@ -1,8 +1,8 @@
 """Along camera rays: transmittance, exact single scattering and depths to sample.
 
-Rays are cut into steps of at most half a voxel, less where voxels are optically thick. Within a step extinction is constant and
-the optical depth towards the sun linear, so that the integrals over a step are exact and
-steps may be optically thick.
+Rays are cut into steps of at most half a voxel, less where voxels are optically thick.
+Within a step extinction is constant and the optical depth towards the sun linear, so that
+the integrals over a step are exact.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,9 @@ from .grid import Grid
 
 # Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
 STEPS_A_VOXEL = (2, 8)
-# Steps behind less transmittance than this are lit by nothing that shows.
-HIDDEN = 1e-4
+STEPS_A_BLOCK = 32
+# Optical depth beyond which a ray is not followed: 1 part in 10^6 of it goes on.
+BEHIND = 14.0
 # Optical depth that counts as no light at all.
 OPAQUE = np.float32(60.0)
 # Rays fainter than this are not sampled in depth.
@@ -56,80 +57,109 @@ def mean_transmittance(start, end):
     return np.exp(-np.minimum(start, end)) * np.where(small, 1.0 - 0.5 * x, -np.expm1(-safe) / safe)
 
 
+class _Steps:
+    """Rays cut into steps: continuous indices into each grid, and the step's length."""
+
+    def __init__(self, grids, origins, directions, near, far, count: int):
+        self.count = count
+        self.dt = ((far - near) / count).astype(np.float32)[:, None]
+        # Indices at the start of each ray in double precision; from there on in single.
+        start = origins + near[:, None] * directions
+        self.first = [grid.index(start).astype(np.float32) for grid in grids]
+        self.slope = [(directions @ grid.linear.T).astype(np.float32) for grid in grids]
+
+    def block(self, v: int, rays, steps):
+        """Indices (R, S, 3) at some steps (S,) of some rays (R,)."""
+        return self.first[v][rays, None] + (steps * self.dt[rays])[..., None] * self.slope[v][rays, None]
+
+    def points(self, v: int, rays, steps):
+        """Indices (N, 3) at pairs of ray and step (N,)."""
+        return self.first[v][rays] + (steps * self.dt[rays, 0])[:, None] * self.slope[v][rays]
+
+
 def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
-    colour channel; origins,
-    directions: float64 (R, 3); near, far: (R,) interval that holds all grids; offsets:
-    (R,) in [0, 1), of each ray's strata.
+    colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
+    grids; offsets: (R,) in [0, 1), of each ray's strata.
     """
-    rays, volumes, suns = len(origins), len(grids), len(grids[0].sun_depths)
     voxel = min(grid.voxel for grid in grids)
-    steps = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
-    dt = ((far - near) / steps).astype(np.float32)[:, None]
-
-    # Continuous indices at the start of each ray, in double precision; steps in single.
-    start = origins + near[:, None] * directions
-    first = [grid.index(start).astype(np.float32) for grid in grids]
-    slope = [(directions @ grid.linear.T).astype(np.float32) for grid in grids]
-
-    def indices(v, ray, step):
-        return first[v][ray] + (step * dt[ray, 0])[:, None] * slope[v][ray]
-
-    middles = np.arange(steps, dtype=np.float32) + np.float32(0.5)
-    every_ray, every_step = np.repeat(np.arange(rays), steps), np.tile(middles, rays)
-    sigma = np.empty((volumes, rays, steps), np.float32)
-    for v, grid in enumerate(grids):
-        density = grid.sample_density(indices(v, every_ray, every_step))
-        sigma[v] = density.reshape(rays, steps) * np.float32(sigma_t[v])
+    count = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
+    steps = _Steps(grids, origins, directions, near, far, count)
+    sigma = _extinction(grids, sigma_t, steps)
     total = sigma.sum(axis=0)
-    step_tau = total * dt
+    step_tau = total * steps.dt
     tau = np.cumsum(step_tau, axis=1, dtype=np.float64)
     before = np.exp(-(tau - step_tau)).astype(np.float32)
-    opacity = np.concatenate([np.zeros((rays, 1)), -np.expm1(-tau)], axis=1)
+    opacity = np.concatenate([np.zeros((len(tau), 1)), -np.expm1(-tau)], axis=1)
     alpha = opacity[:, -1]
-
     # Mean distance within a step is left at its middle.
-    weight = np.diff(opacity, axis=1)
-    distance = near[:, None] + middles * dt
-    depth = (weight * distance).sum(axis=1) / np.maximum(alpha, 1e-30)
+    distance = near[:, None] + (np.arange(count) + 0.5) * steps.dt
+    depth = (np.diff(opacity, axis=1) * distance).sum(axis=1) / np.maximum(alpha, 1e-30)
 
-    single = _single(grids, sigma, total, before, dt, indices, suns)
-
-    sampled = np.flatnonzero(alpha > FAINTEST_ALPHA)
-    u = (np.arange(depth_samples) + offsets[sampled, None]) / depth_samples * alpha[sampled, None]
-    # One search in all rays at once: ray r's opacities lie in [2r, 2r + 1].
-    keys = opacity[sampled, 1:] + 2.0 * np.arange(len(sampled))[:, None]
-    step = np.searchsorted(keys.ravel(), (u + 2.0 * np.arange(len(sampled))[:, None]).ravel())
-    step = np.clip(step.reshape(u.shape) - steps * np.arange(len(sampled))[:, None], 0, steps - 1)
-    rows = sampled[:, None]
-    into = -np.log1p(-np.clip((u - opacity[rows, step]) / (1.0 - opacity[rows, step]), 0.0, 1.0 - 1e-7))
-    extinction = np.maximum(total[rows, step], 1e-30)
-    inside = np.minimum(into / (extinction * dt[sampled]), 1.0)
-    sample_distance = near[rows] + (step + inside) * dt[sampled]
+    single = _single(grids, sigma, total, before, steps)
+    ray, step, inside = _sample_depths(opacity, total * steps.dt, offsets, depth_samples)
+    fraction = sigma[:, ray, step] / np.maximum(total[ray, step], np.float32(1e-30))
     return RaySegment(
         alpha,
         depth,
         single,
-        np.repeat(sampled, depth_samples),
-        sample_distance.ravel(),
-        np.repeat(alpha[sampled] / depth_samples, depth_samples),
-        (sigma[:, rows, step] / extinction).reshape(volumes, -1).T,
+        sample_ray=ray,
+        sample_distance=near[ray] + (step + inside) * steps.dt[ray, 0],
+        sample_weight=alpha[ray] / depth_samples,
+        sample_fraction=fraction.T,
     )
 
 
-def _single(grids, sigma, total, before, dt, indices, suns):
+def _extinction(grids, sigma_t, steps: _Steps) -> np.ndarray:
+    """Extinction (V, R, S) at the middle of each step, 0 behind what is opaque.
+
+    Goes front to back, a block of steps at a time, with the rays that still see through.
+    """
+    rays = len(steps.dt)
+    middles = np.arange(steps.count, dtype=np.float32) + np.float32(0.5)
+    sigma = np.zeros((len(grids), rays, steps.count), np.float32)
+    seen, tau = np.arange(rays), np.zeros(rays)
+    for start in range(0, steps.count, STEPS_A_BLOCK):
+        span = slice(start, min(start + STEPS_A_BLOCK, steps.count))
+        for v, grid in enumerate(grids):
+            density = grid.sample_density(steps.block(v, seen, middles[span]).reshape(-1, 3))
+            sigma[v, seen, span] = density.reshape(len(seen), -1) * np.float32(sigma_t[v])
+        tau[seen] += sigma[:, seen, span].sum(axis=(0, 2)) * steps.dt[seen, 0]
+        seen = seen[tau[seen] < BEHIND]
+        if not len(seen):
+            break
+    return sigma
+
+
+def _sample_depths(opacity, step_tau, offsets, depth_samples: int):
+    """Depths stratified in the rays' opacity: ray, step and place within the step, (M,) each."""
+    sampled = np.flatnonzero(opacity[:, -1] > FAINTEST_ALPHA)
+    steps, order = step_tau.shape[1], np.arange(len(sampled))[:, None]
+    u = (np.arange(depth_samples) + offsets[sampled, None]) / depth_samples * opacity[sampled, -1:]
+    # One search in all rays at once: the n-th ray's opacities lie in [2n, 2n + 1].
+    step = np.searchsorted((opacity[sampled, 1:] + 2.0 * order).ravel(), (u + 2.0 * order).ravel())
+    step = np.clip(step.reshape(u.shape) - steps * order, 0, steps - 1).ravel()
+    ray = np.repeat(sampled, depth_samples)
+    before = opacity[ray, step]
+    # Invert the exponential within the step.
+    into = -np.log1p(-np.clip((u.ravel() - before) / (1.0 - before), 0.0, 1.0 - 1e-7))
+    return ray, step, np.minimum(into / np.maximum(step_tau[ray, step], 1e-30), 1.0)
+
+
+def _single(grids, sigma, total, before, steps: _Steps):
     """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1."""
-    volumes, rays, steps = sigma.shape
+    volumes, rays, count = sigma.shape
+    suns, dt = len(grids[0].sun_depths), steps.dt
     single = np.zeros((rays, volumes, suns))
     filled = total > 0.0
     # Shadows are needed only at both ends of steps that hold density.
-    ends = np.zeros((rays, steps + 1), bool)
+    ends = np.zeros((rays, count + 1), bool)
     ends[:, :-1] |= filled
     ends[:, 1:] |= filled
     ray, edge = np.nonzero(ends)
-    position = [indices(v, ray, edge.astype(np.float32)) for v in range(volumes)]
+    position = [steps.points(v, ray, edge.astype(np.float32)) for v in range(volumes)]
     for l in range(suns):
         tr = np.ones(len(ray), np.float32)
         for v, grid in enumerate(grids):
