@@ -8,6 +8,7 @@ error), NAME-comparison.json, and prints the table.
 """
 
 import argparse
+import atexit
 import importlib.util
 import os
 import sys
@@ -24,15 +25,16 @@ ROOT = Path(__file__).resolve().parent.parent
 ERROR_LIMIT = 0.5
 
 
-def load_extension():
-    """The extension's package from the repository's root, registered as Blender would register it."""
+def load_extension() -> None:
+    """Import the repository's root as package `mrpnn` and register it, as Blender does with an extension."""
     spec = importlib.util.spec_from_file_location(
         "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules["mrpnn"] = package
     spec.loader.exec_module(package)
     package.register()
-    return package
+    # Classes still registered keep the bpy module from ending, and with it the process.
+    atexit.register(package.unregister)
 
 
 def demo(path: Path, out: Path, options) -> str:
