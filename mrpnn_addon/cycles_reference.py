@@ -185,7 +185,9 @@ def _reference_scene(samples: int, bounces: int):
 def _black_world():
     world = bpy.data.worlds.new("mrpnn black")
     world.color = (0.0, 0.0, 0.0)
-    world.use_nodes = True
+    # From 5.0 on there are always nodes, and setting this is deprecated.
+    if world.node_tree is None:
+        world.use_nodes = True
     for node in world.node_tree.nodes:
         if node.type == "BACKGROUND":
             node.inputs["Strength"].default_value = 0.0
@@ -236,7 +238,8 @@ def _read_exr(path: Path) -> np.ndarray:
 def _white_medium(density: float):
     """A material that scatters without loss, `density` per unit of grid value."""
     material = bpy.data.materials.new("mrpnn check")
-    material.use_nodes = True
+    if material.node_tree is None:
+        material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeVolumePrincipled")
