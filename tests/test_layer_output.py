@@ -16,7 +16,7 @@ from . import blender_scenes
 
 @pytest.fixture
 def layer(addon):
-    """Random values, taller than one compressed block and not a multiple of it; infinite depth in places."""
+    """Random values; infinite depth in places."""
     random = np.random.default_rng(5)
     shape = (37, 21)
     single, multiple = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
@@ -52,36 +52,12 @@ def test_openexr_reads_what_was_written(addon, layer, tmp_path):
         assert header[name] == value
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (16, 3), (17, 1), (40, 130)])
-def test_any_size_and_long_names(addon, tmp_path, shape):
-    random = np.random.default_rng(1)
-    written = {
-        "ViewLayer with a name beyond thirty-one bytes.Combined.R": random.random(shape, np.float32),
-        "Z": np.zeros(shape, np.float32),
-        "A": np.full(shape, np.nan, np.float32),
-    }
-    path = tmp_path / "any.exr"
-    addon.mrpnn_addon.exr_file.write_exr(str(path), written, {})
-    found, _ = channels(path)
-    assert set(found) == set(written)
-    for name, values in written.items():
-        np.testing.assert_array_equal(found[name], values)
-
-
-def test_zeros_compress(addon, tmp_path):
-    path = tmp_path / "zeros.exr"
-    addon.mrpnn_addon.exr_file.write_exr(str(path), {"Z": np.zeros((512, 512), np.float32)}, {})
-    assert path.stat().st_size < 512 * 512 * 4 / 100
-
-
 def test_a_write_that_fails_leaves_nothing_and_keeps_the_old_file(addon, layer, tmp_path):
     write = addon.mrpnn_addon.layer_exr.write_layer
     with pytest.raises(OSError):
         write(str(tmp_path / "missing" / "layer.exr"), layer, "Fog", {})
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
-    with pytest.raises(ValueError, match="255"):
-        write(str(path), layer, "F" * 300, {})
     # A folder cannot be replaced by a file: the failure comes at the very last step.
     (tmp_path / "folder.exr").mkdir()
     with pytest.raises(OSError):
