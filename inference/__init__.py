@@ -3,10 +3,11 @@
     layer = render([(volume, medium)], [sun], camera, Settings())
 """
 
+from .layer import Layer, render
+from .multiple import predict_multiple
 from .network import available_models
-from .render import predict_multiple, render
 from .report import Report
-from .scene import Camera, Cancelled, Layer, Medium, SceneError, Settings, Sun, Volume
+from .scene import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume
 
 __all__ = [
     "Camera",

@@ -4,7 +4,7 @@ Units: lengths in world units, extinction in 1/world unit, irradiance in W/m^2,
 radiance in W/(m^2 sr). Arrays are float32 unless stated; nothing here knows Blender.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Optional, Tuple
 
 import numpy as np
@@ -195,23 +195,3 @@ class Settings:
             raise SceneError(f"depth samples must be at least 1, not {self.depth_samples}")
         if int(self.threads) < 0:
             raise SceneError(f"threads must not be negative: {self.threads}")
-
-
-@dataclass
-class Layer:
-    """What a render returns, rows from the top.
-
-    rgb: float32 (H, W, 3) linear radiance, premultiplied by alpha.
-    alpha: float32 (H, W), 1 - transmittance of the camera ray.
-    depth: float32 (H, W) mean distance along the ray at which light scatters,
-        world units; infinity where alpha is 0.
-    single, multiple: float32 (H, W, 3); rgb is their sum.
-    report: inference.report.Report.
-    """
-
-    rgb: np.ndarray
-    alpha: np.ndarray
-    depth: np.ndarray
-    single: np.ndarray
-    multiple: np.ndarray
-    report: "object" = field(default=None)

@@ -9,7 +9,8 @@ from typing import List, Tuple
 import numpy as np
 
 from ..inference.error import Estimate, paper_metric, relative_bias, relative_rmse
-from ..inference.scene import Layer, SceneError
+from ..inference.layer import Layer
+from ..inference.scene import SceneError
 from .cycles_reference import Reference
 
 # Below this alpha a pixel holds so little of the volume that ratios are noise.

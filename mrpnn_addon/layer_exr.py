@@ -2,7 +2,7 @@
 
 from typing import Dict, Union
 
-from ..inference.scene import Layer
+from ..inference.layer import Layer
 from .exr_file import write_exr
 from .layer_frame import finite_depth
 

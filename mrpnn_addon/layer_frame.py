@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..inference.scene import Camera, Layer
+from ..inference.layer import Layer
+from ..inference.scene import Camera
 
 # Where nothing scatters, Cycles writes this depth; infinity would break sums in a compositor.
 NO_DEPTH = 1e10

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import List, Optional
 
 from .. import inference
-from ..inference.scene import Cancelled, Layer, Settings
+from ..inference.layer import Layer
+from ..inference.scene import Cancelled, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
 from .scene import SceneDescription

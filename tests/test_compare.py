@@ -20,7 +20,7 @@ def comparison(addon):
 @pytest.fixture
 def planted(comparison):
     """A layer 5 % brighter than a noisy reference: gives (layer, reference)."""
-    from mrpnn.inference.scene import Layer
+    from mrpnn.inference.layer import Layer
     from mrpnn.mrpnn_addon.cycles_reference import Reference
 
     rng = np.random.default_rng(3)

@@ -6,7 +6,7 @@ import torch
 
 from inference import Medium, Sun, Volume
 from inference.cube import fit_cube
-from inference.render import MultipleField
+from inference.multiple import MultipleField
 from training import train
 from training.networks import MRPNN
 from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors

@@ -1,127 +1,45 @@
-"""Scene in, layer out: plan, fields, descriptors, network, composition."""
+"""Scene in, layer out: camera rays, single scattering, predicted multiple scattering, composed."""
 
-import concurrent.futures
-import os
+from dataclasses import dataclass
+from typing import Optional
 
 import numpy as np
 
-from .cube import fit_cube, level0_density
-from .descriptors import describe
-from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
 from .grid import Grid
 from .march import march, steps_a_voxel
-from .network import Network, load_network
-from .phase import PhaseFeatures, henyey_greenstein
+from .multiple import POINTS_A_TASK, MultipleField
+from .network import load_network
+from .phase import henyey_greenstein
 from .plan import Plan, distinct_albedos, make_plan
 from .rays import camera_rays
 from .report import Report, process_peak_memory
-from .scene import Camera, Cancelled, Layer, Medium, Settings, Sun, Volume
+from .scene import Camera, Settings
+from .work import Work
 
-# Points a network call; rays a marching task are chosen to hold about this many steps.
-POINTS_A_TASK = 2048
+# Rays a marching task are chosen to hold about this many steps.
 STEPS_A_TASK = 600_000
 # Share of the progress bar that marching takes.
 MARCH_SHARE = 0.4
 
 
-class MultipleField:
-    """Everything that predicts multiple scattering in one volume, for one extinction and sun.
+@dataclass
+class Layer:
+    """What a render returns, rows from the top.
 
-    Outside the range of optical density that the network was trained on, the prediction is that at the
-    range's end: scaled down in proportion below it, where multiple scattering is
-    linear in density, and held above it.
+    rgb: float32 (H, W, 3) linear radiance, premultiplied by alpha.
+    alpha: float32 (H, W), 1 - transmittance of the camera ray.
+    depth: float32 (H, W) mean distance along the ray at which light scatters,
+        world units; infinity where alpha is 0.
+    single, multiple: float32 (H, W, 3); rgb is their sum.
+    report: what was planned, left out and measured.
     """
 
-    def __init__(self, network: Network, volume: Volume, medium: Medium):
-        self.network, self.volume, self.medium = network, volume, medium
-        self.cube = fit_cube(volume)
-        self.padded = padded_levels(density_pyramid(level0_density(volume, self.cube)), network.stencil)
-        low, high = network.anisotropy_range
-        self.anisotropy = float(np.clip(medium.anisotropy, low, high))
-        self.phase = PhaseFeatures(network.stencil, self.anisotropy)
-
-    def warnings(self, sigma_t: float):
-        found = []
-        if self.anisotropy != self.medium.anisotropy:
-            found.append(
-                f"{self.volume.name}: anisotropy {self.medium.anisotropy:g} is outside the network's range; "
-                f"multiple scattering uses {self.anisotropy:g}"
-            )
-        peak = self.peak_sigma_hat(sigma_t)
-        if peak > self.network.sigma_hat_range[1]:
-            found.append(
-                f"{self.volume.name}: optical density {peak:.3g} is beyond the network's range of "
-                f"{self.network.sigma_hat_range[1]:g}; multiple scattering is less accurate"
-            )
-        return found
-
-    def peak_sigma_hat(self, sigma_t: float) -> float:
-        return sigma_t * self.cube.edge * float(self.volume.density.max())
-
-    def light(self, sigma_t: float, direction: np.ndarray, positions: np.ndarray, mapper=map):
-        """Prepare the lattices for one sun and the points that will be asked for.
-
-        direction: (3,) in the world; positions: (N, 3) in the world; mapper: as in `build_lattices`.
-        """
-        self.sun = self.cube.directions(direction)
-        peak = self.peak_sigma_hat(sigma_t)
-        low, high = self.network.sigma_hat_range
-        used = min(max(peak, low), high)
-        self.scale = np.float32(min(peak / low, 1.0))
-        sigma_hat = sigma_t * self.cube.edge * used / peak
-        depths = unit_optical_depths(self.padded, self.sun)
-        points = self.cube.positions(positions)
-        self.lattices = build_lattices(
-            self.padded, depths, sigma_hat, self.network.stencil, points.min(axis=0), points.max(axis=0), mapper
-        )
-
-    def predict(self, positions, directions, albedos) -> np.ndarray:
-        """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
-        features, gamma = describe(
-            self.network.stencil,
-            self.lattices,
-            self.phase,
-            self.cube.positions(positions),
-            self.cube.directions(directions),
-            self.sun,
-        )
-        return self.network.multiple(features, self.anisotropy, gamma, albedos) * self.scale
-
-
-class Work:
-    """Runs tasks on threads, in order of submission, with progress and cancellation."""
-
-    def __init__(self, settings: Settings, progress, cancelled):
-        self.threads = settings.threads or os.cpu_count() or 1
-        self.pool = concurrent.futures.ThreadPoolExecutor(self.threads)
-        self.progress = progress or (lambda fraction, message: None)
-        self.cancelled = cancelled or (lambda: False)
-
-    def check(self):
-        if self.cancelled():
-            raise Cancelled()
-
-    def map(self, function, tasks, start: float, end: float, message: str):
-        """Yield function(task) for each task; a bounded number is in flight."""
-        tasks = list(tasks)
-        pending, done = [], 0
-        iterator = iter(tasks)
-        for task in iterator:
-            pending.append(self.pool.submit(function, task))
-            if len(pending) > 2 * self.threads:
-                break
-        while pending:
-            self.check()
-            result = pending.pop(0).result()
-            for task in iterator:
-                pending.append(self.pool.submit(function, task))
-                break
-            done += 1
-            self.progress(start + (end - start) * done / len(tasks), message)
-            yield result
-
-    def close(self):
-        self.pool.shutdown(cancel_futures=True)
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    single: np.ndarray
+    multiple: np.ndarray
+    report: Optional[Report] = None
 
 
 def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
@@ -314,31 +232,3 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
                     for c in members:
                         multiple[pixels[0] : pixels[0] + len(added), c] += added * sun.irradiance[c]
         report.count("network points", len(inside))
-
-
-def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") -> np.ndarray:
-    """Multiple-scattered in-scattered radiance at points, as the network sees it.
-
-    positions, directions: (N, 3) world positions and unit camera-ray directions.
-    Returns float32 (N, 3), W/(m^2 sr) for the sun's irradiance; the pixel's albedo factor is not included.
-    Raises SceneError as `render` does.
-    """
-    positions = np.asarray(positions, np.float64).reshape(-1, 3)
-    directions = np.asarray(directions, np.float64).reshape(-1, 3)
-    result = np.zeros((len(positions), 3), np.float32)
-    if not len(positions):
-        return result
-    field = MultipleField(load_network(model), volume, medium)
-    for sigma_t in np.unique(medium.sigma_t[medium.sigma_t > 0.0]):
-        members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
-        albedos = distinct_albedos(medium, members)
-        if not albedos:
-            continue
-        field.light(float(sigma_t), sun.direction, positions)
-        for i in range(0, len(positions), POINTS_A_TASK):
-            span = slice(i, i + POINTS_A_TASK)
-            radiance = field.predict(positions[span], directions[span], [value for value, _ in albedos])
-            for (_, channels), row in zip(albedos, radiance):
-                for c in channels:
-                    result[span, c] = row * sun.irradiance[c]
-    return result
