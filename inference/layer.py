@@ -42,6 +42,27 @@ class Layer:
     report: Optional[Report] = None
 
 
+@dataclass
+class DepthSamples:
+    """Points along camera rays at which multiple scattering is wanted, ray after ray.
+
+    origins, directions: float64 (P, 3), the rays of all pixels. pixel: int32 (M,), ascending;
+    distance, weight: (M,); fraction: float32 (M, V), each volume's share of the extinction.
+    """
+
+    origins: np.ndarray
+    directions: np.ndarray
+    pixel: np.ndarray
+    distance: np.ndarray
+    weight: np.ndarray
+    fraction: np.ndarray
+
+    def positions(self, samples) -> np.ndarray:
+        """World positions (N, 3) of some samples."""
+        pixel = self.pixel[samples]
+        return self.origins[pixel] + self.distance[samples, None] * self.directions[pixel]
+
+
 def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
     """(N,) offsets in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
 
@@ -103,7 +124,7 @@ def _render(volumes, suns, camera, settings, work, report):
             plan, channels, grids, camera, settings, work, report, start, start + share * MARCH_SHARE,
             single, alpha, depth,
         )
-        if network is not None and len(samples["pixel"]):
+        if network is not None and samples is not None:
             _add_multiple(
                 plan, channels, network, fields, samples, work, report, start + share * MARCH_SHARE, start + share,
                 multiple,
@@ -135,24 +156,29 @@ def _prepare_grids(plan: Plan, work: Work):
     return grids
 
 
-def _march_camera_rays(plan, channels, grids, camera, settings, work, report, start, end, single, alpha, depth):
-    """Fill single, alpha and depth; return the depth samples of all rays, in order."""
-    origins, directions, clip_near, clip_far = camera_rays(camera)
-    offsets = stratum_offsets(camera, settings.seed)
+def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
+    """Distances (P,) between which each ray meets any grid that attenuates; near > far on a miss."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-    for grid, sigma_t in zip(grids, channels.sigma_t):
-        if sigma_t > 0.0:
+    for grid, extinction in zip(grids, sigma_t):
+        if extinction > 0.0:
             enter, leave = grid.interval(origins, directions)
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
             meets = enter < leave
             near[meets] = np.minimum(near[meets], enter[meets])
             far[meets] = np.maximum(far[meets], leave[meets])
+    return near, far
+
+
+def _march_camera_rays(plan, channels, grids, camera, settings, work, report, start, end, single, alpha, depth):
+    """Fill single, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
+    origins, directions, clip_near, clip_far = camera_rays(camera)
+    offsets = stratum_offsets(camera, settings.seed)
+    near, far = _ray_intervals(grids, channels.sigma_t, origins, directions, clip_near, clip_far)
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
-    empty = np.empty(0, int)
     if not len(hit):
-        return {"pixel": empty}
+        return None
 
     for grid, sigma_t in zip(grids, channels.sigma_t):
         grid.set_extinction(float(sigma_t))
@@ -160,17 +186,16 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
     longest = (far[hit] - near[hit]).max() * steps_a_voxel(grids, channels.sigma_t) / voxel
     size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
     tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
-    # Phase function of single scattering, by volume and sun.
-    def phase(rays):
-        cosine = directions[rays] @ np.stack([sun.direction for sun in plan.suns]).T
-        return np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
+    suns = np.array([sun.direction for sun in plan.suns]).reshape(-1, 3)
 
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
             offsets[rays], settings.depth_samples,
         )
-        return rays, segment, segment.single * phase(rays)
+        cosine = directions[rays] @ suns.T
+        phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
+        return rays, segment, segment.single * phase
 
     parts = []
     share = len(channels.indices) / 3.0
@@ -182,18 +207,11 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
                 single[rays, c] = np.einsum("rvl,v,l->r", lit, albedo, irradiance)
             alpha[rays] += segment.alpha * share
             depth[rays] += segment.alpha * segment.depth * share
-            pixels = rays[segment.sample_ray]
-            parts.append((pixels, segment))
-    pixel = np.concatenate([p for p, _ in parts])
-    distance = np.concatenate([s.sample_distance for _, s in parts])
-    report.count("points", len(pixel))
-    return {
-        "pixel": pixel,
-        "weight": np.concatenate([s.sample_weight for _, s in parts]),
-        "fraction": np.concatenate([s.sample_fraction for _, s in parts]),
-        "position": origins[pixel] + distance[:, None] * directions[pixel],
-        "direction": directions[pixel],
-    }
+            pixel = rays[segment.sample_ray].astype(np.int32)
+            parts.append((pixel, segment.sample_distance, segment.sample_weight, segment.sample_fraction))
+    samples = DepthSamples(origins, directions, *(np.concatenate(column) for column in zip(*parts)))
+    report.count("points", len(samples.pixel))
+    return samples
 
 
 def _add_multiple(plan, channels, network, fields, samples, work, report, start, end, multiple):
@@ -201,34 +219,37 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
     jobs = [(v, sun) for v, needed in enumerate(plan.multiple) if needed for sun in plan.suns]
     for number, (v, sun) in enumerate(jobs):
         volume, medium = plan.volumes[v]
+        sigma_t = float(channels.sigma_t[v])
         albedos = distinct_albedos(medium, channels.indices)
-        inside = np.flatnonzero(samples["fraction"][:, v] > 0.0)
-        if not albedos or not len(inside) or channels.sigma_t[v] == 0.0:
+        inside = np.flatnonzero(samples.fraction[:, v] > 0.0)
+        if not albedos or not len(inside) or sigma_t == 0.0:
             continue
+        tasks = [inside[i : i + POINTS_A_TASK] for i in range(0, len(inside), POINTS_A_TASK)]
+        first, last = (start + (end - start) * n / len(jobs) for n in (number, number + 1))
         message = f"multiple scattering of {volume.name}"
-        work.progress(start + (end - start) * number / len(jobs), message)
+        work.progress(first, message)
         with report.stage("fields"):
             if v not in fields:
                 work.check()
                 fields[v] = MultipleField(network, volume, medium)
-                report.warnings += fields[v].warnings(float(channels.sigma_t[v]))
+                report.warnings += fields[v].warnings(sigma_t)
             work.check()
-            fields[v].light(float(channels.sigma_t[v]), sun.direction, samples["position"][inside], work.pool.map)
+            bounds = [fields[v].bounds(samples.positions(points)) for points in tasks]
+            low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+            fields[v].light(sigma_t, sun.direction, low, high, work.pool.map)
             work.check()
         values = [value for value, _ in albedos]
 
         def task(points, field=fields[v]):
-            return points, field.predict(samples["position"][points], samples["direction"][points], values)
+            directions = samples.directions[samples.pixel[points]]
+            return points, field.predict(samples.positions(points), directions, values)
 
-        tasks = [inside[i : i + POINTS_A_TASK] for i in range(0, len(inside), POINTS_A_TASK)]
-        first = start + (end - start) * number / len(jobs)
-        last = start + (end - start) * (number + 1) / len(jobs)
         with report.stage("network"):
             for points, radiance in work.map(task, tasks, first, last, message):
-                weight = samples["weight"][points] * samples["fraction"][points, v]
-                pixels = samples["pixel"][points]
+                weight = samples.weight[points] * samples.fraction[points, v]
+                pixel = samples.pixel[points]
                 for (value, members), row in zip(albedos, radiance):
-                    added = np.bincount(pixels - pixels[0], weight * row * value)
+                    added = np.bincount(pixel - pixel[0], weight * row * value)
                     for c in members:
-                        multiple[pixels[0] : pixels[0] + len(added), c] += added * sun.irradiance[c]
+                        multiple[pixel[0] : pixel[0] + len(added), c] += added * sun.irradiance[c]
         report.count("network points", len(inside))

@@ -48,22 +48,24 @@ class MultipleField:
     def peak_sigma_hat(self, sigma_t: float) -> float:
         return sigma_t * self.cube.edge * float(self.volume.density.max())
 
-    def light(self, sigma_t: float, direction: np.ndarray, positions: np.ndarray, mapper=map):
-        """Prepare the lattices for one sun and the points that will be asked for.
+    def bounds(self, positions: np.ndarray):
+        """Lowest and highest coordinates (3,) in the cube's frame of world positions (N, 3)."""
+        points = self.cube.positions(positions)
+        return points.min(axis=0), points.max(axis=0)
 
-        direction: (3,) in the world; positions: (N, 3) in the world; mapper: as in `build_lattices`.
+    def light(self, sigma_t: float, direction: np.ndarray, low, high, mapper=map):
+        """Prepare the lattices for one sun and the points between `low` and `high`, from `bounds`.
+
+        direction: (3,) in the world; mapper: as in `build_lattices`.
         """
         self.sun = self.cube.directions(direction)
         peak = self.peak_sigma_hat(sigma_t)
-        low, high = self.network.sigma_hat_range
-        used = min(max(peak, low), high)
-        self.scale = np.float32(min(peak / low, 1.0))
+        smallest, largest = self.network.sigma_hat_range
+        used = min(max(peak, smallest), largest)
+        self.scale = np.float32(min(peak / smallest, 1.0))
         sigma_hat = sigma_t * self.cube.edge * used / peak
         depths = unit_optical_depths(self.padded, self.sun)
-        points = self.cube.positions(positions)
-        self.lattices = build_lattices(
-            self.padded, depths, sigma_hat, self.network.stencil, points.min(axis=0), points.max(axis=0), mapper
-        )
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil, low, high, mapper)
 
     def predict(self, positions, directions, albedos) -> np.ndarray:
         """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
@@ -96,7 +98,7 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
         albedos = distinct_albedos(medium, members)
         if not albedos:
             continue
-        field.light(float(sigma_t), sun.direction, positions)
+        field.light(float(sigma_t), sun.direction, *field.bounds(positions))
         for i in range(0, len(positions), POINTS_A_TASK):
             span = slice(i, i + POINTS_A_TASK)
             radiance = field.predict(positions[span], directions[span], [value for value, _ in albedos])

@@ -14,6 +14,8 @@ PARALLEL = 1e-6
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 8, 4
+# Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
+PIXEL_BYTES, SAMPLE_BYTES = 200, 50
 
 
 @dataclass
@@ -107,10 +109,10 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     voxels = sum(volume.density.size for volume, _ in kept)
     memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
     x0, y0, x1, y1 = camera.window
-    memory += (x1 - x0) * (y1 - y0) * 4 * 12
+    memory += (x1 - x0) * (y1 - y0) * (PIXEL_BYTES + SAMPLE_BYTES * settings.depth_samples)
     if memory > settings.memory_limit:
         raise SceneError(
             f"the render needs about {memory / 2**30:.1f} GiB and the limit is "
-            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, use smaller grids or a smaller image"
+            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, use fewer depth samples, a smaller image or smaller grids"
         )
     return Plan(kept, merged, channels, multiple, planned, left_out, memory)

@@ -170,6 +170,11 @@ def test_predictions_are_those_that_the_image_shows():
     np.testing.assert_allclose(layer.multiple[0, 0], 0.9 * predicted.mean(axis=0) * (1 - np.exp(-10.0)), rtol=0.02)
 
 
+def test_a_sun_without_light_leaves_the_shape_alone():
+    layer = render([(cloud(), Medium(30.0, 0.9))], [Sun((0.0, 0.0, 1.0), 0.0)], camera())
+    assert np.all(layer.rgb == 0.0) and layer.alpha.max() > 0.5
+
+
 def test_it_stops_when_asked():
     calls = []
     with pytest.raises(Cancelled):

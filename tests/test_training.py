@@ -115,7 +115,7 @@ def test_features_are_those_that_rendering_uses(monkeypatch):
         sigma_t = rows["sigma_hat"][row] / cube.edge
         field = MultipleField(loaded, volume, Medium(sigma_t, 1.0, rows["anisotropy"][row]))
         position, omega = seen["positions"][i : i + 1].astype(float), seen["omega"][i : i + 1].astype(float)
-        field.light(sigma_t, Sun(seen["suns"][k]).direction, position)
+        field.light(sigma_t, Sun(seen["suns"][k]).direction, *field.bounds(position))
         features, gamma = describe(
             loaded.stencil, field.lattices, field.phase, cube.positions(position), cube.directions(omega), field.sun
         )
