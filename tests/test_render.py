@@ -47,6 +47,23 @@ def test_alpha_of_a_box_is_one_minus_transmittance():
     assert np.all(layer.rgb == 0.0)
 
 
+def test_alpha_of_a_sphere_follows_its_chords():
+    """Radius 0.4, extinction 3: 1 - exp(-3 chord) at every distance from the centre."""
+    voxels = 96
+    axis = (np.arange(voxels) + 0.5) / voxels - 0.5
+    r = np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij")))
+    # The surface crosses its voxels: density falls over one of them.
+    sphere = box(voxels=voxels)
+    sphere.density = np.clip((0.4 - r) * voxels + 0.5, 0.0, 1.0).astype(np.float32)
+    view = camera(projection="orthographic", ortho_scale=1.0, resolution=(64, 1))
+    layer = render([(sphere, BLACK)], [SUN], view)
+    offset = (np.arange(64) + 0.5) / 64 - 0.5
+    chord = 2.0 * np.sqrt(np.maximum(0.4**2 - offset**2, 0.0))
+    inside = np.abs(offset) < 0.38
+    np.testing.assert_allclose(layer.alpha[0, inside], 1 - np.exp(-3.0 * chord[inside]), atol=3e-3)
+    assert np.all(layer.alpha[0, np.abs(offset) > 0.43] == 0.0)
+
+
 @pytest.mark.parametrize("g", [0.0, 0.7])
 def test_single_scattering_of_a_slab(g):
     """Sun behind the camera, view straight on: L = albedo p E int sigma exp(-2 sigma t) dt."""
