@@ -4,7 +4,8 @@
 
 Reads the views beside the project in ../shared/fidelity: two noisy halves each, so that the
 error is measured without the references' own noise, and the published network's
-figures. Writes fidelity.csv and a picture a view: ours, reference, signed error.
+figures. Writes fidelity.csv, the same as a table in fidelity.md, and a picture a view: ours,
+reference, signed error.
 """
 
 import argparse
@@ -106,6 +107,26 @@ def main():
         writer = csv.writer(file)
         writer.writerow(["view", "rel_rmse", "rel_rmse_low", "rel_rmse_high", "rel_bias", "paper_metric", "seconds"])
         writer.writerows(rows)
+    write_table(arguments.out / "fidelity.md", rows, published)
+
+
+def write_table(path: pathlib.Path, rows, published):
+    """The figures beside the published network's, as Markdown."""
+    lines = ["| view | relative RMSE (95 %) | published | bias | published | paper's metric | published |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    for (key, rmse, low, high, bias, metric, _), theirs in zip(rows, published.values()):
+        lines.append(
+            f"| {key} | {rmse:.3f} ({low:.3f}–{high:.3f}) | {theirs['rel_rmse']:.3f} | {100 * bias:+.1f} % | "
+            f"{100 * theirs['rel_bias']:+.1f} % | {metric:.2f} | {theirs['paper']:.2f} |"
+        )
+    theirs = list(published.values())
+    means = [np.mean([row[i] for row in rows]) for i in (1, 4, 5)]
+    published_means = [np.mean([t[k] for t in theirs]) for k in ("rel_rmse", "rel_bias", "paper")]
+    lines.append(
+        f"| **mean** | {means[0]:.3f} | {published_means[0]:.3f} | {100 * means[1]:+.1f} % | "
+        f"{100 * published_means[1]:+.1f} % | {means[2]:.2f} | {published_means[2]:.2f} |"
+    )
+    path.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -9,10 +9,12 @@ from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, MIPS, POINTS, Stencil, frames
 
 
-def _lookup(lattice: Lattice, points: np.ndarray) -> np.ndarray:
-    """Nearest fine cell of points (N, k, 3) in the cube's frame: complex64 (N, k)."""
+def _lookup(lattice: Lattice, points: np.ndarray, jitter) -> np.ndarray:
+    """Nearest fine cell of points (N, k, 3) in the cube's frame, moved by jitter (N, 3) cells: complex64 (N, k)."""
     _, ny, nz = lattice.packed.shape
-    cell = ((points - np.float32(lattice.origin)) * np.float32(lattice.scale)).astype(np.int32)
+    cell = points * np.float32(lattice.scale)
+    cell += (jitter - np.float32(lattice.origin * lattice.scale))[:, None]
+    cell = cell.astype(np.int32)
     index = (cell[..., 0] * ny + cell[..., 1]) * nz + cell[..., 2]
     index -= (lattice.first[0] * ny + lattice.first[1]) * nz + lattice.first[2]
     # The lattice holds every cell that a stencil can read; clipping costs less than checking.
@@ -32,22 +34,25 @@ def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
     return points
 
 
-def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun):
+def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun, jitter=None):
     """Descriptors of points for one sun.
 
-    positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector.
+    positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector. jitter: (N, 3) in
+    [-1/2, 1/2), by which lookups of each point are moved, in fine cells; none by default.
+    Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
     Returns features float32 (3, N, 192) in the order mu, S, P, and gamma float32 (N,), the angle
     between omega and the sun.
     """
     sun = np.asarray(sun, np.float64)
     features = np.empty((3, len(positions), POINTS), np.float32)
     points = stencil_points(stencil, positions, omega, sun)
+    jitter = np.zeros((len(positions), 3), np.float32) if jitter is None else np.asarray(jitter, np.float32)
     for m in range(MIPS):
         columns = np.flatnonzero(stencil.mips == m)
         # A mip's points are one run of the low-frequency part and perhaps one of the high-frequency part.
         for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
             span = slice(run[0], run[-1] + 1)
-            values = _lookup(lattices[m], points[:, span])
+            values = _lookup(lattices[m], points[:, span], jitter)
             features[0, :, span] = values.real
             features[1, :, span] = values.imag
     gamma = np.arccos(np.clip(np.asarray(omega, np.float64) @ sun, -1.0, 1.0)).astype(np.float32)

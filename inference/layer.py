@@ -46,12 +46,15 @@ class Layer:
 class DepthSamples:
     """Points along camera rays at which multiple scattering is wanted, ray after ray.
 
-    origins, directions: float64 (P, 3), the rays of all pixels. pixel: int32 (M,), ascending;
-    distance, weight: (M,); fraction: float32 (M, V), each volume's share of the extinction.
+    origins, directions: float64 (P, 3), the rays of all pixels; offsets: (P,), of their strata;
+    count: samples a ray. pixel: int32 (M,), ascending; distance, weight: (M,); fraction:
+    float32 (M, V), each volume's share of the extinction.
     """
 
     origins: np.ndarray
     directions: np.ndarray
+    offsets: np.ndarray
+    count: int
     pixel: np.ndarray
     distance: np.ndarray
     weight: np.ndarray
@@ -61,6 +64,12 @@ class DepthSamples:
         """World positions (N, 3) of some samples."""
         pixel = self.pixel[samples]
         return self.origins[pixel] + self.distance[samples, None] * self.directions[pixel]
+
+    def jitter(self, samples) -> np.ndarray:
+        """(N, 3) in [-1/2, 1/2): along a ray a rank-1 lattice in three dimensions, shifted by pixel."""
+        along = (samples % self.count)[:, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
+        # Large odd factors turn a pixel's offset into three that have nothing in common.
+        return np.mod(along + self.offsets[self.pixel[samples], None] * [1571.0, 5717.0, 9371.0], 1.0) - 0.5
 
 
 def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
@@ -209,7 +218,8 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
             depth[rays] += segment.alpha * segment.depth * share
             pixel = rays[segment.sample_ray].astype(np.int32)
             parts.append((pixel, segment.sample_distance, segment.sample_weight, segment.sample_fraction))
-    samples = DepthSamples(origins, directions, *(np.concatenate(column) for column in zip(*parts)))
+    columns = (np.concatenate(column) for column in zip(*parts))
+    samples = DepthSamples(origins, directions, offsets, settings.depth_samples, *columns)
     report.count("points", len(samples.pixel))
     return samples
 
@@ -242,7 +252,7 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
 
         def task(points, field=fields[v]):
             directions = samples.directions[samples.pixel[points]]
-            return points, field.predict(samples.positions(points), directions, values)
+            return points, field.predict(samples.positions(points), directions, values, samples.jitter(points))
 
         with report.stage("network"):
             for points, radiance in work.map(task, tasks, first, last, message):

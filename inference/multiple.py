@@ -67,8 +67,11 @@ class MultipleField:
         depths = unit_optical_depths(self.padded, self.sun)
         self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil, low, high, mapper)
 
-    def predict(self, positions, directions, albedos) -> np.ndarray:
-        """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3)."""
+    def predict(self, positions, directions, albedos, jitter=None) -> np.ndarray:
+        """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
+
+        jitter: as in `describe`.
+        """
         features, gamma = describe(
             self.network.stencil,
             self.lattices,
@@ -76,6 +79,7 @@ class MultipleField:
             self.cube.positions(positions),
             self.cube.directions(directions),
             self.sun,
+            jitter,
         )
         return self.network.multiple(features, self.anisotropy, gamma, albedos) * self.scale
 

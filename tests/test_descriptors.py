@@ -58,6 +58,22 @@ def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
     )
 
 
+def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
+    """Means over jitter change gradually where single lookups jump from cell to cell."""
+    lattices, phase = build_lattices(*fields, SIGMA_HAT, stencil), PhaseFeatures(stencil, 0.6)
+    random = np.random.default_rng(3)
+    steps, copies = 12, 400
+    # A cell of mip 0 to either side of a place where the density jumps.
+    path = np.linspace(-1.0 / 256.0, 1.0 / 256.0, steps)[:, None] * [0.0, 1.0, 0.0] + [0.11, 2.0 / 32.0, -0.2]
+    omega = np.broadcast_to(rays[1][:1], path.shape)
+    plain = describe(stencil, lattices, phase, path, omega, SUN)[0][0, :, 0]
+    jitter = random.uniform(-0.5, 0.5, (steps * copies, 3))
+    many = describe(stencil, lattices, phase, path.repeat(copies, 0), omega.repeat(copies, 0), SUN, jitter)[0][0, :, 0]
+    mean = many.reshape(steps, copies).mean(axis=1)
+    assert np.count_nonzero(np.diff(plain)) == 1
+    assert 0.0 < np.abs(np.diff(mean)).max() < 0.5 * np.abs(np.diff(plain)).max()
+
+
 def test_stencil_follows_view_and_sun(stencil, rays):
     """Turning view and sun together turns the stencil with them."""
     from scipy.spatial.transform import Rotation
