@@ -7,7 +7,7 @@ import torch
 from inference import Medium, Sun, Volume
 from inference.cube import fit_cube
 from inference.multiple import MultipleField
-from training import train
+from training import evaluate, train
 from training.networks import MRPNN
 from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
 
@@ -86,6 +86,15 @@ def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatc
     # The mean radiance of a volume it has not seen: far off before, near after.
     before, after = train.validate(MRPNN(), held)[1], train.validate(trained, held)[1]
     assert abs(before) > 5.0 and abs(after) < 2.0
+
+
+def test_evaluation_bins_every_row(data, tmp_path, capsys):
+    checkpoint = tmp_path / "checkpoint.pt"
+    torch.save({"averaged": MRPNN().state_dict()}, checkpoint)
+    evaluate.main(["--data", str(data), "--checkpoint", str(checkpoint), "--volumes", "3"])
+    lines = [line.split("|") for line in capsys.readouterr().out.splitlines() if "| gamma" in line]
+    rows = sum(len(np.load(file)["gamma"]) for file in data.glob("*.npz"))
+    assert sum(int(line[4]) for line in lines) == rows
 
 
 def test_features_are_those_that_rendering_uses(monkeypatch):
