@@ -13,7 +13,7 @@ PARALLEL = 1e-6
 # Bytes that the fields of one volume need at the peak, whatever its resolution.
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
-VOXEL_BYTES, VOXEL_SUN_BYTES = 8, 4
+VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 8
 # Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
 PIXEL_BYTES, SAMPLE_BYTES = 200, 50
 
@@ -101,7 +101,8 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     multiple = [bool(np.any(m.albedo > 0.0)) and bool(merged) for _, m in kept]
     for (volume, medium), needed in zip(kept, multiple):
         if not needed:
-            left_out.append(f"{volume.name}: multiple scattering, its albedo is 0")
+            reason = "its albedo is 0" if merged else "no sun shines"
+            left_out.append(f"{volume.name}: multiple scattering, {reason}")
             continue
         stages = len(distinct_albedos(medium, [0, 1, 2]))
         planned.append(f"{volume.name}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
@@ -113,6 +114,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if memory > settings.memory_limit:
         raise SceneError(
             f"the render needs about {memory / 2**30:.1f} GiB and the limit is "
-            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, use fewer depth samples, a smaller image or smaller grids"
+            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
+            "a smaller image or smaller grids"
         )
     return Plan(kept, merged, channels, multiple, planned, left_out, memory)

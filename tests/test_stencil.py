@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from inference.stencil import (
-    LAYER_MIPS, LAYER_POINTS, fibonacci_sphere, frames, layer_radius, make_stencil, mutual_minimum_distances, unit_layer,
-)
+from inference.stencil import LAYER_MIPS, LAYER_POINTS, fibonacci_sphere, frames, layer_radius, make_stencil
+from inference.stencil import mutual_minimum_distances, unit_layer
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,8 @@ def test_frames_are_rotations_that_hold_omega_and_sun():
     omega[0], omega[1] = sun, -sun
     rotation = frames(omega, sun)
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.swapaxes(rotation, 1, 2) @ rotation, np.broadcast_to(np.eye(3), (100, 3, 3)), atol=1e-12)
+    product = np.swapaxes(rotation, 1, 2) @ rotation
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), (100, 3, 3)), atol=1e-12)
     np.testing.assert_allclose(rotation[:, :, 2], omega, atol=1e-12)
     local = np.einsum("nij,i->nj", rotation, sun)
     np.testing.assert_allclose(local[:, 1], 0.0, atol=1e-6)
