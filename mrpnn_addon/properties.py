@@ -31,6 +31,9 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         name="Seed", default=0, min=0, description="Of the depths' random offsets; the same seed gives the same image")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 uses one a core")
+    memory_limit: IntProperty(
+        name="Memory Limit", default=8, min=1, max=1024,
+        description="GiB that a render may use; one that needs more is refused before it starts")
     use_exr: BoolProperty(
         name="Write EXR", default=False, description="Write the layer to a multi-layer OpenEXR file after each render")
     exr_path: StringProperty(
@@ -40,7 +43,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     def settings(self) -> Settings:
         """As `inference.render` takes them."""
         return Settings(
-            depth_samples=self.depth_samples, model=self.model or Settings.model, seed=self.seed, threads=self.threads)
+            depth_samples=self.depth_samples, model=self.model or Settings.model, seed=self.seed, threads=self.threads,
+            memory_limit=self.memory_limit << 30)
 
 
 def register():

@@ -28,6 +28,7 @@ class MRPNN_PT_render(bpy.types.Panel):
         column.prop(settings, "model")
         column.prop(settings, "seed")
         column.prop(settings, "threads")
+        column.prop(settings, "memory_limit")
         row = column.row(heading="Write EXR")
         row.prop(settings, "use_exr", text="")
         path = row.row()
