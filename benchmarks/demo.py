@@ -9,7 +9,6 @@ error), NAME-comparison.json, and prints the table.
 
 import argparse
 import atexit
-import importlib.util
 import os
 import sys
 import time
@@ -19,22 +18,10 @@ import bpy
 import numpy as np
 
 from . import demo_scene, pictures
+from .extension import ROOT, load_extension
 
-ROOT = Path(__file__).resolve().parent.parent
 # The signed error map's full colour, as a share of the reference's mean radiance.
 ERROR_LIMIT = 0.5
-
-
-def load_extension() -> None:
-    """Import the repository's root as package `mrpnn` and register it, as Blender does with an extension."""
-    spec = importlib.util.spec_from_file_location(
-        "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
-    package = importlib.util.module_from_spec(spec)
-    sys.modules["mrpnn"] = package
-    spec.loader.exec_module(package)
-    package.register()
-    # Classes still registered keep the bpy module from ending, and with it the process.
-    atexit.register(package.unregister)
 
 
 def demo(path: Path, out: Path, options) -> str:
@@ -122,7 +109,7 @@ def main(arguments=None) -> int:
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
     hush(options.out / "blender.log")
-    load_extension()
+    atexit.register(load_extension().unregister)
     paths = options.volumes or [options.out / "cloud.vdb"]
     if not options.volumes:
         from mrpnn.mrpnn_addon.openvdb_module import load_openvdb

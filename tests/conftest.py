@@ -1,6 +1,5 @@
 """Fixtures for the tests that run inside Blender (the bpy module)."""
 
-import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -36,12 +35,9 @@ def addon():
     The repository's root is the package; Blender gives it its name, and so does this.
     """
     pytest.importorskip("bpy")
-    spec = importlib.util.spec_from_file_location(
-        "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
-    package = importlib.util.module_from_spec(spec)
-    sys.modules["mrpnn"] = package
-    spec.loader.exec_module(package)
-    package.register()
+    from benchmarks.extension import load_extension
+
+    package = load_extension()
     yield package
     package.unregister()
     del sys.modules["mrpnn"]

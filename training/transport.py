@@ -199,6 +199,22 @@ def _enter_blocks(x, y, z, dx, dy, dz, cells, blocks):
     return i, j, k, wx, wy, wz, edge * abs(ix), edge * abs(iy), edge * abs(iz), end
 
 
+@numba.njit(cache=True, fastmath=True, inline="always")
+def _next_block(wall, i, j, k, wx, wy, wz, sx, sy, sz, dx, dy, dz, blocks):
+    """Step through the wall that was reached: (whether still in the grid, block, its next walls)."""
+    if wall == wx:
+        wx += sx
+        i += 1 if dx >= F0 else -1
+    elif wall == wy:
+        wy += sy
+        j += 1 if dy >= F0 else -1
+    else:
+        wz += sz
+        k += 1 if dz >= F0 else -1
+    inside = i >= 0 and i < blocks and j >= 0 and j < blocks and k >= 0 and k < blocks
+    return inside, i, j, k, wx, wy, wz
+
+
 @numba.njit(cache=True, fastmath=True)
 def fly(x, y, z, dx, dy, dz, sigma, padded, majorant, state):
     """Delta tracking (Woodcock) to the next collision, with a majorant for each block.
@@ -231,21 +247,9 @@ def fly(x, y, z, dx, dy, dz, sigma, padded, majorant, state):
             t = wall
             if wall >= end:
                 return False, x, y, z, state
-            if wall == wx:
-                wx += sx
-                i += 1 if dx >= F0 else -1
-                if i < 0 or i >= blocks:
-                    return False, x, y, z, state
-            elif wall == wy:
-                wy += sy
-                j += 1 if dy >= F0 else -1
-                if j < 0 or j >= blocks:
-                    return False, x, y, z, state
-            else:
-                wz += sz
-                k += 1 if dz >= F0 else -1
-                if k < 0 or k >= blocks:
-                    return False, x, y, z, state
+            inside, i, j, k, wx, wy, wz = _next_block(wall, i, j, k, wx, wy, wz, sx, sy, sz, dx, dy, dz, blocks)
+            if not inside:
+                return False, x, y, z, state
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -283,18 +287,6 @@ def transmit(x, y, z, dx, dy, dz, sigma, padded, majorant, state):
             t = wall
             if wall >= end:
                 return through, state
-            if wall == wx:
-                wx += sx
-                i += 1 if dx >= F0 else -1
-                if i < 0 or i >= blocks:
-                    return through, state
-            elif wall == wy:
-                wy += sy
-                j += 1 if dy >= F0 else -1
-                if j < 0 or j >= blocks:
-                    return through, state
-            else:
-                wz += sz
-                k += 1 if dz >= F0 else -1
-                if k < 0 or k >= blocks:
-                    return through, state
+            inside, i, j, k, wx, wy, wz = _next_block(wall, i, j, k, wx, wy, wz, sx, sy, sz, dx, dy, dz, blocks)
+            if not inside:
+                return through, state
