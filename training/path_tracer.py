@@ -3,7 +3,8 @@
 All positions are in cube units, [-1/2, 1/2]^3; density is trilinear between cell centres
 and 0 outside the cube; sigma is the optical density per cube edge where density is 1.
 The sun's irradiance is 1. The phase function is Henyey-Greenstein and carries 1/(4 pi).
-Results depend on the arguments alone, not on the number of threads.
+Results depend on the arguments alone, not on the number of threads; another compilation of the same
+code may round the last bits differently.
 """
 
 import numba
