@@ -1,132 +1,144 @@
-"""How far the predicted image is from independent path-traced references.
+"""How far each system's image is from path-traced references: the paper's Tables 1 and 2 on our scenes.
 
-    python -m benchmarks.fidelity --out build/fidelity [--depth-samples 128] [--model mrpnn]
+    python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference] [--views shared procedural]
 
-Reads the views beside the project in ../shared/fidelity: two noisy halves each, so that the
-error is measured without the references' own noise, and the published network's
-figures. Writes fidelity.csv, the same as a table in fidelity.md, and a picture a view: ours,
-reference, signed error.
+Views: those of ../shared/fidelity, whose references share no code with the project, and held-back
+procedural volumes, whose references our own tracer makes once (build/references). Every reference is two
+independent halves, so that errors are measured without its own noise. Writes fidelity.csv (a row for each
+view and system), fidelity.md (the tables) and a picture a view: reference, systems, signed errors.
 """
 
 import argparse
 import csv
+import functools
 import json
 import pathlib
+from dataclasses import asdict, dataclass
 
 import numpy as np
-from PIL import Image
 
-from inference import Camera, Medium, Settings, Sun, Volume, render
+from inference import Settings, available_models
 from inference.error import paper_metric, relative_bias, relative_rmse
+from inference.network import load_network, register_system
+from training.reference import PATHS, PathTracer
 
-SHARED = pathlib.Path(__file__).resolve().parents[2] / "shared" / "fidelity"
-# The references leave out some faint pixels; those count that show the medium.
-MASK_ALPHA = 0.02
+from . import fidelity_tables, view_pictures
+from .references import relative_variance, seconds_a_sample
+from .views import MASK_ALPHA, SHARED, View, procedural_views, shared_views
 
-
-def look_at(position, up=(0.0, 1.0, 0.0)) -> np.ndarray:
-    """Camera to world (4, 4) for a camera at `position` that looks at the origin."""
-    position = np.asarray(position, np.float64)
-    forward = -position / np.linalg.norm(position)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1] = right, np.cross(right, forward)
-    matrix[:3, 2], matrix[:3, 3] = -forward, position
-    return matrix
+#: In the order of the tables.
+SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
 
 
-def cube_volume(density: np.ndarray, name: str) -> Volume:
-    """A grid whose cells fill the cube [-1/2, 1/2]^3."""
-    cells = density.shape[0]
-    world_from_index = np.diag([1.0 / cells] * 3 + [1.0])
-    world_from_index[:3, 3] = 0.5 / cells - 0.5
-    return Volume(density, world_from_index, name)
+@dataclass
+class Measurement:
+    """One system on one view.
+
+    rmse, bias: relative, with bootstrap 95 % intervals; paper: the paper's metric, RMSE x 100.
+    seconds: a frame; reference_seconds: what the path tracer would take for as small an error, all of it noise.
+    """
+
+    view: str
+    volume: str
+    light: str
+    sigma_hat: float
+    anisotropy: float
+    albedo: tuple
+    system: str
+    rmse: float
+    rmse_low: float
+    rmse_high: float
+    bias: float
+    bias_low: float
+    bias_high: float
+    paper: float
+    seconds: float
+    reference_seconds: float
 
 
-def render_view(key: str, view, settings: Settings):
-    """The layer of one reference view."""
-    name = key.split("-")[0]
-    with np.load(SHARED / "volumes" / f"{name}.npz") as data:
-        volume = cube_volume(data["density"], name)
-    height, width = view["ab"].shape[1:3]
-    camera = Camera(look_at(view["cam"]), resolution=(width, height), fov=np.radians(float(view["fov"])))
-    medium = Medium(float(view["sigma"]), view["albedo"], float(view["g"]))
-    return render([(volume, medium)], [Sun(view["sun"], 1.0)], camera, settings)
+def applies(system: str, view: View) -> bool:
+    """Whether a system was made for the view's anisotropy and albedo."""
+    made_for = load_network(system)
+    low, high = made_for.albedo_range
+    within = made_for.anisotropy_range[0] <= view.anisotropy <= made_for.anisotropy_range[1]
+    return within and all(low <= albedo <= high for albedo in view.albedo)
 
 
-def picture(rgb, a, b) -> Image.Image:
-    """Ours, the reference, and the signed error (red too bright, blue too dark), side by side."""
-    reference = 0.5 * (a + b)
-    exposure = 0.7 / max(np.percentile(reference, 99), 1e-9)
-    shown = [np.clip(image * exposure, 0.0, 1.0) ** (1 / 2.2) for image in (rgb, reference)]
-    error = (rgb - reference).mean(axis=-1) * exposure
-    red, blue = np.clip(error, 0, 1), np.clip(-error, 0, 1)
-    signed = np.stack([1.0 - blue, 1.0 - red - blue, 1.0 - red], axis=-1)
-    strip = np.concatenate([*shown, np.clip(signed, 0.0, 1.0)], axis=1)
-    image = Image.fromarray((strip * 255.0 + 0.5).astype(np.uint8))
-    return image.resize((image.width * 3, image.height * 3), Image.NEAREST)
+def measure(view: View, systems, depth_samples: int):
+    """Measurements of the systems that apply to a view, the picture of them all."""
+    halves = view.halves()
+    mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
+    # A grey view keeps its radiance in every channel. Pixels outside the mask are nobody's.
+    a, b = halves[..., :3] * mask[..., None]
+    sample = seconds_a_sample(view)
+    measured, images = [], {}
+    for system in systems:
+        layer = view.render(Settings(depth_samples=depth_samples, model=system))
+        rgb = images[system] = layer.rgb * mask[..., None]
+        rmse, bias = relative_rmse(rgb, a, b, mask), relative_bias(rgb, a, b, mask)
+        # Where the error is too small to be told from 0, the interval's end stands for it.
+        error = rmse.value or rmse.high
+        needed = relative_variance(a, b, mask, view.samples) / error**2 if error else np.inf
+        measured.append(Measurement(
+            view.name, view.volume, view.light, view.sigma_hat, view.anisotropy, view.albedo, system,
+            rmse.value, rmse.low, rmse.high, bias.value, bias.low, bias.high, paper_metric(rgb, a, b),
+            layer.report.seconds["total"], needed * sample,
+        ))
+    return measured, view_pictures.picture(images, a, b)
 
 
-def main():
+def published_network() -> dict:
+    """The published network's figures by view, in the names used here; empty where the folder is absent."""
+    path = SHARED / "published_network.json"
+    figures = json.loads(path.read_text()) if path.exists() else {}
+    return {view: {"rmse": f["rel_rmse"], "bias": f["rel_bias"], "paper": f["paper"]} for view, f in figures.items()}
+
+
+def write_csv(path: pathlib.Path, measured):
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, asdict(measured[0]))
+        writer.writeheader()
+        for one in measured:
+            writer.writerow({**asdict(one), "albedo": " ".join(f"{value:g}" for value in one.albedo)})
+
+
+def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True)
+    present = [system for system in SYSTEMS if system in available_models()]
+    parser.add_argument("--models", nargs="+", default=present, choices=available_models(), metavar="NAME")
+    parser.add_argument("--views", nargs="+", default=["shared", "procedural"], choices=["shared", "procedural"])
+    parser.add_argument("--match", default="", metavar="TEXT", help="only views whose name holds this")
     parser.add_argument("--depth-samples", type=int, default=128)
-    parser.add_argument("--model", default="mrpnn")
-    arguments = parser.parse_args()
+    parser.add_argument("--size", type=int, default=64, help="pixels an edge of procedural views")
+    parser.add_argument("--samples", type=int, default=1024, help="paths a pixel in each half of their references")
+    parser.add_argument("--cells", type=int, default=128, help="cells an edge of their volumes")
+    parser.add_argument("--paths", type=int, default=PATHS, help="paths a depth sample of the system `reference`")
+    parser.add_argument("--references", type=pathlib.Path, default=pathlib.Path("build/references"))
+    arguments = parser.parse_args(options)
+    register_system("reference", functools.partial(PathTracer, arguments.paths))
+    views = shared_views() if "shared" in arguments.views else []
+    if "procedural" in arguments.views:
+        views += procedural_views(arguments.size, arguments.samples, arguments.cells, arguments.references)
+    views = [view for view in views if arguments.match in view.name]
+    if not views:
+        parser.error(f"there is no view to measure: none is called {arguments.match!r} or ../shared/fidelity is absent")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    published = json.loads((SHARED / "published_network.json").read_text())
-    settings = Settings(depth_samples=arguments.depth_samples, model=arguments.model)
-    rows = []
-    print(f"{'view':34} {'rel. RMSE':>18} {'published':>9} {'bias':>7} {'published':>9} {'paper':>6} {'published':>9}")
-    for key, theirs in published.items():
-        view = np.load(SHARED / "views" / f"{key}.npz")
-        layer = render_view(key, view, settings)
-        a, b = view["ab"][0].astype(np.float64), view["ab"][1].astype(np.float64)
-        mask = 0.5 * (a[..., 3] + b[..., 3]) > MASK_ALPHA
-        a, b = a[..., :3], b[..., :3]
-        # A grey view keeps its radiance in every channel.
-        rmse = relative_rmse(layer.rgb, a, b, mask)
-        bias = relative_bias(layer.rgb, a, b, mask)
-        metric = paper_metric(layer.rgb * mask[..., None], a * mask[..., None], b * mask[..., None])
-        rows.append([key, rmse.value, rmse.low, rmse.high, bias.value, metric, layer.report.seconds["total"]])
-        interval = f"{rmse.value:.3f} ({rmse.low:.3f}-{rmse.high:.3f})"
-        print(
-            f"{key:34} {interval:>18} {theirs['rel_rmse']:9.3f} {bias.value:+7.3f} {theirs['rel_bias']:+9.3f} "
-            f"{metric:6.2f} {theirs['paper']:9.2f}",
-            flush=True,
-        )
-        picture(layer.rgb, a, b).save(arguments.out / f"{key}.png")
-    mean = np.mean([row[1] for row in rows])
-    theirs = list(published.values())
-    print(
-        f"{'mean':34} {mean:18.3f} {np.mean([t['rel_rmse'] for t in theirs]):9.3f} "
-        f"{np.mean([row[4] for row in rows]):+7.3f} {np.mean([t['rel_bias'] for t in theirs]):+9.3f}"
-    )
-    with open(arguments.out / "fidelity.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["view", "rel_rmse", "rel_rmse_low", "rel_rmse_high", "rel_bias", "paper_metric", "seconds"])
-        writer.writerows(rows)
-    write_table(arguments.out / "fidelity.md", rows, published)
-
-
-def write_table(path: pathlib.Path, rows, published):
-    """The figures beside the published network's, as Markdown."""
-    lines = ["| view | relative RMSE (95 %) | published | bias | published | paper's metric | published |"]
-    lines.append("|---|---|---|---|---|---|---|")
-    for (key, rmse, low, high, bias, metric, _), theirs in zip(rows, published.values()):
-        lines.append(
-            f"| {key} | {rmse:.3f} ({low:.3f}–{high:.3f}) | {theirs['rel_rmse']:.3f} | {100 * bias:+.1f} % | "
-            f"{100 * theirs['rel_bias']:+.1f} % | {metric:.2f} | {theirs['paper']:.2f} |"
-        )
-    theirs = list(published.values())
-    means = [np.mean([row[i] for row in rows]) for i in (1, 4, 5)]
-    published_means = [np.mean([t[k] for t in theirs]) for k in ("rel_rmse", "rel_bias", "paper")]
-    lines.append(
-        f"| **mean** | {means[0]:.3f} | {published_means[0]:.3f} | {100 * means[1]:+.1f} % | "
-        f"{100 * published_means[1]:+.1f} % | {means[2]:.2f} | {published_means[2]:.2f} |"
-    )
-    path.write_text("\n".join(lines) + "\n")
+    measured = []
+    for view in views:
+        systems = [system for system in arguments.models if applies(system, view)]
+        if not systems:
+            continue
+        found, picture = measure(view, systems, arguments.depth_samples)
+        picture.save(arguments.out / f"{view.name}.png")
+        for one in found:
+            interval = f"{one.rmse:.3f} ({one.rmse_low:.3f}-{one.rmse_high:.3f})"
+            print(f"{one.view:44} {one.system:13} {interval} bias {one.bias:+.3f} {one.seconds:6.1f} s", flush=True)
+        measured += found
+        # After each view, so that a run that is stopped leaves what it has.
+        write_csv(arguments.out / "fidelity.csv", measured)
+        tables = fidelity_tables.document(measured, published_network(), arguments.depth_samples)
+        (arguments.out / "fidelity.md").write_text(tables)
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, render
 from inference.report import process_peak_memory
+from training.seeded_volume import cube_volume
 from training.volumes import HELD_BACK, make_volume
 
-from .fidelity import cube_volume, look_at
+from .views import look_at
 
 # Multiplications and additions of MRPNN a point with one albedo: 2 per weight of its layers.
 FLOP_A_POINT = 2 * 46_700

@@ -34,18 +34,14 @@ def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
     return points
 
 
-def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun, jitter=None):
-    """Descriptors of points for one sun.
+def read_fields(stencil: Stencil, lattices: List[Lattice], positions, omega, sun, mu, transmittance, jitter=None):
+    """Fill mu and transmittance, float32 (N, 192), with the features mu and S of points.
 
     positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector. jitter: (N, 3) in
     [-1/2, 1/2), by which lookups of each point are moved, in fine cells; none by default.
     Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
-    Returns features float32 (3, N, 192) in the order mu, S, P, and gamma float32 (N,), the angle
-    between omega and the sun.
     """
-    sun = np.asarray(sun, np.float64)
-    features = np.empty((3, len(positions), POINTS), np.float32)
-    points = stencil_points(stencil, positions, omega, sun)
+    points = stencil_points(stencil, positions, omega, np.asarray(sun, np.float64))
     jitter = np.zeros((len(positions), 3), np.float32) if jitter is None else np.asarray(jitter, np.float32)
     for m in range(MIPS):
         columns = np.flatnonzero(stencil.mips == m)
@@ -53,8 +49,24 @@ def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, po
         for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
             span = slice(run[0], run[-1] + 1)
             values = _lookup(lattices[m], points[:, span], jitter)
-            features[0, :, span] = values.real
-            features[1, :, span] = values.imag
-    gamma = np.arccos(np.clip(np.asarray(omega, np.float64) @ sun, -1.0, 1.0)).astype(np.float32)
+            mu[:, span] = values.real
+            transmittance[:, span] = values.imag
+
+
+def angle_to_sun(omega, sun) -> np.ndarray:
+    """gamma float32 (N,): the angle between camera rays (N, 3) and the direction towards the sun (3,)."""
+    cosine = np.asarray(omega, np.float64) @ np.asarray(sun, np.float64)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
+
+
+def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun, jitter=None):
+    """Descriptors of points for one sun, as the paper's networks read them.
+
+    Arguments as for `read_fields`. Returns features float32 (3, N, 192) in the order mu, S, P, and
+    gamma float32 (N,).
+    """
+    features = np.empty((3, len(positions), POINTS), np.float32)
+    read_fields(stencil, lattices, positions, omega, sun, features[0], features[1], jitter)
+    gamma = angle_to_sun(omega, sun)
     features[2] = phase(gamma)
     return features, gamma

@@ -79,7 +79,7 @@ class Grid:
         if may_be_outside:
             near, far = box_interval(index, direction[None], *self.box)
             meets = far > np.maximum(near, 0.0)
-            index = index + (np.maximum(near, 0.0) * meets)[:, None] * direction
+            index = index + np.where(meets, np.maximum(near, 0.0), 0.0)[:, None] * direction
             index = index.astype(np.float32)
         tau = np.zeros(len(index), np.float32)
         if self.local_steps:

@@ -11,6 +11,7 @@ from .multiple import POINTS_A_TASK, MultipleField
 from .network import load_network
 from .phase import henyey_greenstein
 from .plan import Plan, distinct_albedos, make_plan
+from .ray_light import RayLight
 from .rays import camera_rays
 from .report import Report, process_peak_memory
 from .scene import Camera, Settings
@@ -31,6 +32,9 @@ class Layer:
     depth: float32 (H, W) mean distance along the ray at which light scatters,
         world units; infinity where alpha is 0.
     single, multiple: float32 (H, W, 3); rgb is their sum.
+    uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths, as a mean
+        over the channels; the network's own error is not in it. With one depth sample nothing tells
+        it, and it is as large as `multiple`.
     report: what was planned, left out and measured.
     """
 
@@ -39,6 +43,7 @@ class Layer:
     depth: np.ndarray
     single: np.ndarray
     multiple: np.ndarray
+    uncertainty: np.ndarray
     report: Optional[Report] = None
 
 
@@ -48,7 +53,7 @@ class DepthSamples:
 
     origins, directions: float64 (P, 3), the rays of all pixels; offsets: (P,), of their strata;
     count: samples a ray. pixel: int32 (M,), ascending; distance, weight: (M,); fraction:
-    float32 (M, V), each volume's share of the extinction.
+    float32 (M, V), each volume's share of the extinction. light: for systems that need it, or None.
     """
 
     origins: np.ndarray
@@ -59,6 +64,7 @@ class DepthSamples:
     distance: np.ndarray
     weight: np.ndarray
     fraction: np.ndarray
+    light: Optional[RayLight] = None
 
     def positions(self, samples) -> np.ndarray:
         """World positions (N, 3) of some samples."""
@@ -119,6 +125,7 @@ def _render(volumes, suns, camera, settings, work, report):
     height, width = y1 - y0, x1 - x0
     single = np.zeros((height * width, 3))
     multiple = np.zeros((height * width, 3))
+    uncertainty = np.zeros(height * width)
     alpha = np.zeros(height * width)
     depth = np.zeros(height * width)
     report.count("pixels", height * width)
@@ -130,13 +137,13 @@ def _render(volumes, suns, camera, settings, work, report):
         share = 1.0 / len(plan.channels)
         start = number * share
         samples = _march_camera_rays(
-            plan, channels, grids, camera, settings, work, report, start, start + share * MARCH_SHARE,
-            single, alpha, depth,
+            plan, channels, grids, camera, settings, network is not None and network.needs_light, work, report,
+            start, start + share * MARCH_SHARE, single, alpha, depth,
         )
         if network is not None and samples is not None:
             _add_multiple(
                 plan, channels, network, fields, samples, work, report, start + share * MARCH_SHARE, start + share,
-                multiple,
+                multiple, uncertainty,
             )
 
     weight = np.maximum(alpha, 1e-30)
@@ -148,6 +155,7 @@ def _render(volumes, suns, camera, settings, work, report):
         depth=np.where(alpha > 0.0, depth / weight, np.inf).reshape(shape).astype(np.float32),
         single=single,
         multiple=multiple,
+        uncertainty=uncertainty.reshape(shape).astype(np.float32),
         report=report,
     )
 
@@ -178,7 +186,9 @@ def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
     return near, far
 
 
-def _march_camera_rays(plan, channels, grids, camera, settings, work, report, start, end, single, alpha, depth):
+def _march_camera_rays(
+    plan, channels, grids, camera, settings, with_light, work, report, start, end, single, alpha, depth
+):
     """Fill single, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
     offsets = stratum_offsets(camera, settings.seed)
@@ -200,13 +210,13 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            offsets[rays], settings.depth_samples,
+            offsets[rays], settings.depth_samples, with_light,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
         return rays, segment, segment.single * phase
 
-    parts = []
+    parts, light = [], []
     share = len(channels.indices) / 3.0
     with report.stage("march"):
         for rays, segment, lit in work.map(task, tasks, start, end, "single scattering"):
@@ -218,16 +228,22 @@ def _march_camera_rays(plan, channels, grids, camera, settings, work, report, st
             depth[rays] += segment.alpha * segment.depth * share
             pixel = rays[segment.sample_ray].astype(np.int32)
             parts.append((pixel, segment.sample_distance, segment.sample_weight, segment.sample_fraction))
+            light.append(segment.sample_light)
     columns = (np.concatenate(column) for column in zip(*parts))
     samples = DepthSamples(origins, directions, offsets, settings.depth_samples, *columns)
+    if with_light:
+        samples.light = RayLight(np.concatenate([part.values for part in light]))
     report.count("points", len(samples.pixel))
     return samples
 
 
-def _add_multiple(plan, channels, network, fields, samples, work, report, start, end, multiple):
-    """Add the predicted multiple scattering of every volume and sun to the image."""
-    jobs = [(v, sun) for v, needed in enumerate(plan.multiple) if needed for sun in plan.suns]
-    for number, (v, sun) in enumerate(jobs):
+def _add_multiple(plan, channels, network, fields, samples, work, report, start, end, multiple, uncertainty):
+    """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty."""
+    # What each sample adds to the mean of the three channels.
+    parts = np.zeros(len(samples.pixel), np.float32)
+    jobs = [(v, l) for v, needed in enumerate(plan.multiple) if needed for l in range(len(plan.suns))]
+    for number, (v, l) in enumerate(jobs):
+        sun = plan.suns[l]
         volume, medium = plan.volumes[v]
         sigma_t = float(channels.sigma_t[v])
         albedos = distinct_albedos(medium, channels.indices)
@@ -250,9 +266,10 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
             work.check()
         values = [value for value, _ in albedos]
 
-        def task(points, field=fields[v]):
+        def task(points, field=fields[v], v=v, l=l):
             directions = samples.directions[samples.pixel[points]]
-            return points, field.predict(samples.positions(points), directions, values, samples.jitter(points))
+            light = samples.light.of(points, v, l) if samples.light else None
+            return points, field.predict(samples.positions(points), directions, values, samples.jitter(points), light)
 
         with report.stage("network"):
             for points, radiance in work.map(task, tasks, first, last, message):
@@ -262,4 +279,19 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
                     added = np.bincount(pixel - pixel[0], weight * row * value)
                     for c in members:
                         multiple[pixel[0] : pixel[0] + len(added), c] += added * sun.irradiance[c]
+                    parts[points] += weight * row * value * sun.irradiance[members].sum() / 3.0
         report.count("network points", len(inside))
+    uncertainty[samples.pixel[:: samples.count]] += standard_error(parts.reshape(-1, samples.count))
+
+
+def standard_error(parts: np.ndarray) -> np.ndarray:
+    """(R,) standard error of the sums of stratified samples (R, N), from the steps between neighbouring strata.
+
+    A sample lies evenly distributed in its stratum, across which the function rises by about
+    x_(k+1) - x_k; a value even in such an interval has the variance of its square / 12. One sample
+    tells nothing: then the sum itself.
+    """
+    count = parts.shape[1]
+    if count == 1:
+        return np.abs(parts[:, 0])
+    return np.sqrt((np.diff(parts, axis=1) ** 2).sum(axis=1) * count / (12 * (count - 1)))

@@ -6,16 +6,17 @@ the integrals over a step are exact.
 """
 
 from dataclasses import dataclass
-from typing import List
+from typing import List, Optional
 
 import numpy as np
 
 from .grid import Grid
+from .ray_light import REACH, RayLight, ray_light
 
 # Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
 STEPS_A_VOXEL = (2, 8)
 STEPS_A_BLOCK = 32
-# Optical depth beyond which a ray is not followed: 1 part in 10^6 of it goes on.
+# Optical depth beyond which a ray is not followed for single scattering: 1 part in 10^6 of it goes on.
 BEHIND = 14.0
 # Optical depth that counts as no light at all.
 OPAQUE = np.float32(60.0)
@@ -31,7 +32,7 @@ class RaySegment:
     by volume and sun for albedo 1, irradiance 1 and phase function 1.
     sample_ray: int (M,) ray of each depth sample; sample_distance: (M,); sample_weight: (M,)
     sums to alpha over a ray's samples; sample_fraction: (M, V) share of each volume in
-    the extinction there.
+    the extinction there. sample_light: what networks that look along the ray need, or None.
     """
 
     alpha: np.ndarray
@@ -41,6 +42,7 @@ class RaySegment:
     sample_distance: np.ndarray
     sample_weight: np.ndarray
     sample_fraction: np.ndarray
+    sample_light: Optional[RayLight] = None
 
 
 def steps_a_voxel(grids: List[Grid], sigma_t) -> int:
@@ -77,17 +79,17 @@ class _Steps:
         return self.first[v][rays] + (steps * self.dt[rays, 0])[:, None] * self.slope[v][rays]
 
 
-def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int) -> RaySegment:
+def march(
+    grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int, with_light: bool = False
+) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
-    grids; offsets: (R,) in [0, 1), of each ray's strata.
+    grids; offsets: (R,) in [0, 1), of each ray's strata; with_light: whether to give `sample_light`.
     """
-    voxel = min(grid.voxel for grid in grids)
-    count = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
-    steps = _Steps(grids, origins, directions, near, far, count)
-    sigma = _extinction(grids, sigma_t, steps)
+    steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, REACH if with_light else BEHIND)
+    count = steps.count
     total = sigma.sum(axis=0)
     step_tau = total * steps.dt
     tau = np.cumsum(step_tau, axis=1, dtype=np.float64)
@@ -98,7 +100,8 @@ def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, d
     distance = near[:, None] + (np.arange(count) + 0.5) * steps.dt
     depth = (np.diff(opacity, axis=1) * distance).sum(axis=1) / np.maximum(alpha, 1e-30)
 
-    single = _single(grids, sigma, total, before, steps)
+    shadows = _shadows(grids, total > 0.0, steps)
+    single = _single(sigma, shadows, total, before, steps.dt)
     ray, step, inside = _sample_depths(opacity, total * steps.dt, offsets, depth_samples)
     fraction = sigma[:, ray, step] / np.maximum(total[ray, step], np.float32(1e-30))
     return RaySegment(
@@ -109,10 +112,28 @@ def march(grids: List[Grid], sigma_t, origins, directions, near, far, offsets, d
         sample_distance=near[ray] + (step + inside) * steps.dt[ray, 0],
         sample_weight=alpha[ray] / depth_samples,
         sample_fraction=fraction.T,
+        sample_light=ray_light(sigma, shadows, steps.dt, ray, step, inside) if with_light else None,
     )
 
 
-def _extinction(grids, sigma_t, steps: _Steps) -> np.ndarray:
+def light_at(grid: Grid, sigma_t: float, positions, directions) -> RayLight:
+    """What a network sees along rays that begin at world positions (N, 3), in one grid with its extinction set."""
+    _, far = grid.interval(positions, directions)
+    near, nothing = np.zeros(len(positions)), np.zeros(len(positions), int)
+    steps, sigma = _cut([grid], [sigma_t], positions, directions, near, np.maximum(far, 1e-6 * grid.voxel), REACH)
+    shadows = _shadows([grid], np.ones(sigma.shape[1:], bool), steps, may_be_outside=True)
+    return ray_light(sigma, shadows, steps.dt, np.arange(len(positions)), nothing, np.zeros(len(positions)))
+
+
+def _cut(grids, sigma_t, origins, directions, near, far, behind: float):
+    """Rays cut into steps, and the extinction (V, R, S) in them up to the optical depth `behind`."""
+    voxel = min(grid.voxel for grid in grids)
+    count = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
+    steps = _Steps(grids, origins, directions, near, far, count)
+    return steps, _extinction(grids, sigma_t, steps, behind)
+
+
+def _extinction(grids, sigma_t, steps: _Steps, behind: float) -> np.ndarray:
     """Extinction (V, R, S) at the middle of each step, 0 behind what is opaque.
 
     Goes front to back, a block of steps at a time, with the rays that still see through.
@@ -127,7 +148,7 @@ def _extinction(grids, sigma_t, steps: _Steps) -> np.ndarray:
             density = grid.sample_density(steps.block(v, seen, middles[span]).reshape(-1, 3))
             sigma[v, seen, span] = density.reshape(len(seen), -1) * np.float32(sigma_t[v])
         tau[seen] += sigma[:, seen, span].sum(axis=(0, 2)) * steps.dt[seen, 0]
-        seen = seen[tau[seen] < BEHIND]
+        seen = seen[tau[seen] < behind]
         if not len(seen):
             break
     return sigma
@@ -148,25 +169,30 @@ def _sample_depths(opacity, step_tau, offsets, depth_samples: int):
     return ray, step, np.minimum(into / np.maximum(step_tau[ray, step], 1e-30), 1.0)
 
 
-def _single(grids, sigma, total, before, steps: _Steps):
-    """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1."""
-    volumes, rays, count = sigma.shape
-    suns, dt = len(grids[0].sun_depths), steps.dt
-    single = np.zeros((rays, volumes, suns))
-    filled = total > 0.0
-    # Shadows are needed only at both ends of steps that hold density.
-    ends = np.zeros((rays, count + 1), bool)
+def _shadows(grids, filled, steps: _Steps, may_be_outside: bool = False) -> np.ndarray:
+    """(V, L, R, S + 1) optical depth through each volume towards each sun, at both ends of filled steps."""
+    volumes, suns = len(grids), len(grids[0].sun_depths)
+    ends = np.zeros((len(filled), steps.count + 1), bool)
     ends[:, :-1] |= filled
     ends[:, 1:] |= filled
     ray, edge = np.nonzero(ends)
-    position = [steps.points(v, ray, edge.astype(np.float32)) for v in range(volumes)]
+    shadows = np.full((volumes, suns, *ends.shape), OPAQUE, np.float32)
+    for v, grid in enumerate(grids):
+        position = steps.points(v, ray, edge.astype(np.float32))
+        for l in range(suns):
+            tr = grid.sample_sun_tr(position, l, may_be_outside=may_be_outside or volumes > 1)
+            shadows[v, l, ray, edge] = -np.log(np.maximum(tr, np.exp(-OPAQUE)))
+    return shadows
+
+
+def _single(sigma, shadows, total, before, dt):
+    """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1."""
+    volumes, suns, rays = shadows.shape[:3]
+    single = np.zeros((rays, volumes, suns))
+    filled = total > 0.0
+    # Integral over a step of exp(-tau to the camera - tau to the sun).
     for l in range(suns):
-        tr = np.ones(len(ray), np.float32)
-        for v, grid in enumerate(grids):
-            tr *= grid.sample_sun_tr(position[v], l, may_be_outside=volumes > 1)
-        shadow = np.full(ends.shape, OPAQUE, np.float32)
-        shadow[ray, edge] = -np.log(np.maximum(tr, np.exp(-OPAQUE)))
-        # Integral over a step of exp(-tau to the camera - tau to the sun).
+        shadow = np.minimum(shadows[:, l].sum(axis=0), OPAQUE) if volumes > 1 else shadows[0, l]
         light = before * filled * mean_transmittance(shadow[:, :-1], shadow[:, 1:] + total * dt) * dt
         for v in range(volumes):
             single[:, v, l] = (sigma[v] * light).sum(axis=1)

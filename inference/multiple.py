@@ -1,34 +1,39 @@
-"""Predicted multiple scattering: one volume's fields, descriptors and network together."""
+"""Predicted multiple scattering: one volume and the system that predicts in it."""
 
 import numpy as np
 
-from .cube import fit_cube, level0_density
-from .descriptors import describe
-from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
-from .network import Network, load_network
-from .phase import PhaseFeatures
+from .cube import fit_cube
+from .grid import Grid
+from .march import light_at
+from .network import load_network
+from .phase import henyey_greenstein
 from .plan import distinct_albedos
 from .scene import Medium, Volume
 
 # Points a network call.
 POINTS_A_TASK = 2048
+# Deep in a conservative half-space, a beam of irradiance 1 that meets it head-on makes this fluence:
+# sqrt(3) H(1), with Chandrasekhar's H-function. No cloud holds more of one sun's light.
+FLUENCE_MOST = 5.04
 
 
 class MultipleField:
     """Everything that predicts multiple scattering in one volume, for one extinction and sun.
 
-    Outside the range of optical density that the network was trained on, the prediction is that at the
-    range's end: scaled down in proportion below it, where multiple scattering is
-    linear in density, and held above it.
+    system: what `load_network` gives. Outside the range of optical density that it was made for, the
+    prediction is that at the range's end: scaled down in proportion below it, where multiple scattering is
+    linear in density, and held above it. Outside the ranges of anisotropy and albedo the nearest value is used.
+    No prediction exceeds what the largest fluence that one sun can make, all of it arriving where the
+    phase function is largest, would give.
     """
 
-    def __init__(self, network: Network, volume: Volume, medium: Medium):
-        self.network, self.volume, self.medium = network, volume, medium
+    def __init__(self, system, volume: Volume, medium: Medium):
+        self.system, self.volume, self.medium = system, volume, medium
         self.cube = fit_cube(volume)
-        self.padded = padded_levels(density_pyramid(level0_density(volume, self.cube)), network.stencil)
-        low, high = network.anisotropy_range
-        self.anisotropy = float(np.clip(medium.anisotropy, low, high))
-        self.phase = PhaseFeatures(network.stencil, self.anisotropy)
+        self.anisotropy = float(np.clip(medium.anisotropy, *system.anisotropy_range))
+        self.field = system.field(volume, self.cube, self.anisotropy)
+        peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
+        self.most = np.float32(FLUENCE_MOST * peak)
 
     def warnings(self, sigma_t: float):
         found = []
@@ -37,11 +42,18 @@ class MultipleField:
                 f"{self.volume.name}: anisotropy {self.medium.anisotropy:g} is outside the network's range; "
                 f"multiple scattering uses {self.anisotropy:g}"
             )
+        for albedo, _ in distinct_albedos(self.medium, [0, 1, 2]):
+            used = float(np.clip(albedo, *self.system.albedo_range))
+            if used != albedo:
+                found.append(
+                    f"{self.volume.name}: albedo {albedo:g} is outside the network's range; "
+                    f"multiple scattering uses {used:g}"
+                )
         peak = self.peak_sigma_hat(sigma_t)
-        if peak > self.network.sigma_hat_range[1]:
+        if peak > self.system.sigma_hat_range[1]:
             found.append(
                 f"{self.volume.name}: optical density {peak:.3g} is beyond the network's range of "
-                f"{self.network.sigma_hat_range[1]:g}; multiple scattering is less accurate"
+                f"{self.system.sigma_hat_range[1]:g}; multiple scattering is less accurate"
             )
         return found
 
@@ -54,34 +66,30 @@ class MultipleField:
         return points.min(axis=0), points.max(axis=0)
 
     def light(self, sigma_t: float, direction: np.ndarray, low, high, mapper=map):
-        """Prepare the lattices for one sun and the points between `low` and `high`, from `bounds`.
+        """Prepare for one sun and the points between `low` and `high`, from `bounds`.
 
-        direction: (3,) in the world; mapper: as in `build_lattices`.
+        direction: (3,) in the world; mapper: `map`, or an executor's.
         """
-        self.sun = self.cube.directions(direction)
         peak = self.peak_sigma_hat(sigma_t)
-        smallest, largest = self.network.sigma_hat_range
-        used = min(max(peak, smallest), largest)
-        self.scale = np.float32(min(peak / smallest, 1.0))
+        used = float(np.clip(peak, *self.system.sigma_hat_range))
+        self.used = used / peak
+        self.scale = np.float32(min(peak / used, 1.0))
         sigma_hat = sigma_t * self.cube.edge * used / peak
-        depths = unit_optical_depths(self.padded, self.sun)
-        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.stencil, low, high, mapper)
+        self.field.light(sigma_hat, self.cube.directions(direction), low, high, mapper)
 
-    def predict(self, positions, directions, albedos, jitter=None) -> np.ndarray:
+    def predict(self, positions, directions, albedos, jitter=None, light=None) -> np.ndarray:
         """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
 
-        jitter: as in `describe`.
+        jitter: (N, 3) in [-1/2, 1/2), by which the points' lookups are moved, in cells. light: float32 (N, 5)
+        as RayLight gives it, for systems that need it.
         """
-        features, gamma = describe(
-            self.network.stencil,
-            self.lattices,
-            self.phase,
-            self.cube.positions(positions),
-            self.cube.directions(directions),
-            self.sun,
-            jitter,
-        )
-        return self.network.multiple(features, self.anisotropy, gamma, albedos) * self.scale
+        x, omega = self.cube.positions(positions), self.cube.directions(directions)
+        albedos = np.clip(albedos, *self.system.albedo_range)
+        if light is not None and self.used != 1.0:
+            # Where the optical density is outside the system's range, the light is that of the density used: depths
+            # are in proportion to it, and so is what little a thin medium scatters.
+            light = np.concatenate([light[:, :2] * self.used, light[:, 2:] * max(self.used, 1.0)], axis=1)
+        return np.minimum(self.field.predict(x, omega, albedos, jitter, light), self.most) * self.scale
 
 
 def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") -> np.ndarray:
@@ -96,16 +104,24 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
     result = np.zeros((len(positions), 3), np.float32)
     if not len(positions):
         return result
-    field = MultipleField(load_network(model), volume, medium)
+    system = load_network(model)
+    field = MultipleField(system, volume, medium)
+    grid = Grid(volume)
+    grid.add_sun(sun.direction)
     for sigma_t in np.unique(medium.sigma_t[medium.sigma_t > 0.0]):
         members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
         albedos = distinct_albedos(medium, members)
         if not albedos:
             continue
         field.light(float(sigma_t), sun.direction, *field.bounds(positions))
+        grid.set_extinction(float(sigma_t))
         for i in range(0, len(positions), POINTS_A_TASK):
             span = slice(i, i + POINTS_A_TASK)
-            radiance = field.predict(positions[span], directions[span], [value for value, _ in albedos])
+            light = None
+            if system.needs_light:
+                seen = light_at(grid, float(sigma_t), positions[span], directions[span])
+                light = seen.of(slice(None), 0, 0)
+            radiance = field.predict(positions[span], directions[span], [a for a, _ in albedos], light=light)
             for (_, channels), row in zip(albedos, radiance):
                 for c in channels:
                     result[span, c] = row * sun.irradiance[c]

@@ -1,4 +1,9 @@
-"""One network on onnxruntime: file, checksum, provider and threads in one place."""
+"""The systems that predict multiple scattering, by name.
+
+A system has a name, a checksum, the ranges that it was made for, and `field(volume, cube, anisotropy)`,
+which gives what MultipleField asks: `light` and `predict`, as in StencilField. Nearly all are
+networks on onnxruntime: file, checksum, provider and threads are in this one place.
+"""
 
 import base64
 import hashlib
@@ -8,30 +13,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .lattice_field import LatticeField
 from .scene import SceneError
-from .stencil import LOW_POINTS, POINTS, Stencil
+from .stencil_field import RayField, StencilField
 
 WEIGHTS = pathlib.Path(__file__).parent / "weights"
+# What reads a volume for a network, by the kind that its weights file states.
+FIELDS = {"stencil": StencilField, "ray": RayField, "lattice": LatticeField}
+
+_systems = {}
+
+
+def register_system(name: str, factory):
+    """Let Settings.model name a system that has no weights file; factory() makes it."""
+    _systems[name] = factory
 
 
 def available_models():
     """Names that Settings.model accepts."""
-    return sorted(path.stem for path in WEIGHTS.glob("*.onnx"))
+    return sorted({path.stem for path in WEIGHTS.glob("*.onnx")} | set(_systems))
 
 
 @dataclass
 class Network:
-    """A loaded network with the stencil that it was trained with.
+    """A loaded network with the points around x that it was trained with.
 
-    stencil: the points inside the weights file. configuration: how it was trained.
-    checksum: sha256 of the file.
+    field_type: of FIELDS. points: its stencil or lattice, from the weights file. configuration: how it was
+    trained. checksum: sha256 of the file.
     """
 
     session: object
-    stencil: Stencil
+    field_type: type
+    points: object
     configuration: dict
     checksum: str
     name: str
+
+    @property
+    def needs_light(self) -> bool:
+        """Whether `predict` needs the light along camera rays."""
+        return self.field_type.needs_light
 
     @property
     def anisotropy_range(self):
@@ -43,30 +64,41 @@ class Network:
         """(lowest, highest) optical density of the cube seen in training."""
         return tuple(self.configuration["sigma_hat_range"])
 
-    def multiple(self, features, anisotropy: float, gamma, albedos):
-        """Multiple-scattered radiance for a sun of irradiance 1.
+    @property
+    def albedo_range(self):
+        """(lowest, highest) albedo seen in training."""
+        return tuple(self.configuration.get("albedo_range", (0.0, 1.0)))
 
-        features: float32 (3, N, 192); gamma: float32 (N,); albedos: (A,).
-        Returns float32 (A, N), >= 0. Runs on the calling thread alone, so
-        results do not depend on how many threads call.
+    def field(self, volume, cube, anisotropy: float):
+        """What predicts multiple scattering in one volume."""
+        return self.field_type(self, volume, cube, anisotropy)
+
+    def run(self, **inputs) -> np.ndarray:
+        """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
+
+        inputs: arrays by name, converted to float32; albedo (A,) among them. Runs on the calling thread
+        alone, so results do not depend on how many threads call.
         """
-        inputs = {
-            "features": features,
-            "anisotropy": np.full(gamma.shape, anisotropy, np.float32),
-            "gamma": gamma,
-            "albedo": np.asarray(albedos, np.float32),
-        }
+        inputs = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
         return self.session.run(["radiance"], inputs)[0]
 
 
-def load_network(name: str) -> Network:
-    """Load inference/weights/NAME.onnx.
+def load_network(name: str):
+    """A registered system, or the network in inference/weights/NAME.onnx.
 
     Raises SceneError where the name is unknown, the file is damaged, its
-    stencil does not belong to it, or onnxruntime is missing.
+    points do not belong to it, or onnxruntime is missing.
     """
+    if name in _systems:
+        return _systems[name]()
+    available = ", ".join(available_models()) or "none"
+    if name == "reference":
+        raise SceneError(
+            "the path-traced reference is no part of the extension: in the project's repository import "
+            f"training.reference first; available here: {available}"
+        )
     if name not in available_models():
-        raise SceneError(f"there is no network called {name!r}; available: {', '.join(available_models()) or 'none'}")
+        raise SceneError(f"there is no network called {name!r}; available: {available}")
     content = (WEIGHTS / f"{name}.onnx").read_bytes()
     try:
         import onnxruntime
@@ -79,13 +111,12 @@ def load_network(name: str) -> Network:
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         metadata = session.get_modelmeta().custom_metadata_map
-        points = np.frombuffer(base64.b64decode(metadata["stencil"]), "<f4")
-        low = points[: 3 * LOW_POINTS].reshape(LOW_POINTS, 3)
-        stencil = Stencil(low, points[3 * LOW_POINTS :].reshape(POINTS - LOW_POINTS))
+        kind = metadata["kind"]
+        points = FIELDS[kind].read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
         configuration = json.loads(metadata["configuration"])
-        promised = metadata["stencil_sha256"]
+        promised = metadata["points_sha256"]
     except Exception as error:  # onnxruntime raises types of its own, all meaning an unusable file
         raise SceneError(f"the weights of {name!r} cannot be read ({error}); reinstall the extension") from error
-    if stencil.digest != promised:
-        raise SceneError(f"the weights of {name!r} and their stencil do not belong together; reinstall the extension")
-    return Network(session, stencil, configuration, hashlib.sha256(content).hexdigest(), name)
+    if points.digest != promised:
+        raise SceneError(f"the weights of {name!r} and their {kind} do not belong together; reinstall the extension")
+    return Network(session, FIELDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name)

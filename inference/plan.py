@@ -5,6 +5,7 @@ from typing import List, Tuple
 
 import numpy as np
 
+from .ray_light import SCALES
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
 from .stencil import LEVEL0_CELLS
 
@@ -16,6 +17,8 @@ FIELD_BYTES = 56 * LEVEL0_CELLS**3
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 8
 # Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
 PIXEL_BYTES, SAMPLE_BYTES = 200, 50
+# Bytes of a depth sample on top, for each volume and sun: the light along the ray.
+LIGHT_BYTES = 2 * 4 * (2 + len(SCALES))
 
 
 @dataclass
@@ -110,7 +113,8 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     voxels = sum(volume.density.size for volume, _ in kept)
     memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
     x0, y0, x1, y1 = camera.window
-    memory += (x1 - x0) * (y1 - y0) * (PIXEL_BYTES + SAMPLE_BYTES * settings.depth_samples)
+    sample = SAMPLE_BYTES + LIGHT_BYTES * len(kept) * len(merged)
+    memory += (x1 - x0) * (y1 - y0) * (PIXEL_BYTES + sample * settings.depth_samples)
     if memory > settings.memory_limit:
         raise SceneError(
             f"the render needs about {memory / 2**30:.1f} GiB and the limit is "

@@ -25,6 +25,14 @@ def camera_rays(camera: Camera):
         origins = eye + local @ rotation.T
         directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
         cosine = np.ones_like(u)
+    elif camera.projection == "equirectangular":
+        longitude = _between(camera.longitude, (columns.ravel() + 0.5) / width)
+        latitude = _between(camera.latitude, 1.0 - (rows.ravel() + 0.5) / height)
+        local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
+                          -np.cos(latitude) * np.cos(longitude)], axis=1)
+        directions = local @ rotation.T
+        origins = np.broadcast_to(eye, directions.shape).copy()
+        cosine = np.ones_like(u)
     else:
         extent = 2.0 * np.tan(0.5 * camera.fov)
         local = np.stack([u * extent, v * extent, forward], axis=1)
@@ -32,8 +40,12 @@ def camera_rays(camera: Camera):
         directions = (local / length[:, None]) @ rotation.T
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = 1.0 / length
-    # Clipping planes are perpendicular to the viewing axis.
+    # Clipping planes are perpendicular to the viewing axis, around a panorama they are spheres.
     return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
+
+
+def _between(ends, share):
+    return ends[0] + (ends[1] - ends[0]) * share
 
 
 def box_interval(origins, directions, low, high):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..inference.scene import Camera, SceneError
 
-PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic"}
+PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
 
 
 def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
@@ -16,15 +16,18 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     The window comes from Blender's own projection matrix, which holds lens, sensor fit, shift and
     resolution by Blender's rules.
 
-    Raises SceneError without a camera, for a panoramic one, and for pixels that are not square.
+    Raises SceneError without a camera, for a panoramic one that is not equirectangular, and for pixels that
+    are not square.
     """
     scene = depsgraph.scene
     if scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
     camera = scene.camera.evaluated_get(depsgraph)
     where, lens = f"camera \"{camera.name}\"", camera.data
-    if lens.type not in PROJECTIONS:
-        raise SceneError(f"{where} is of type {lens.type}; only perspective and orthographic are supported")
+    panorama = _panorama(lens) if lens.type == 'PANO' else None
+    if lens.type not in PROJECTIONS or panorama not in (None, 'EQUIRECTANGULAR'):
+        raise SceneError(f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
+                         "equirectangular are supported")
     render = scene.render
     if render.pixel_aspect_x != render.pixel_aspect_y:
         raise SceneError(f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
@@ -33,6 +36,12 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     if width < 1 or height < 1:
         raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
 
+    if panorama:
+        return Camera(
+            _orthonormal(np.array(camera.matrix_world)), projection="equirectangular", resolution=(width, height),
+            longitude=_ends(lens, "longitude"), latitude=_ends(lens, "latitude"),
+            clip=(lens.clip_start, lens.clip_end), region=_region(render, width, height),
+        ), _warnings(where, lens, render)
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
     perspective = lens.type == 'PERSP'
     # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
@@ -48,6 +57,17 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
     ), _warnings(where, lens, render)
+
+
+def _panorama(lens) -> str:
+    # Before 4.5 panoramas are Cycles' own property.
+    settings = lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
+    return getattr(settings, 'panorama_type', lens.type)
+
+
+def _ends(lens, name: str) -> Tuple[float, float]:
+    settings = lens if hasattr(lens, 'panorama_type') else lens.cycles
+    return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
 
 
 def _orthonormal(matrix: np.ndarray) -> np.ndarray:

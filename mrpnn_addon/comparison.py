@@ -1,9 +1,6 @@
 """What a layer and a Cycles reference of the same view have to say about each other."""
 
-import json
-import os
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import List, Tuple
 
 import numpy as np
@@ -12,6 +9,7 @@ from ..inference.error import Estimate, paper_metric, relative_bias, relative_rm
 from ..inference.layer import Layer
 from ..inference.scene import SceneError
 from .cycles_reference import Reference
+from .json_file import write_json
 
 # Below this alpha a pixel holds so little of the volume that ratios are noise.
 MASK_ALPHA = 0.02
@@ -59,15 +57,7 @@ class Comparison:
 
     def write_json(self, path: str) -> None:
         """All figures to `path`, which is replaced in one step."""
-        target = Path(path)
-        partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
-            partial.write_text(json.dumps(asdict(self), indent=1) + "\n")
-            os.replace(partial, target)
-        except OSError as error:
-            if partial.exists():
-                partial.unlink()
-            raise SceneError(f"cannot write {path}: {error.strerror}") from None
+        write_json(path, asdict(self))
 
 
 def compare(layer: Layer, layer_seconds: float, reference: Reference, warnings=()) -> Comparison:

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ..inference.scene import SceneError
+from .material import SURFACES, shows_volume
 from .openvdb_module import load_openvdb
 from .visibility import shown_objects
 
@@ -65,14 +66,17 @@ class Reference:
     version: str
 
 
-def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None) -> Reference:
-    """Path trace `objects` (volumes and suns) from the scene's camera, on a black World.
+def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None, world=None,
+                     step_rate=1.0) -> Reference:
+    """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
     scene: gives frame, camera, resolution, render region and thread count; stays as it is.
     objects: the objects to show, whatever else the scene holds.
     samples: samples a pixel in each of the two halves.
     bounces: most scattering events along a path, at most 1024.
     progress: called with (fraction done, text) before each render; what it raises ends the work.
+    world: whose light to render, where the layer holds it.
+    step_rate: of Cycles' ray marching; below 1 for textures inside meshes, which it steps through coarsely.
 
     Raises SceneError where the scene has no camera, Cycles is disabled or fails, or Cycles
     does not render a homogeneous box correctly here.
@@ -86,6 +90,9 @@ def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=
     halves = []
     with _reference_scene(samples, bounces) as (reference, keep):
         _copy_view(scene, reference, keep)
+        if world is not None:
+            reference.world = world
+        reference.cycles.volume_step_rate = step_rate
         for shown in objects:
             reference.collection.objects.link(shown)
         for half in range(2):
@@ -103,9 +110,12 @@ def volumes_and_suns(depsgraph) -> list:
     """
     sources, others = {}, {}
     for shown in shown_objects(depsgraph):
-        volume = shown.object.type == 'VOLUME' and shown.object.visible_camera
+        volume = shows_volume(shown.object) and shown.object.visible_camera
         sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
-        (sources if volume or sun else others)[shown.source.name] = shown.source
+        if volume or sun:
+            sources[shown.source.name] = shown.source
+        elif shown.object.type in SURFACES or shown.object.type == 'LIGHT':
+            others[shown.source.name] = shown.source
     for name in sources.keys() & others.keys():
         raise SceneError(f"object \"{name}\" instances a volume or sun together with something that is not "
                          "rendered; Cycles' image would show both, so they cannot be compared")

@@ -1,12 +1,22 @@
 """MRPNN as a render engine: F12 puts the layer into the render result."""
 
+import time
+import traceback
+
 import bpy
+import gpu
 import numpy as np
 
 from ..inference.scene import Cancelled, SceneError
-from .layer_frame import finite_depth, rgba
-from .render_job import render_scene
+from .film import background, on_background
+from .last_render import remember_finished
+from .layer_frame import rgba
+from .material import shows_volume
+from .passes import extra_passes
+from .render_job import render_scene, stamp
 from .scene import read_scene
+from .viewport import Viewport, viewport_camera
+from .visibility import shown_objects
 
 
 class MRPNNRenderEngine(bpy.types.RenderEngine):
@@ -14,49 +24,133 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_label = "MRPNN Volumes"
     bl_use_preview = False
     bl_use_postprocess = True
+    # Material Preview is EEVEE's.
+    bl_use_eevee_viewport = True
+
+    # Set where Blender draws a viewport with this engine.
+    _viewport = None
 
     def update_render_passes(self, scene, renderlayer):
         """Tell the compositor which passes there will be."""
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", 'COLOR')
-        if renderlayer.use_pass_z:
-            self.register_pass(scene, renderlayer, "Depth", 1, "Z", 'VALUE')
+        for extra in extra_passes(renderlayer):
+            self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
     def render(self, depsgraph):
-        """Blender calls this on its render thread, or in background on the main one."""
+        """Blender calls this for each view layer, on its render thread, or in background on the main one."""
+        # A report of ERROR ends the render and keeps Blender from writing a file. After error_set, or
+        # an exception, it would go on, and write an empty image.
         try:
-            scene = read_scene(depsgraph)
-            # With a render region, Blender hands out a result of the region's size.
-            scene.crop = True
-            settings = depsgraph.scene.mrpnn.settings()
-            finished = render_scene(scene, settings, progress=self._progress, cancelled=self.test_break)
+            self._render(depsgraph)
         except Cancelled:
+            pass
+        except (SceneError, OSError) as error:
+            self.report({'ERROR'}, str(error))
+        except Exception as error:
+            traceback.print_exc()
+            self.report({'ERROR'}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
+
+    def view_update(self, context, depsgraph):
+        """Blender calls this when something in the viewport's scene has changed."""
+        if self._viewport is None:
+            self._viewport = Viewport()
+        elif self._viewport.description is not None and all(
+                isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
+            # Selecting, and settings, which view_draw compares: the volumes are as they were.
             return
+        try:
+            self._viewport.describe(read_scene(depsgraph))
         except SceneError as error:
-            self.error_set(str(error))
+            self._viewport.describe(None, str(error))
+
+    def view_draw(self, context, depsgraph):
+        """Blender calls this for each redraw of the viewport, also when only the view has changed."""
+        view, size = context.region_data, (context.region.width, context.region.height)
+        if self._viewport is None:
             return
-        for warning in finished.warnings:
+        camera = viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
+                                 context.space_data.clip_end)
+        self._viewport.look(camera, depsgraph.scene.mrpnn.settings())
+        gpu.state.blend_set('ALPHA_PREMULT')
+        self.bind_display_space_shader(depsgraph.scene)
+        self._viewport.draw(size)
+        self.unbind_display_space_shader()
+        gpu.state.blend_set('NONE')
+        self.update_stats("", self._viewport.status)
+
+    def __del__(self):
+        if self._viewport is not None:
+            self._viewport.close()
+
+    def _render(self, depsgraph):
+        view_layer = depsgraph.view_layer
+        if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
+            self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
+            return self._write_empty(depsgraph)
+        self.update_stats("", "Reading volumes")
+        scene = read_scene(depsgraph)
+        # With a render region, Blender hands out a result of the region's size.
+        scene.crop = True
+        settings = depsgraph.scene.mrpnn.settings()
+        finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break)
+        remember_finished(finished)
+        warnings = finished.warnings
+        image = rgba(finished.layer)
+        if not depsgraph.scene.render.film_transparent:
+            behind, more = background(depsgraph.scene)
+            warnings = [*warnings, *more]
+            image = on_background(finished.layer, behind)
+        for warning in warnings:
             self.report({'WARNING'}, warning)
-        self._write(finished.layer, depsgraph.view_layer)
+        extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]
+        self._write(view_layer, image, extras, stamp(settings, finished.layer.report))
 
-    def _progress(self, fraction, message):
-        self.update_progress(fraction)
-        self.update_stats("", message)
+    def _write_empty(self, depsgraph):
+        x, y = self.resolution_x, self.resolution_y
+        image = np.zeros((y, x, 4), np.float32)
+        if not depsgraph.scene.render.film_transparent:
+            image[...] = (*background(depsgraph.scene)[0], 1.0)
+        self._write(depsgraph.view_layer, image, [], {})
 
-    def _write(self, layer, view_layer):
-        height, width = layer.alpha.shape
-        if view_layer.use_pass_z:
-            self.add_pass("Depth", 1, "Z", layer=view_layer.name)
+    def _write(self, view_layer, image, extras, stamped):
+        """Hand over Combined (H, W, 4) and further passes, pairs of RenderPass and pixels."""
+        height, width = image.shape[:2]
+        for extra, _ in extras:
+            self.add_pass(extra.name, len(extra.channels), extra.channels, layer=view_layer.name)
         result = self.begin_result(0, 0, width, height, layer=view_layer.name)
         passes = result.layers[0].passes
         # Blender's rows start at the bottom.
-        passes["Combined"].rect.foreach_set(np.ascontiguousarray(rgba(layer)[::-1]).ravel())
-        if view_layer.use_pass_z:
-            passes["Depth"].rect.foreach_set(np.ascontiguousarray(finite_depth(layer)[::-1]).ravel())
+        passes["Combined"].rect.foreach_set(np.ascontiguousarray(image[::-1]).ravel())
+        for extra, pixels in extras:
+            passes[extra.name].rect.foreach_set(np.ascontiguousarray(pixels[::-1]).ravel())
         self.end_result(result)
+        # What is stamped on the part that was handed over gets lost; the whole keeps it.
+        whole = self.get_result()
+        for name, value in stamped.items():
+            whole.stamp_data_add_field(f"mrpnn.{view_layer.name}.{name}", value)
+
+
+class _Progress:
+    """Shows how far a render is in Blender's progress bar and statistics line."""
+
+    def __init__(self, engine):
+        self.engine, self.start = engine, time.monotonic()
+
+    def __call__(self, fraction, message):
+        self.engine.update_progress(fraction)
+        seconds = time.monotonic() - self.start
+        # The first seconds say little about the rest.
+        left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
+        self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
+
+
+def _shows_volumes(depsgraph) -> bool:
+    return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
 
 
 # Built-in panels for every engine carry BLENDER_RENDER; these hold material, sun and world besides.
-MORE_PANELS = ('EEVEE_MATERIAL_PT_context_material', 'EEVEE_MATERIAL_PT_volume', 'DATA_PT_EEVEE_light')
+MORE_PANELS = ('EEVEE_MATERIAL_PT_context_material', 'EEVEE_MATERIAL_PT_volume', 'DATA_PT_EEVEE_light',
+               'VIEWLAYER_PT_layer_passes')
 # Post-effects on surfaces, which this engine does not render.
 FOREIGN_PANELS = ('VIEWLAYER_PT_filter', 'RENDER_PT_freestyle')
 

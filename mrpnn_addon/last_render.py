@@ -6,11 +6,15 @@ from typing import List
 
 @dataclass
 class LastRender:
-    """seconds of the last render, its warnings; message instead of seconds where it failed."""
+    """seconds of the last render, its warnings; error instead where it failed.
+    points: that the network predicted, in network_seconds.
+    """
 
     seconds: float = 0.0
     warnings: List[str] = field(default_factory=list)
     error: str = ""
+    points: int = 0
+    network_seconds: float = 0.0
 
 
 _last = None
@@ -20,6 +24,13 @@ def remember(last: LastRender) -> None:
     """Keep it until the next render or the end of the session."""
     global _last
     _last = last
+
+
+def remember_finished(finished) -> None:
+    """Keep what a `render_job.Finished` tells."""
+    report = finished.layer.report
+    remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
+                        network_seconds=report.seconds.get("network", 0.0)))
 
 
 def last_render():

@@ -8,14 +8,15 @@ from .layer_frame import finite_depth
 
 
 def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Union[str, int, float]]) -> None:
-    """Write Combined, Alpha, Depth, Single and Multiple as layers of one file.
+    """Write Combined, Alpha, Depth, Single, Multiple and Uncertainty as layers of one file.
 
     Channels carry Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each as
     an output of an Image node. Colours are scene-linear and premultiplied.
 
     Raises OSError where the file cannot be written; then there is none.
     """
-    channels = {"Combined.A": layer.alpha, "Alpha.A": layer.alpha, "Depth.Z": finite_depth(layer)}
+    channels = {"Combined.A": layer.alpha, "Alpha.A": layer.alpha, "Depth.Z": finite_depth(layer),
+                "Uncertainty.X": layer.uncertainty}
     for name, colour in (("Combined", layer.rgb), ("Single", layer.single), ("Multiple", layer.multiple)):
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]

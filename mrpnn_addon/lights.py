@@ -1,25 +1,26 @@
-"""Sun lamps as `Sun`; what else lights the scene, as warnings."""
+"""Sun lamps as `Sun`; a soft sun as several."""
 
 import math
 from typing import List, Tuple
 
-import bpy
 import numpy as np
 
 from ..inference.scene import SceneError, Sun
-from .sockets import Unsupported, active_output, constant, linked_node
+from .node_values import constant
+from .sockets import Unsupported, active_output, linked_node
 from .visibility import Shown
 
-# The sun's own disc spans about half a degree.
-PARALLEL_ANGLE = math.radians(1.0)
+# Angles up to which a sun is one direction, a ring of four, or seven; beyond, nineteen. The real
+# sun's disc spans about half a degree.
+ONE, FOUR, SEVEN = (math.radians(degrees) for degrees in (2.0, 12.0, 40.0))
 
 
-def read_sun(shown: Shown) -> Tuple[Sun, List[str]]:
-    """A visible sun lamp and warnings.
+def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
+    """The parallel lights that stand for a visible sun lamp, and warnings.
 
     The sun shines along the object's -Z, so the direction towards it is +Z. Its irradiance is
     strength x colour in W/m^2, times 2^exposure, the colour of its temperature and its nodes where
-    this version of Blender has them.
+    this version of Blender has them. A sun of some angle is shared among directions in its disc.
 
     Raises SceneError for light nodes that cannot be evaluated.
     """
@@ -33,13 +34,47 @@ def read_sun(shown: Shown) -> Tuple[Sun, List[str]]:
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
     irradiance *= _node_factor(lamp, shown.name)
 
-    warnings = []
-    if lamp.angle > PARALLEL_ANGLE:
-        warnings.append(
-            f"sun \"{shown.name}\" has an angle of {math.degrees(lamp.angle):.1f} degrees; "
-            "its light is rendered as parallel, with sharp shadows"
-        )
-    return Sun(shown.matrix[:3, 2], irradiance, name=f"sun \"{shown.name}\""), warnings
+    name = f"sun \"{shown.name}\""
+    suns = [Sun(direction, share * irradiance, name=name)
+            for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)]
+    return suns, _warnings(shown, name)
+
+
+def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, float]]:
+    """Directions (3,) within a disc of `angle` across around the frame's z axis, and their shares of its light.
+
+    One, four or seven directions, which integrate polynomials up to degree 1, 3 and 5 over a disc
+    (Stroud 1971, S2), or nineteen of equal area.
+    """
+    if angle <= ONE:
+        return [(frame[:, 2], 1.0)]
+    if angle <= FOUR:
+        rings = [(math.sqrt(1.0 / 2.0), 4, 1.0)]
+    elif angle <= SEVEN:
+        rings = [(0.0, 1, 1.0 / 4.0), (math.sqrt(2.0 / 3.0), 6, 3.0 / 4.0)]
+    else:
+        rings = [(0.0, 1, 1.0 / 19.0), (0.47, 6, 6.0 / 19.0), (0.8253, 12, 12.0 / 19.0)]
+    # Cycles' disc lies flat: its light is even in the tangent of the angle off the axis, and no sun
+    # is wider than half the sky.
+    widest = math.tan(min(angle / 2.0, math.radians(89.0)))
+    axes = frame / np.linalg.norm(frame, axis=0)
+    found = []
+    for radius, count, share in rings:
+        for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
+            off = radius * widest * np.array([math.cos(turn), math.sin(turn)])
+            found.append((axes @ np.array([*off, 1.0]), share / count))
+    return found
+
+
+def _warnings(shown: Shown, name: str) -> List[str]:
+    lamp, linking, warnings = shown.object.data, shown.object.light_linking, []
+    if linking.receiver_collection is not None or linking.blocker_collection is not None:
+        warnings.append(f"{name} is linked to some objects only; it is rendered as lighting all volumes")
+    # Cycles' own property, gone while Cycles is disabled.
+    settings = getattr(lamp, 'cycles', None)
+    if not getattr(settings, 'cast_shadow', lamp.use_shadow):
+        warnings.append(f"{name} casts no shadow; it is rendered with shadows")
+    return warnings
 
 
 def _node_factor(lamp, name: str) -> np.ndarray:
@@ -53,31 +88,6 @@ def _node_factor(lamp, name: str) -> np.ndarray:
             return np.zeros(3)
         if node.bl_idname != 'ShaderNodeEmission':
             raise Unsupported(f"node \"{node.name}\" is not supported; use one Emission node")
-        return constant(node.inputs['Strength'], node) * np.array(constant(node.inputs['Color'], node)[:3])
+        return constant(node.inputs['Strength']) * constant(node.inputs['Color'])
     except Unsupported as problem:
         raise SceneError(f"sun \"{name}\": {problem}") from None
-
-
-def world_warnings(world) -> List[str]:
-    """Says so where the World gives light or fog, which is not rendered."""
-    if world is None or _is_black(world):
-        return []
-    return [f"World \"{world.name}\" is not black; its light is not rendered"]
-
-
-def _is_black(world) -> bool:
-    output = active_output(world)
-    if output is None:
-        # Without nodes, Blender before 5.0 shows the World's own colour.
-        return bpy.app.version >= (5, 0, 0) or max(world.color) == 0.0
-    try:
-        if linked_node(output.inputs['Volume']) is not None:
-            return False
-        node = linked_node(output.inputs['Surface'])
-        if node is None:
-            return True
-        if node.bl_idname != 'ShaderNodeBackground':
-            return False
-        return constant(node.inputs['Strength'], node) * max(constant(node.inputs['Color'], node)[:3]) == 0.0
-    except Unsupported:
-        return False

@@ -1,128 +1,216 @@
-"""Volume materials as extinction, albedo and anisotropy, with Cycles' meaning of each socket."""
+"""Volume materials as scattering and absorption at points, with Cycles' meaning of each shader."""
 
-from dataclasses import dataclass
-from typing import List, Optional
+from dataclasses import dataclass, field
+from typing import List
 
 import numpy as np
 
 from ..inference.scene import SceneError
-from .sockets import Unsupported, active_output, constant, density_input, linked_node
+from .node_values import NodeValues
+from .phase_functions import mean_cosine
+from .sockets import Unsupported, active_output, input_of, source_of
 
-DEFAULT_GRID = "density"
+SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
+
+
+@dataclass
+class Closure:
+    """One volume shader at n points.
+
+    weight: float64 (n, 1) or (1, 1), what scales both coefficients.
+    scatter, absorb: (n, 3) or (1, 3), per world unit.
+    anisotropy: mean cosine of its phase function.
+    """
+
+    weight: np.ndarray
+    scatter: np.ndarray
+    absorb: np.ndarray
+    anisotropy: float = 0.0
 
 
 @dataclass
 class Shading:
-    """density_grid: name of the grid that scales everything below.
-    sigma_t: float64 (3,), extinction per unit of the grid's density.
-    albedo: float64 (3,), in [0, 1].
-    anisotropy: Henyey-Greenstein mean cosine.
+    """closures: what scatters and absorbs. notes: what is not rendered as Cycles renders it."""
+
+    closures: List[Closure] = field(default_factory=list)
+    notes: List[str] = field(default_factory=list)
+
+
+class VolumeMaterial:
+    """The volume shader of one object, to be evaluated at points.
+
+    Raises SceneError, naming object, material and node, for anything that this extension would have
+    to ignore, when made or evaluated.
     """
 
-    density_grid: str
-    sigma_t: np.ndarray
-    albedo: np.ndarray
-    anisotropy: float
+    def __init__(self, material, where: str):
+        self.where = where if material is None else f"{where}, material \"{material.name}\""
+        self.output = None
+        if material is None:
+            return
+        self.output = active_output(material)
+        if self.output is None:
+            self.refuse("it has no nodes, so the volume is invisible; add a Principled Volume node")
+        if not self.output.inputs['Volume'].is_linked:
+            self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
+        if self.output.inputs['Displacement'].is_linked:
+            self.refuse("displacement of volumes is not supported; unlink it")
+
+    def refuse(self, problem):
+        """Raise SceneError naming object and material."""
+        raise SceneError(f"{self.where}: {problem}") from None
+
+    def at(self, points) -> Shading:
+        """The shading at `points`, an instance of one of `voxel_points`' classes."""
+        shading = Shading()
+        try:
+            if self.output is None:
+                # Cycles' default material: Principled Volume as it is when added.
+                white = principled_coefficients(np.full((1, 3), 0.5), np.zeros((1, 3)))
+                shading.closures.append(Closure(points.attribute("density", None), *white))
+            else:
+                _add(shading, NodeValues(points), source_of(self.output.inputs['Volume']), np.ones((1, 1)))
+        except Unsupported as problem:
+            self.refuse(problem)
+        return shading
 
 
-def read_shading(volume_object, grids: List[str], owner: str) -> Shading:
-    """The shading of the first material of a Volume object whose file holds `grids`.
-
-    Without a material, Cycles' default: Principled Volume as it is when added.
-
-    Raises SceneError, naming object, material and node, for anything that this extension would
-    have to ignore.
-    """
-    material = _first_material(volume_object)
-    if material is None:
-        return Shading(DEFAULT_GRID, *principled_medium(1.0, np.full(3, 0.5), np.zeros(3)), 0.0)
-    try:
-        return _volume_shader(material, grids)
-    except Unsupported as problem:
-        raise SceneError(f"Volume object \"{owner}\", material \"{material.name}\": {problem}") from None
-
-
-def _first_material(volume_object):
-    slots = volume_object.material_slots
+def first_material(shown):
+    """The material that Cycles uses of a Volume object, or of a mesh with one material; None without."""
+    slots = shown.material_slots
     if len(slots):
         return slots[0].material
-    return next(iter(volume_object.data.materials), None)
+    return next(iter(shown.data.materials), None)
 
 
-def _volume_shader(material, grids) -> Shading:
-    output = active_output(material)
-    if output is None:
-        raise Unsupported("it has no nodes, so the volume is invisible; add a Principled Volume node")
-    node = linked_node(output.inputs['Volume'])
-    if node is None:
-        raise Unsupported("nothing is linked to the Volume socket of its output; add a Principled Volume node")
-    reader = READERS.get(node.bl_idname)
-    if reader is None:
-        raise Unsupported(f"node \"{node.name}\" is not supported; use Principled Volume or Volume Scatter")
-    return reader(node, grids)
+def shows_volume(shown) -> bool:
+    """Whether an object is a volume to Cycles: a Volume object, or the inside of a mesh.
 
-
-def _read_principled(node, grids) -> Shading:
-    _refuse_emission(node, grids)
-    colour_grid = constant(node.inputs['Color Attribute'], node)
-    if colour_grid in grids:
-        raise Unsupported(f"node \"{node.name}\" colours the volume by grid \"{colour_grid}\", "
-                          "which is not supported; clear its Color Attribute")
-    # An attribute that the file lacks leaves Density as it is, if another node names the grid.
-    own_grid: Optional[str] = constant(node.inputs['Density Attribute'], node) or None
-    linked_grid, density = density_input(node.inputs['Density'], node)
-    if linked_grid and own_grid in grids:
-        raise Unsupported(f"node \"{node.name}\" multiplies its Density Attribute \"{own_grid}\" by the grid "
-                          f"\"{linked_grid}\" linked to Density; unlink one of them")
-    grid = linked_grid or own_grid
-    if not grid:
-        raise Unsupported(f"node \"{node.name}\" has no Density Attribute, so no grid shapes the volume; "
-                          f"enter the grid's name (in this file: {', '.join(grids)})")
-    colour = np.array(constant(node.inputs['Color'], node)[:3])
-    absorption = np.array(constant(node.inputs['Absorption Color'], node)[:3])
-    medium = principled_medium(density, colour, absorption)
-    return Shading(grid, *medium, _anisotropy(node))
-
-
-def principled_medium(density: float, colour: np.ndarray, absorption: np.ndarray):
-    """(sigma_t, albedo) of Principled Volume, as Cycles 4.5 and 5.0 render it:
-
-    sigma_s = density colour, sigma_a = density max(1 - colour, 0) max(1 - sqrt(absorption), 0).
+    A mesh is one where its materials have a volume and no surface.
     """
-    colour = np.maximum(colour, 0.0)
-    lost = np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(np.maximum(absorption, 0.0)), 0.0)
-    extinction = colour + lost
-    albedo = np.divide(colour, extinction, out=np.zeros(3), where=extinction > 0.0)
-    return max(density, 0.0) * extinction, albedo
+    if shown.type == 'VOLUME':
+        return True
+    if shown.type not in SURFACES:
+        return False
+    outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]
+    return bool(outputs) and all(
+        output is not None and output.inputs['Volume'].is_linked and not output.inputs['Surface'].is_linked
+        for output in outputs)
 
 
-def _refuse_emission(node, grids) -> None:
-    strength = constant(node.inputs['Emission Strength'], node)
-    glows = strength > 0.0 and max(constant(node.inputs['Emission Color'], node)[:3]) > 0.0
-    if glows or constant(node.inputs['Blackbody Intensity'], node) > 0.0:
-        raise Unsupported(f"node \"{node.name}\" emits light, which is not supported; "
-                          "set Emission Strength and Blackbody Intensity to 0")
+def _add(shading: Shading, values: NodeValues, source, weight) -> None:
+    node, groups = source.node, source.groups
+    if node is None:
+        return
+    if node.bl_idname == 'ShaderNodeAddShader':
+        for socket in node.inputs:
+            _add(shading, values, source_of(socket, groups), weight)
+    elif node.bl_idname == 'ShaderNodeMixShader':
+        factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
+        for identifier, share in (("Shader", 1.0 - factor), ("Shader_001", factor)):
+            _add(shading, values, source_of(input_of(node, identifier), groups), weight * share)
+    elif node.bl_idname in CLOSURES:
+        closure = CLOSURES[node.bl_idname](shading, values, node, groups)
+        if closure is not None:
+            closure.weight = closure.weight * weight
+            shading.closures.append(closure)
+    else:
+        raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) is not supported; use Principled Volume, "
+                          "Volume Scatter, Volume Absorption, Add Shader or Mix Shader")
 
 
-def _read_scatter(node, grids) -> Shading:
-    phase = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
-    if phase != 'HENYEY_GREENSTEIN':
-        raise Unsupported(f"node \"{node.name}\" has phase function {phase}; only Henyey-Greenstein is supported")
-    grid, density = density_input(node.inputs['Density'], node)
-    if not grid:
-        raise Unsupported(f"node \"{node.name}\" does not read a grid, so the volume is invisible; "
-                          "link Volume Info or Attribute to its Density")
-    # Volume Scatter takes nothing away: sigma_t = sigma_s = density colour.
-    colour = np.maximum(np.array(constant(node.inputs['Color'], node)[:3]), 0.0)
-    return Shading(grid, max(density, 0.0) * colour, np.ones(3), _anisotropy(node))
+def _principled(shading, values, node, groups):
+    density = np.maximum(values.number(node, "Density", groups), 0.0)
+    if _glows(values, node, groups):
+        shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
+    colour = np.maximum(values.colour(node, "Color", groups), 0.0)
+    points, names = values.points, {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color")}
+    if names["Color"] and points.has(names["Color"]):
+        colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
+    # An attribute that is not there leaves Density as it is. In a Volume object that would fill
+    # Cycles' own boxes around the voxels: then reading it says what is missing.
+    shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
+    weight = np.ones((1, 1))
+    if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
+        weight = points.attribute(names["Density"], node)
+    absorption = np.maximum(values.colour(node, "Absorption Color", groups), 0.0)
+    scatter, absorb = principled_coefficients(colour, absorption)
+    # A constant density goes with the colours, so that voxels keep the file's values.
+    if len(density) > 1:
+        weight = weight * density
+    else:
+        scatter, absorb = scatter * density, absorb * density
+    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups))
 
 
-def _anisotropy(node) -> float:
-    # Cycles' own limit: the phase function degenerates at -1 and 1.
-    return float(np.clip(constant(node.inputs['Anisotropy'], node), -0.999, 0.999))
+def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
+    """(scatter, absorb) (n, 3) of Principled Volume at density 1, as Cycles 4.5 and 5.0 render it:
+
+    scatter = colour, absorb = max(1 - colour, 0) max(1 - sqrt(absorption), 0).
+    """
+    return colour, np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(absorption), 0.0)
 
 
-READERS = {
-    'ShaderNodeVolumePrincipled': _read_principled,
-    'ShaderNodeVolumeScatter': _read_scatter,
+def _glows(values, node, groups) -> bool:
+    emission = values.number(node, "Emission Strength", groups) * values.colour(node, "Emission Color", groups)
+    return emission.max() > 0.0 or values.number(node, "Blackbody Intensity", groups).max() > 0.0
+
+
+def _text(node, identifier, groups) -> str:
+    source = source_of(input_of(node, identifier), groups)
+    if source.node is not None:
+        raise Unsupported(f"node \"{source.node.name}\" linked to {identifier} of \"{node.name}\" is not supported")
+    return source.socket.default_value
+
+
+def _density(values, node, groups):
+    return np.maximum(values.number(node, "Density", groups), 0.0)
+
+
+def _scatter(shading, values, node, groups):
+    # Volume Scatter takes nothing away.
+    colour = np.maximum(values.colour(node, "Color", groups), 0.0)
+    return Closure(_density(values, node, groups), colour, np.zeros((1, 3)),
+                   _anisotropy(shading, values, node, groups))
+
+
+def _absorption(shading, values, node, groups):
+    colour = values.colour(node, "Color", groups)
+    return Closure(_density(values, node, groups), np.zeros((1, 3)), np.maximum(1.0 - colour, 0.0))
+
+
+def _coefficients(shading, values, node, groups):
+    if values.colour(node, "Emission Coefficients", groups).max() > 0.0:
+        shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
+    scatter, absorb = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
+                       for kind in ("Scatter", "Absorption"))
+    return Closure(np.ones((1, 1)), scatter, absorb, _anisotropy(shading, values, node, groups))
+
+
+def _emission(shading, values, node, groups):
+    shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
+
+
+CLOSURES = {
+    'ShaderNodeVolumePrincipled': _principled,
+    'ShaderNodeVolumeScatter': _scatter,
+    'ShaderNodeVolumeAbsorption': _absorption,
+    'ShaderNodeVolumeCoefficients': _coefficients,
+    'ShaderNodeEmission': _emission,
 }
+
+
+def _anisotropy(shading, values, node, groups) -> float:
+    """Mean cosine of the node's phase function; notes where it is not Henyey-Greenstein."""
+    phase = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
+    sockets = {'HENYEY_GREENSTEIN': ("Anisotropy",), 'DRAINE': ("Anisotropy", "Alpha"), 'RAYLEIGH': (),
+               'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[phase]
+    found = [values.number(node, name, groups) for name in sockets]
+    if any(len(value) > 1 for value in found):
+        raise Unsupported(f"the phase function of node \"{node.name}\" varies in space, which is not supported")
+    cosine = float(mean_cosine(phase, *(float(value[0, 0]) for value in found)))
+    if phase != 'HENYEY_GREENSTEIN':
+        shading.notes.append(
+            f"node \"{node.name}\" has phase function {phase.replace('_', '-').title()}; rendered as "
+            f"Henyey-Greenstein with the same mean cosine, {cosine:.3f}")
+    return cosine

@@ -1,57 +1,132 @@
 """What a scene remembers about rendering with MRPNN: `scene.mrpnn`."""
 
+import zlib
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ..inference import Settings, available_models
+from .preferences import machine_settings
+
+# Of the properties, in files. 0: before the networks had numbers of their own.
+VERSION = 1
 
 # Blender 4.5 wants to be told that "//" may start a path; earlier versions do not know the word.
 RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
+
+# Depth samples of each preset.
+PRESETS = {'PREVIEW': 2, 'DRAFT': 8, 'FINAL': 32}
+_PRESET_ITEMS = [
+    ('PREVIEW', "Preview", "Fastest; single scattering and shape are final already"),
+    ('DRAFT', "Draft", "Little error left from the choice of depths"),
+    ('FINAL', "Final", "No error left from the choice of depths but in the thickest clouds"),
+    ('CUSTOM', "Custom", "None of the presets"),
+]
 
 # Blender keeps no reference to the strings of a dynamic enum, so they live here.
 _model_items = []
 
 
+def _model_number(name: str) -> int:
+    """What files hold for a network: it must not depend on which other networks there are."""
+    return zlib.crc32(name.encode()) & 0x7FFFFFFF
+
+
 def model_items(_owner=None, _context=None):
     """Enum items: the networks in inference/weights."""
     _model_items[:] = [
-        (name, name.upper().replace("_", " "), "Network that predicts multiple scattering")
+        (name, name.upper().replace("_", " "), "Network that predicts multiple scattering", "NONE", _model_number(name))
         for name in available_models()
     ]
     return _model_items
 
 
+def _preset(settings) -> int:
+    samples = list(PRESETS.values())
+    return samples.index(settings.depth_samples) if settings.depth_samples in samples else len(samples)
+
+
+def _choose_preset(settings, number):
+    samples = list(PRESETS.values())
+    if number < len(samples):
+        settings.depth_samples = samples[number]
+
+
 class MRPNN_PG_scene(bpy.types.PropertyGroup):
+    version: IntProperty(options={'HIDDEN'})
+    preset: EnumProperty(
+        name="Preset", items=_PRESET_ITEMS, get=_preset, set=_choose_preset, options={'SKIP_SAVE'},
+        description="Depth samples for a purpose")
     depth_samples: IntProperty(
-        name="Depth Samples", default=8, min=1, max=256, soft_max=64,
+        name="Depth Samples", default=PRESETS['DRAFT'], min=1, max=256, soft_max=64,
         description="Points along each camera ray at which the network predicts multiple scattering",
     )
-    model: EnumProperty(name="Network", items=model_items, description="Network that predicts multiple scattering")
+    model: EnumProperty(
+        name="Network", items=model_items, default=_model_number(Settings.model),
+        description="Network that predicts multiple scattering")
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Of the depths' random offsets; the same seed gives the same image")
     threads: IntProperty(
-        name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 uses one a core")
+        name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
     memory_limit: IntProperty(
-        name="Memory Limit", default=8, min=1, max=1024,
-        description="GiB that a render may use; one that needs more is refused before it starts")
+        name="Memory Limit", default=0, min=0, max=1024,
+        description="GiB that a render may use; one that needs more is refused before it starts. "
+        "0 is as in the preferences")
+    world_directions: IntProperty(
+        name="World Directions", default=12, min=0, max=256,
+        description="Directions of light that stand for the World, at most half of them beside bright suns; each takes "
+                    "as long as a sun. 0 leaves the World out")
     use_exr: BoolProperty(
-        name="Write EXR", default=False, description="Write the layer to a multi-layer OpenEXR file after each render")
+        name="Write EXR", default=False, description="Write the layer to a multi-layer OpenEXR file after each "
+        "Render Volumes. F12 writes as Output Properties say")
     exr_path: StringProperty(
         name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
         description="File that Write EXR writes")
 
     def settings(self) -> Settings:
         """As `inference.render` takes them."""
+        threads, memory_limit = machine_settings()
         return Settings(
-            depth_samples=self.depth_samples, model=self.model or Settings.model, seed=self.seed, threads=self.threads,
-            memory_limit=self.memory_limit << 30)
+            depth_samples=self.depth_samples, model=self.model or Settings.model, seed=self.seed,
+            threads=self.threads or threads, memory_limit=(self.memory_limit or memory_limit) << 30)
+
+
+def migrate(scene) -> None:
+    """Bring the properties of a scene from a file up to VERSION; those of a newer version stay as they are."""
+    settings = scene.mrpnn
+    if settings.version >= VERSION:
+        return
+    # Networks were numbered by their place in the list, and there was one.
+    settings.model = Settings.model
+    settings.version = VERSION
+
+
+def _own_scenes():
+    # What is linked from another file cannot be written to.
+    return [scene for scene in bpy.data.scenes if scene.library is None]
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_):
+    for scene in _own_scenes():
+        migrate(scene)
+
+
+@bpy.app.handlers.persistent
+def _before_save(*_):
+    for scene in _own_scenes():
+        scene.mrpnn.version = max(scene.mrpnn.version, VERSION)
 
 
 def register():
     bpy.utils.register_class(MRPNN_PG_scene)
     bpy.types.Scene.mrpnn = PointerProperty(type=MRPNN_PG_scene)
+    bpy.app.handlers.load_post.append(_after_load)
+    bpy.app.handlers.save_pre.append(_before_save)
 
 
 def unregister():
+    bpy.app.handlers.save_pre.remove(_before_save)
+    bpy.app.handlers.load_post.remove(_after_load)
     del bpy.types.Scene.mrpnn
     bpy.utils.unregister_class(MRPNN_PG_scene)

@@ -10,6 +10,7 @@ from ..inference.layer import Layer
 from ..inference.scene import Cancelled, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
+from .runtime import check_runtime
 from .scene import SceneDescription
 
 
@@ -33,9 +34,10 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
     Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` turned true, and
     OSError where the file cannot be written.
     """
+    runtime_warnings = check_runtime()
     layer = inference.render(scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled)
     layer = in_frame(layer, scene.camera, scene.crop)
-    warnings = [*scene.warnings, *layer.report.warnings]
+    warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
     if exr_path:
         write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report))
     return Finished(layer, layer.report.seconds["total"], warnings)
@@ -54,6 +56,17 @@ def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
     for stage, seconds in report.seconds.items():
         found[f"mrpnn.seconds.{stage.replace(' ', '_')}"] = float(seconds)
     return found
+
+
+def stamp(settings: Settings, report) -> dict:
+    """What Blender's own files say about a render, as text."""
+    return {
+        "depthSamples": str(settings.depth_samples),
+        "seed": str(settings.seed),
+        "model": report.model or "none",
+        "modelChecksum": report.checksum,
+        "seconds": f"{report.seconds['total']:.2f}",
+    }
 
 
 class RenderJob:

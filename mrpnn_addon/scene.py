@@ -5,11 +5,11 @@ from typing import List, Tuple
 
 from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
 from .camera import read_camera
-from .lights import read_sun, world_warnings
+from .lights import read_suns
+from .material import SURFACES, shows_volume
 from .visibility import require_evaluated, shown_objects
-from .volumes import outside_sequence, read_volume
-
-SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
+from .volumes import VolumeReader, outside_sequence, overlap_warnings
+from .world import read_world
 
 
 @dataclass
@@ -18,6 +18,7 @@ class SceneDescription:
     crop: whether the image has the region's size, or the full frame's with nothing around it.
     view_layer: its name.
     frame: the scene's frame number.
+    environment: whether `suns` hold the World's light.
     warnings: what is left out or approximated, naming each object.
     """
 
@@ -27,6 +28,7 @@ class SceneDescription:
     crop: bool = True
     view_layer: str = "ViewLayer"
     frame: int = 0
+    environment: bool = False
     warnings: List[str] = field(default_factory=list)
 
 
@@ -42,39 +44,49 @@ def read_scene(depsgraph) -> SceneDescription:
         camera=camera, crop=scene.render.use_crop_to_border,
         view_layer=depsgraph.view_layer.name, frame=scene.frame_current, warnings=warnings,
     )
+    reader = VolumeReader()
     for shown in shown_objects(depsgraph):
-        _add(description, shown)
-    description.warnings += world_warnings(scene.world)
+        _add(description, shown, reader)
+    description.warnings += overlap_warnings([volume for volume, _ in description.volumes])
+    lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
+    description.environment = bool(lights)
+    description.suns += lights
+    description.warnings += warnings
     if not description.volumes:
-        raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB)")
+        raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
+                         "closed mesh a material with a volume and no surface")
     if not description.suns:
-        raise SceneError("the scene shows no sun; add one (Add > Light > Sun)")
+        raise SceneError("the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)")
     return description
 
 
-def _add(description: SceneDescription, shown) -> None:
+def _add(description: SceneDescription, shown, reader: VolumeReader) -> None:
     kind = shown.object.type
-    if kind == 'VOLUME':
-        if not shown.object.visible_camera:
-            description.warnings.append(f"Volume object \"{shown.name}\" is hidden from the camera and left out")
-            return
-        if outside_sequence(shown.object):
-            description.warnings.append(
-                f"Volume object \"{shown.name}\" has no file for frame {description.frame} and is left out")
-            return
-        volume, medium, warnings = read_volume(shown)
-        description.volumes.append((volume, medium))
-        description.warnings += warnings
+    if shows_volume(shown.object):
+        _add_volume(description, shown, reader)
     elif kind == 'LIGHT' and shown.object.data.type == 'SUN':
         # Cycles' ray visibility of a lamp: without it the sun lights surfaces only.
         if not shown.object.visible_volume_scatter:
             description.warnings.append(f"sun \"{shown.name}\" is hidden from volume scattering and left out")
             return
-        sun, warnings = read_sun(shown)
-        description.suns.append(sun)
+        suns, warnings = read_suns(shown)
+        description.suns += suns
         description.warnings += warnings
     elif kind == 'LIGHT':
         lamp = shown.object.data.type.lower()
         description.warnings.append(f"light \"{shown.name}\" is a {lamp} light and not rendered; only suns are")
     elif kind in SURFACES:
         description.warnings.append(f"{kind.lower()} object \"{shown.name}\" is a surface and not rendered")
+
+
+def _add_volume(description: SceneDescription, shown, reader: VolumeReader) -> None:
+    where = f"volume \"{shown.name}\""
+    if not shown.object.visible_camera:
+        description.warnings.append(f"{where} is hidden from the camera and left out")
+        return
+    if shown.object.type == 'VOLUME' and outside_sequence(shown.object):
+        description.warnings.append(f"{where} has no file for frame {description.frame} and is left out")
+        return
+    volume, medium, warnings = reader.read(shown)
+    description.volumes.append((volume, medium))
+    description.warnings += warnings

@@ -6,6 +6,7 @@ from typing import Iterator, Optional
 import numpy as np
 
 from ..inference.scene import SceneError
+from .material import shows_volume
 
 
 @dataclass
@@ -37,7 +38,9 @@ def shown_objects(depsgraph) -> Iterator[Shown]:
         if instance.is_instance and instanced.name != name:
             name = f"{instanced.name} in {name}"
         if in_render is not None:
-            if source.original not in in_render or instanced.original.hide_render:
+            # Geometry nodes and particles show objects that are hidden themselves.
+            from_nodes = instance.is_instance and source.instance_type == 'NONE'
+            if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
         if instance.show_self:
             yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
@@ -79,8 +82,8 @@ def require_evaluated(depsgraph) -> None:
 
 
 def _rendered_kind(candidate) -> Optional[str]:
-    if candidate.type == 'VOLUME':
-        return "Volume object"
+    if shows_volume(candidate):
+        return "volume"
     if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':
         return "sun"
     return None

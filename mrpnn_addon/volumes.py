@@ -1,16 +1,75 @@
-"""Volume objects of the evaluated scene as `Volume` and `Medium`."""
+"""Volume objects, and meshes with a volume material, as `Volume` and `Medium`."""
 
 import os
 import tempfile
-from typing import List, Tuple
+from dataclasses import dataclass, field
+from typing import Dict, List, Tuple
 
 import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import DensityGrid, grid_names, read_density_grid, unreadable
-from .material import read_shading
+from .density_grid import grid_names, read_density_grid, unreadable
+from .material import VolumeMaterial, first_material
+from .mesh_volume import fill
+from .shaded_grid import ShadedGrid, is_linear, refine, require_empty_background, shade
 from .visibility import Shown
+from .voxel_points import Probe
+
+# Voxels of a grid up to which it is made finer for shaders that are not linear in it.
+MAX_REFINED = 1 << 24
+
+
+@dataclass
+class VolumeReader:
+    """Reads volumes; what instances share is read once."""
+
+    known: Dict[tuple, Tuple[ShadedGrid, np.ndarray, List[str]]] = field(default_factory=dict)
+
+    def read(self, shown: Shown) -> Tuple[Volume, Medium, List[str]]:
+        """The density, placement and shading of one visible volume, and warnings.
+
+        Raises SceneError, naming the object, where the file, the grid, the mesh or the material cannot
+        be used.
+        """
+        if shown.object.type == 'VOLUME':
+            where, scale = f"Volume object \"{shown.name}\"", density_scale(shown.object.data.render.space, shown.matrix)
+        else:
+            where, scale = f"object \"{shown.name}\"", 1.0
+        # The data of an evaluated object is its own, or that of all its instances.
+        key = (shown.object.data.name_full, shown.object.as_pointer())
+        if key in self.known:
+            shaded, object_from_index, warnings = self.known[key]
+        else:
+            read = _read_volume_object if shown.object.type == 'VOLUME' else _read_mesh
+            shaded, object_from_index, warnings = read(shown, where)
+            if not shaded.placed:
+                self.known[key] = shaded, object_from_index, []
+        volume = Volume(shaded.density, shown.matrix @ object_from_index, name=shown.name)
+        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy)
+        return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
+
+
+def overlap_warnings(volumes: List[Volume]) -> List[str]:
+    """Says so where the bounds of volumes meet: the network sees each of them alone."""
+    if len(volumes) < 2:
+        return []
+    corners = np.array([_bounds(volume) for volume in volumes])
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    meets = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
+    first, second = np.nonzero(np.triu(meets, 1))
+    if not len(first):
+        return []
+    more = f", and {len(first) - 1} more pairs" if len(first) > 1 else ""
+    return [f"volumes \"{volumes[first[0]].name}\" and \"{volumes[second[0]].name}\" overlap{more}; light that is "
+            "scattered several times is predicted as if each were alone"]
+
+
+def _bounds(volume: Volume) -> np.ndarray:
+    """World corners (8, 3) of a grid."""
+    ends = np.array([(x, y, z, 1.0) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    index = ends * [*(np.array(volume.density.shape) - 1.0), 1.0]
+    return (index @ volume.world_from_index.T)[:, :3]
 
 
 def outside_sequence(volume_object) -> bool:
@@ -19,23 +78,18 @@ def outside_sequence(volume_object) -> bool:
     return data.is_sequence and data.grids.load() and not len(data.grids)
 
 
-def read_volume(shown: Shown) -> Tuple[Volume, Medium, List[str]]:
-    """The density, placement and shading of one visible Volume object, and warnings.
-
-    Raises SceneError, naming the object, where the file, the grid or the material cannot be used.
-    """
-    where = f"Volume object \"{shown.name}\""
+def _read_volume_object(shown: Shown, where: str):
     data = shown.object.data
     if not data.grids.load() or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
     if _lives_in_a_file(shown.object):
-        return _read(data.grids.frame_filepath, shown)
+        return _read_file(data.grids.frame_filepath, shown, where)
     # Modifiers and geometry nodes make volumes that no file holds.
     with tempfile.TemporaryDirectory(prefix="mrpnn-") as folder:
         path = os.path.join(folder, "evaluated.vdb")
         if not data.grids.save(path):
             raise SceneError(f"{where}: Blender cannot save what its modifiers make")
-        return _read(path, shown)
+        return _read_file(path, shown, where)
 
 
 def _lives_in_a_file(volume_object) -> bool:
@@ -48,16 +102,77 @@ def _load_problem(data) -> str:
         return "it loads no file; choose a .vdb file in its data properties"
     if data.grids.is_loaded:
         return "it holds no grid"
+    if data.is_sequence:
+        return f"this frame's file of its sequence cannot be read ({data.grids.error_message})"
     return unreadable(bpy.path.abspath(data.filepath, library=data.library), data.grids.error_message)
 
 
-def _read(path: str, shown: Shown) -> Tuple[Volume, Medium, List[str]]:
-    shading = read_shading(shown.object, grid_names(path, shown.name), shown.name)
-    grid: DensityGrid = read_density_grid(path, shading.density_grid, shown.name)
-    volume = Volume(grid.density, shown.matrix @ grid.object_from_index, name=shown.name)
-    scale = density_scale(shown.object.data.render.space, shown.matrix)
-    medium = Medium(shading.sigma_t * scale, shading.albedo, shading.anisotropy)
-    return volume, medium, grid.warnings
+def _read_file(path: str, shown: Shown, where: str):
+    material = VolumeMaterial(first_material(shown.object), where)
+    probe = Probe(grid_names(path, shown.name), fills_its_bounds=False)
+    at_zero = material.at(probe)
+    if not probe.names:
+        material.refuse("the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
+                        f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")
+    if not probe.placed:
+        require_empty_background(material, at_zero)
+    grids, object_from_index, warnings = _aligned(path, probe.names, shown, material)
+    # Cycles interpolates the grids and then evaluates the nodes; finer voxels come close to that.
+    if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe.names)):
+        grids = {name: refine(values) for name, values in grids.items()}
+        object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
+        object_from_index[:3, :3] *= 0.5
+    frames = {"object": object_from_index, "world": shown.matrix @ object_from_index}
+    return shade(material, grids, frames), object_from_index, warnings
+
+
+def _aligned(path, names, shown, material):
+    """Grids by name in the box that holds them all, and its index to object space."""
+    read = {name: read_density_grid(path, name, shown.name) for name in names}
+    first = read[names[0]].object_from_index
+    offsets = {}
+    for name, grid in read.items():
+        relative = np.linalg.inv(first) @ grid.object_from_index
+        offset = np.round(relative[:3, 3])
+        if np.abs(relative[:3, :3] - np.eye(3)).max() > 1e-4 or np.abs(relative[:3, 3] - offset).max() > 1e-2:
+            material.refuse(f"grids \"{names[0]}\" and \"{name}\" have different voxels, which cannot be combined")
+        offsets[name] = offset.astype(int)
+    warnings = [warning for grid in read.values() for warning in grid.warnings]
+    low = np.min(list(offsets.values()), axis=0)
+    high = np.max([offsets[name] + grid.density.shape for name, grid in read.items()], axis=0)
+    object_from_index = first.copy()
+    object_from_index[:3, 3] += first[:3, :3] @ low
+    return {name: _placed(grid.density, offsets[name] - low, high - low) for name, grid in read.items()}, \
+        object_from_index, warnings
+
+
+def _placed(values, offset, shape):
+    if tuple(shape) == values.shape:
+        return values
+    placed = np.zeros(shape, np.float32)
+    placed[tuple(slice(o, o + n) for o, n in zip(offset, values.shape))] = values
+    return placed
+
+
+def _read_mesh(shown: Shown, where: str):
+    if len({slot.material.name for slot in shown.object.material_slots}) > 1:
+        raise SceneError(f"{where}: it has several volume materials; use one")
+    material = VolumeMaterial(first_material(shown.object), where)
+    material.at(Probe((), fills_its_bounds=True))
+    inside = fill(shown.object, shown.matrix, where)
+    frames = {"object": inside.object_from_index, "world": shown.matrix @ inside.object_from_index,
+              "generated": _generated(shown.object) @ inside.object_from_index}
+    return shade(material, {}, frames, inside.share), inside.object_from_index, []
+
+
+def _generated(mesh_object) -> np.ndarray:
+    """(4, 4): object space to the mesh's texture space, 0 to 1 over its bounds before modifiers."""
+    mesh = mesh_object.original.data
+    location, size = np.array(mesh.texspace_location), np.array(mesh.texspace_size)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.diag(0.5 / size)
+    matrix[:3, 3] = 0.5 - 0.5 * location / size
+    return matrix
 
 
 def density_scale(space: str, matrix: np.ndarray) -> float:

@@ -2,14 +2,16 @@
 
 import bpy
 
-from ..mrpnn_addon import engine, properties
-from . import command, compare, render
+from ..mrpnn_addon import engine, passes, properties, scene_watch
+from . import check, command, compare, composite, documentation, render
 
-CLASSES = (*render.classes, *compare.classes)
+CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
 
 
 def register():
     properties.register()
+    passes.register()
+    scene_watch.register()
     engine.register()
     for operator in CLASSES:
         bpy.utils.register_class(operator)
@@ -21,4 +23,6 @@ def unregister():
     for operator in reversed(CLASSES):
         bpy.utils.unregister_class(operator)
     engine.unregister()
+    scene_watch.unregister()
+    passes.unregister()
     properties.unregister()

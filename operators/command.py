@@ -1,22 +1,23 @@
-"""Rendering from the command line.
+"""The command line: render, compare, report.
 
-    blender -b scene.blend --command mrpnn render --output cloud.exr
-    blender -b scene.blend --python-expr "import bpy; bpy.ops.mrpnn.render(filepath='//cloud.exr')"
+    blender -b scene.blend --command mrpnn render --output //cloud_####.exr --frames 1-10
+    blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render --output cloud.exr
 """
 
 import argparse
-import os
-import sys
+import time
 
 import bpy
 
 from ..inference import available_models
 from ..inference.scene import SceneError
-from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
-from ..mrpnn_addon.render_job import render_scene
-from ..mrpnn_addon.scene import read_scene
+from ..mrpnn_addon.json_file import write_json
+from . import command_actions
+from .console import Console
 
 COMMAND = "mrpnn"
+# Of what --json writes and --progress json prints.
+FORMAT_VERSION = 1
 
 
 class _UsageError(Exception):
@@ -32,78 +33,75 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog=f"blender -b FILE.blend --command {COMMAND}")
-    actions = parser.add_subparsers(dest="action", required=True, metavar="render", parser_class=_Parser)
-    render = actions.add_parser("render", help="render the scene's volumes to a file")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="render|compare|report", parser_class=_Parser)
+
+    render = actions.add_parser("render", help="render the scene's volumes to files")
     render.add_argument("--output", required=True, metavar="FILE",
-                        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform")
-    render.add_argument("--frame", type=int, metavar="N", help="frame to render; the file's own by default")
-    for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("model", str)):
-        choices = available_models() if name == "model" else None
-        render.add_argument(f"--{name}", type=kind, choices=choices,
-                            help="the scene's own setting by default")
+                        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform; # are the "
+                             "frame's digits, // is the .blend file's folder")
+    render.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10,15; the file's current one by default")
+    render.add_argument("--skip-existing", action="store_true", help="leave frames whose file is there already")
+
+    compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
+    compare.add_argument("--samples", type=_positive, default=32, help="samples a pixel in each of two Cycles renders")
+    compare.add_argument("--bounces", type=_positive, default=1024, help="most scattering events along a path")
+    compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
+
+    report = actions.add_parser("report", help="say what a render would do, without rendering")
+    for action in (compare, report):
+        action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
+
+    for action in (render, compare, report):
+        action.add_argument("--json", metavar="FILE", help="file for everything that is known at the end")
+        action.add_argument("--progress", choices=("text", "json"), default="text",
+                            help="json: one object a line on standard output")
+        for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("memory-limit", float),
+                           ("model", str), ("resolution-percentage", _positive), ("camera", str), ("view-layer", str)):
+            action.add_argument(f"--{name}", type=kind, choices=available_models() if name == "model" else None,
+                                help="GiB; the scene's own setting by default" if name == "memory-limit"
+                                else "the scene's own by default")
     return parser
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not above 0")
+    return number
 
 
 def main(arguments) -> int:
     """Run the command with its arguments, e.g. ["render", "--output", "cloud.exr"].
 
-    Returns the exit status: 0 when the file is there, 1 with one line on stderr when not.
+    Returns the exit status: 0 when everything asked for is there, 1 with one line that says why when not.
     """
+    # Before its arguments are known, errors go out as text.
+    console, options = Console(machine=False), None
+    found = {"version": FORMAT_VERSION, "blend": bpy.data.filepath, "blender": bpy.app.version_string}
+    start = time.perf_counter()
     try:
         options = _parser().parse_args(arguments)
-        _render(bpy.context, options)
+        console = Console(machine=options.progress == "json")
+        found["action"] = options.action
+        getattr(command_actions, options.action)(options, console, found)
+        error = None
     except SystemExit:  # argparse after --help
         return 0
-    except (_UsageError, SceneError, OSError) as error:
-        print(f"mrpnn: error: {error}", file=sys.stderr)
-        return 1
+    except (_UsageError, SceneError, OSError) as problem:
+        error = str(problem)
     except KeyboardInterrupt:
-        print("mrpnn: stopped", file=sys.stderr)
-        return 1
-    return 0
-
-
-def _render(context, options) -> None:
-    path = os.path.abspath(options.output)
-    ending = os.path.splitext(path)[1].lower()
-    if ending not in (".exr", ".png"):
-        raise _UsageError(f"--output must end in .exr or .png, not {options.output!r}")
-    if not os.path.isdir(os.path.dirname(path)):
-        raise _UsageError(f"the folder of --output does not exist: {os.path.dirname(path)}")
-    if options.frame is not None:
-        context.scene.frame_set(options.frame)
-    settings = _settings(context.scene, options)
-    scene = read_scene(context.evaluated_depsgraph_get())
-    finished = render_scene(scene, settings, path if ending == ".exr" else None, _Progress())
-    if ending == ".png":
-        image = show_in_image(finished.layer)
+        error = "stopped"
+    found.update(error=error, seconds=time.perf_counter() - start)
+    if options is not None and options.json:
         try:
-            save_view_transformed(image, path, context.scene)
-        finally:
-            bpy.data.images.remove(image)
-    for warning in finished.warnings:
-        print(f"mrpnn: warning: {warning}", file=sys.stderr)
-    print(f"mrpnn: wrote {path} in {finished.seconds:.1f} s")
-
-
-def _settings(scene, options):
-    """The scene's settings with those of the command line in their place; the scene keeps its own."""
-    settings = scene.mrpnn.settings()
-    given = {name: getattr(options, name) for name in ("depth_samples", "seed", "threads", "model")
-             if getattr(options, name) is not None}
-    return type(settings)(**{**vars(settings), **given})
-
-
-class _Progress:
-    """Prints each tenth of the work."""
-
-    def __init__(self):
-        self.shown = -1
-
-    def __call__(self, fraction, message):
-        if int(fraction * 10) > self.shown:
-            self.shown = int(fraction * 10)
-            print(f"mrpnn: {fraction:4.0%} {message}", flush=True)
+            write_json(options.json, found)
+        except SceneError as problem:
+            error = error or str(problem)
+    if error is not None:
+        console.event("error", error, message=error)
+    if console.machine:
+        console.event("end", "", status=int(error is not None), seconds=found["seconds"])
+    return int(error is not None)
 
 
 def register():

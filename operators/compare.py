@@ -3,12 +3,15 @@
 import os
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Tuple
 
 import bpy
+import numpy as np
 from bpy.props import IntProperty, StringProperty
 
+from ..inference.layer import Layer
 from ..inference.scene import SceneError
-from ..mrpnn_addon.comparison import compare
+from ..mrpnn_addon.comparison import Comparison, compare
 from ..mrpnn_addon.cycles_reference import render_reference, volumes_and_suns
 from ..mrpnn_addon.layer_image import IMAGE_NAME, show_in_image
 from ..mrpnn_addon.render_job import render_scene
@@ -48,8 +51,11 @@ class MRPNN_OT_compare(bpy.types.Operator):
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
-            with _scaled(context.scene, self.scale):
-                comparison = self._compare(context, lambda done, text: manager.progress_update(int(100 * done)))
+            with scaled(context.scene, self.scale):
+                comparison, layer, cycles = measure(
+                    context, context.scene.mrpnn.settings(), self.samples, self.bounces,
+                    lambda done, text: manager.progress_update(int(100 * done)))
+            _show(layer, cycles)
             if self.json_path:
                 comparison.write_json(_absolute(self.json_path))
         except (SceneError, OSError) as error:
@@ -63,26 +69,34 @@ class MRPNN_OT_compare(bpy.types.Operator):
         self.report({'INFO'}, comparison.table())
         return {'FINISHED'}
 
-    def _compare(self, context, progress):
-        """The Comparison; leaves the layer, the reference and their difference as images."""
-        depsgraph = context.evaluated_depsgraph_get()
-        # The layer and Cycles' image both have the region's size.
-        description = replace(read_scene(depsgraph), crop=True)
-        objects = volumes_and_suns(depsgraph)
-        finished = render_scene(description, context.scene.mrpnn.settings())
-        progress(0.1, "rendering the reference")
-        reference = render_reference(context.scene, objects, self.samples, self.bounces,
-                                     progress=lambda done, text: progress(0.1 + 0.9 * done, text))
-        comparison = compare(finished.layer, finished.seconds, reference, finished.warnings)
-        cycles = (reference.a + reference.b) / 2
-        show_in_image(finished.layer)
-        show_in_image(replace(finished.layer, rgb=cycles[..., :3], alpha=cycles[..., 3]), REFERENCE_IMAGE)
-        show_in_image(replace(finished.layer, rgb=finished.layer.rgb - cycles[..., :3]), ERROR_IMAGE)
-        return comparison
+
+def measure(context, settings, samples: int, bounces: int, progress) -> Tuple[Comparison, Layer, np.ndarray]:
+    """The comparison at the scene's resolution; the layer; Cycles' image, float32 (H, W, 4), rows from the top.
+
+    progress: called with (fraction, message).
+    """
+    depsgraph = context.evaluated_depsgraph_get()
+    # The layer and Cycles' image both have the region's size.
+    description = replace(read_scene(depsgraph), crop=True)
+    objects = volumes_and_suns(depsgraph)
+    finished = render_scene(description, settings)
+    progress(0.1, "rendering the reference")
+    reference = render_reference(context.scene, objects, samples, bounces,
+                                 progress=lambda done, text: progress(0.1 + 0.9 * done, text),
+                                 world=context.scene.world if description.environment else None)
+    comparison = compare(finished.layer, finished.seconds, reference, finished.warnings)
+    return comparison, finished.layer, (reference.a + reference.b) / 2
+
+
+def _show(layer: Layer, cycles: np.ndarray) -> None:
+    """Leave the layer, Cycles' image and their difference as images."""
+    show_in_image(layer)
+    show_in_image(replace(layer, rgb=cycles[..., :3], alpha=cycles[..., 3]), REFERENCE_IMAGE)
+    show_in_image(replace(layer, rgb=layer.rgb - cycles[..., :3]), ERROR_IMAGE)
 
 
 @contextmanager
-def _scaled(scene, percentage: int):
+def scaled(scene, percentage: int):
     """The scene at a part of its resolution; as it was afterwards."""
     before = scene.render.resolution_percentage
     scene.render.resolution_percentage = max(1, before * percentage // 100)

@@ -6,8 +6,8 @@ import os
 import bpy
 from bpy.props import StringProperty
 
-from ..inference.scene import Cancelled, SceneError
-from ..mrpnn_addon.last_render import LastRender, remember
+from ..inference.scene import SceneError
+from ..mrpnn_addon.last_render import LastRender, remember, remember_finished
 from ..mrpnn_addon.layer_image import show_in_image
 from ..mrpnn_addon.properties import RELATIVE_PATH
 from ..mrpnn_addon.render_job import RenderJob, render_scene
@@ -115,7 +115,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         if not bpy.app.background:
             # Once this operator has ended: opening a window runs its handlers again.
             bpy.app.timers.register(functools.partial(_display, image.name))
-        remember(LastRender(finished.seconds, finished.warnings))
+        remember_finished(finished)
         for warning in finished.warnings:
             self.report({'WARNING'}, warning)
         self.report({'INFO'}, f"MRPNN rendered {image.size[0]} x {image.size[1]} pixels in {finished.seconds:.1f} s "

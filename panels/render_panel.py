@@ -1,61 +1,171 @@
-"""Panel in the render properties, for every engine."""
-
-import textwrap
+"""Panels in the render properties, for every engine."""
 
 import bpy
 
+from ..mrpnn_addon.engine import MRPNNRenderEngine
+from ..mrpnn_addon.forecast import forecast
 from ..mrpnn_addon.last_render import last_render
+from ..mrpnn_addon.scene_check import last_check
+from ..mrpnn_addon.scene_watch import scene_state
+from ..operators.check import MRPNN_OT_check
 from ..operators.compare import MRPNN_OT_compare
+from ..operators.composite import MRPNN_OT_composite
+from ..operators.documentation import MRPNN_OT_documentation
 from ..operators.render import MRPNN_OT_render
-
-# Of Blender's interface font, at scale 1.
-PIXELS_A_LETTER = 8
+from .text import draw_text
 
 
-class MRPNN_PT_render(bpy.types.Panel):
-    bl_label = "MRPNN Volumes"
+class _RenderPanel:
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
     bl_context = "render"
 
+
+def _split(layout):
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
+class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
+    bl_label = "MRPNN Volumes"
+
     def draw(self, context):
         layout, settings = self.layout, context.scene.mrpnn
         layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        layout.row().prop(settings, "preset", expand=True)
+        column = _split(layout)
         column.prop(settings, "depth_samples")
         column.prop(settings, "model")
         column.prop(settings, "seed")
-        column.prop(settings, "threads")
-        column.prop(settings, "memory_limit")
-        row = column.row(heading="Write EXR")
-        row.prop(settings, "use_exr", text="")
-        path = row.row()
-        path.active = settings.use_exr
-        path.prop(settings, "exr_path", text="")
-        layout.operator(MRPNN_OT_compare.bl_idname)
-        letters = context.region.width / (PIXELS_A_LETTER * context.preferences.system.ui_scale)
-        _draw_last(layout, last_render(), max(int(letters), 20))
+        column.prop(settings, "world_directions")
+        _draw_last(context, layout, last_render())
 
 
-def _draw_last(layout, last, letters):
-    """Time and warnings of the last render, or why it failed, in lines of so many letters."""
+def _draw_last(context, layout, last):
+    """Time and warnings of the last render, or why it failed."""
     if last is None:
         return
     if last.error:
-        _draw_text(layout.box(), last.error, 'ERROR', letters)
+        draw_text(context, layout.box(), last.error, 'ERROR')
         return
     layout.label(text=f"Last render: {last.seconds:.1f} s", icon='TIME')
     for warning in last.warnings:
-        _draw_text(layout.box(), warning, 'INFO', letters)
+        draw_text(context, layout.box(), warning, 'INFO')
 
 
-def _draw_text(layout, text, icon, letters):
-    # Labels do not wrap by themselves.
-    column = layout.column(align=True)
-    for index, line in enumerate(textwrap.wrap(text, letters)):
-        column.label(text=line, icon=icon if index == 0 else 'BLANK1')
+class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
+    bl_label = "Before Rendering"
+    bl_parent_id = "MRPNN_PT_render"
+
+    def draw(self, context):
+        layout, scene = self.layout, context.scene
+        expected = _forecast(context)
+        if expected.problem:
+            draw_text(context, layout, expected.problem, 'ERROR')
+        elif not expected.volumes:
+            draw_text(context, layout, "The scene shows no Volume object; add one with Add > Volume", 'ERROR')
+        elif not expected.suns:
+            draw_text(context, layout, "The scene shows no sun; add one with Add > Light > Sun", 'ERROR')
+        else:
+            column = layout.column(align=True)
+            column.label(text=f"{_number(expected.volumes, 'volume')}, {_number(expected.suns, 'sun')}, "
+                              f"{expected.pixels:,} pixels", icon='OUTLINER_DATA_VOLUME')
+            column.label(text=f"About {_duration(expected.seconds)}, at most {expected.points:,} points", icon='TIME')
+        row = layout.row(align=True)
+        row.operator(MRPNN_OT_check.bl_idname, icon='VIEWZOOM')
+        row.operator(MRPNN_OT_documentation.bl_idname, icon='HELP', text="")
+        check = last_check()
+        if check is None:
+            for warning in expected.warnings:
+                draw_text(context, layout, warning, 'INFO')
+            return
+        column = layout.column()
+        column.active = not check.outdated(scene)
+        if check.outdated(scene):
+            column.label(text="The scene has changed since:", icon='FILE_REFRESH')
+        if check.error:
+            draw_text(context, column, check.error, 'ERROR')
+            return
+        column.label(text=f"{check.memory / 2**30:.1f} GiB of memory", icon='MEMORY')
+        for text in check.warnings:
+            draw_text(context, column, text, 'INFO')
+        for text in check.planned:
+            draw_text(context, column, f"Renders {text}", 'CHECKMARK')
+        for text in check.left_out:
+            draw_text(context, column, f"Leaves out {text}", 'X')
 
 
-classes = (MRPNN_PT_render,)
+# The last forecast and what it was made for: panels are drawn whenever the pointer moves.
+_forecasts = {}
+
+
+def _forecast(context):
+    key = (context.view_layer.name, last_render(), *scene_state(context.scene))
+    if _forecasts.get("key") != key:
+        value = forecast(context.evaluated_depsgraph_get())
+        # Asking for the scene may have evaluated it, which counts as a change.
+        _forecasts.update(key=(*key[:2], *scene_state(context.scene)), value=value)
+    return _forecasts["value"]
+
+
+def _number(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _duration(seconds: float) -> str:
+    return f"{max(round(seconds), 1)} s" if seconds < 100 else f"{round(seconds / 60)} min"
+
+
+class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
+    bl_label = "Film"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        column = _split(self.layout)
+        # Render Volumes gives the layer alone, whatever the film.
+        column.active = context.engine == MRPNNRenderEngine.bl_idname
+        column.prop(context.scene.render, "film_transparent", text="Transparent")
+
+
+class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
+    bl_label = "Performance"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        column = _split(self.layout)
+        column.prop(context.scene.mrpnn, "threads")
+        column.prop(context.scene.mrpnn, "memory_limit")
+
+
+class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
+    bl_label = "Write EXR"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.mrpnn, "use_exr", text="")
+
+    def draw(self, context):
+        column = _split(self.layout)
+        column.active = context.scene.mrpnn.use_exr
+        column.prop(context.scene.mrpnn, "exr_path", text="File")
+
+
+class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
+    bl_label = "With Cycles"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        column = self.layout.column()
+        # Cycles' properties are there while Cycles is enabled.
+        column.enabled = hasattr(context.scene, "cycles")
+        column.operator(MRPNN_OT_compare.bl_idname)
+        column.operator(MRPNN_OT_composite.bl_idname)
+
+
+classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_exr, MRPNN_PT_cycles)

@@ -128,6 +128,12 @@ def render_cycles(scene, folder, samples=64, bounces=0):
 
     A thin-medium reference for shading tests: transparent film, no clamping, no denoising.
     """
+    set_up_cycles(scene, samples, bounces)
+    return rendered(scene, folder)
+
+
+def set_up_cycles(scene, samples, bounces=0):
+    """Cycles without anything that would bias it: no clamping, no denoising, no filter across pixels."""
     scene.render.engine = 'CYCLES'
     settings = scene.cycles
     settings.device, settings.samples = 'CPU', samples
@@ -136,7 +142,11 @@ def render_cycles(scene, folder, samples=64, bounces=0):
     settings.max_bounces, settings.volume_bounces = max(bounces, 1), bounces
     settings.pixel_filter_type = 'BOX'
     settings.volume_step_rate = 0.2
-    scene.render.film_transparent = True
+
+
+def rendered(scene, folder, transparent=True):
+    """The scene rendered by its engine: float32 (H, W, 4), rows from the top."""
+    scene.render.film_transparent = transparent
     scene.render.image_settings.file_format = 'OPEN_EXR'
     scene.render.image_settings.color_depth = '32'
     scene.render.image_settings.color_mode = 'RGBA'

@@ -1,5 +1,6 @@
 """Rendering from the command line: files, messages and exit status."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -85,7 +86,14 @@ def test_png_has_the_layers_alpha(command, blend):
     (["render"], "--output"),
     (["paint"], "paint"),
     (["render", "--output", "picture.jpg"], "must end in .exr or .png"),
-    (["render", "--output", "missing_folder/picture.exr"], "folder of --output does not exist"),
+    (["render", "--output", "scene.blend/picture.exr"], "scene.blend"),
+    (["render", "--output", "x.exr", "--frames", "1-"], "1-10,15"),
+    (["render", "--output", "x.exr", "--frames", "9-3"], "backwards"),
+    (["render", "--output", "x.exr", "--camera", "Sun"], "there are: Camera"),
+    (["render", "--output", "x.exr", "--view-layer", "Fog"], "there are: ViewLayer"),
+    (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the limit is 0.0 GiB"),
+    (["compare", "--samples", "0"], "not above 0"),
+    (["report", "--depth-samples", "0"], "depth samples"),
     (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),
     (["render", "--output", "x.exr", "--depth-samples", "many"], "many"),
     (["render", "--output", "x.exr", "--threads", "-1"], "threads"),
@@ -108,6 +116,115 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_old_file(command, blend, cap
     errors = capsys.readouterr().err
     assert "Volume object \"Cloud\"" in errors and "fog_1.vdb" in errors and errors.count("\n") == 1
     assert output.read_bytes() == b"old" and files(blend.parent) == {output.name}
+
+
+def test_frames_get_the_files_that_the_pattern_names(command, blend):
+    folder = blend.parent
+    assert command(["render", "--output", "//new/fog_###.exr", "--frames", "1..2"]) == 0
+    assert command(["render", "--output", str(folder / "fog.exr"), "--frames", "2,1"]) == 0
+    assert files(folder) == {"new", "fog0001.exr", "fog0002.exr"}
+    assert set(os.listdir(folder / "new")) == {"fog_001.exr", "fog_002.exr"}
+    for number in (1, 2):
+        found, facts = read_exr(folder / "new" / f"fog_{number:03}.exr")
+        again, _ = read_exr(folder / f"fog{number:04}.exr")
+        assert facts["Frame"] == number
+        for name, values in found.items():
+            np.testing.assert_array_equal(again[name], values)
+
+
+def test_lists_of_frames_and_their_files(addon):
+    frames = addon.mrpnn_addon.frames
+    assert frames.parse_frames("1-3, 7,2..4") == [1, 2, 3, 7, 4]
+    assert frames.parse_frames("-2..1") == frames.parse_frames("-2-1") == [-2, -1, 0, 1]
+    assert frames.frame_path("/a#/b_##.png", 7, many=False) == "/a#/b_07.png"
+    assert frames.frame_path("/a/b.png", 7, many=False) == "/a/b.png"
+    assert frames.frame_path("/a/b.png", -7, many=True) == "/a/b-0007.png"
+    assert frames.frame_path("/a/b##.png", 12345, many=True) == "/a/b12345.png"
+
+
+def test_frames_that_are_there_are_skipped_where_asked(command, blend, capsys):
+    folder = blend.parent
+    (folder / "a0001.exr").write_bytes(b"done")
+    assert command(["render", "--output", str(folder / "a.exr"), "--frames", "1,2", "--skip-existing"]) == 0
+    assert (folder / "a0001.exr").read_bytes() == b"done" and (folder / "a0002.exr").stat().st_size > 1000
+    assert "is there already" in capsys.readouterr().out
+
+
+def test_the_report_file_and_the_machines_lines_tell_the_same(command, blend, capsys):
+    folder = blend.parent
+    assert command(["render", "--output", str(folder / "a.exr"), "--frames", "1-2", "--json",
+                    str(folder / "report.json"), "--progress", "json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    report = json.loads((folder / "report.json").read_text())
+    assert report["error"] is None and report["action"] == "render" and report["blend"] == str(blend)
+    written = [event for event in events if event["event"] == "frame"]
+    assert [event["file"] for event in written] == [frame["file"] for frame in report["frames"]] == [
+        str(folder / "a0001.exr"), str(folder / "a0002.exr")]
+    assert all(len(frame["report"]["checksum"]) == 64 for frame in report["frames"])
+    for number in (1, 2):
+        fractions = [event["fraction"] for event in events if event["event"] == "progress" and event["frame"] == number]
+        assert fractions == sorted(fractions) and fractions[-1] == 1.0
+    assert events[-1]["event"] == "end" and events[-1]["status"] == 0
+
+
+def test_a_failure_keeps_what_was_done_before_it(command, blend, capsys):
+    """The second frame's file is gone: the first one is written, and the report says so."""
+    folder = blend.parent
+    (folder / "fog_2.vdb").unlink()
+    assert command(["render", "--output", str(folder / "a.exr"), "--frames", "1-2", "--json",
+                    str(folder / "report.json"), "--progress", "json"]) == 1
+    report = json.loads((folder / "report.json").read_text())
+    assert [frame["frame"] for frame in report["frames"]] == [1] and "fog_2.vdb" in report["error"]
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    assert events[-2]["message"] == report["error"] and events[-1]["status"] == 1
+    assert files(folder) == {"a0001.exr", "report.json"}
+
+
+def test_overrides_last_for_one_command(command, blend):
+    folder, scene = blend.parent, bpy.context.scene
+    camera = scene.camera
+    other = blender_scenes.add_camera(scene, location=(0.0, 0.0, 9.0))
+    scene.camera = camera
+    other.name = "Far"
+    assert command(["render", "--output", str(folder / "near.exr")]) == 0
+    assert command(["render", "--output", str(folder / "far.exr"), "--camera", "Far",
+                    "--resolution-percentage", "50"]) == 0
+    near, far = (read_exr(folder / f"{name}.exr")[0]["ViewLayer.Alpha.A"] for name in ("near", "far"))
+    assert near.shape == (16, 20) and far.shape == (8, 10)
+    assert np.mean(far > 0.01) < 0.7 * np.mean(near > 0.01)
+    assert scene.camera == camera and scene.render.resolution_percentage == 100
+
+
+def test_a_view_layer_may_be_chosen(command, blend, capsys):
+    folder, scene = blend.parent, bpy.context.scene
+    scene.view_layers.new("Empty")
+    collection = bpy.data.collections.new("Clouds")
+    scene.collection.children.link(collection)
+    collection.objects.link(scene.objects["Cloud"])
+    scene.collection.objects.unlink(scene.objects["Cloud"])
+    scene.view_layers["Empty"].layer_collection.children["Clouds"].exclude = True
+    assert command(["render", "--output", str(folder / "a.exr"), "--view-layer", "ViewLayer"]) == 0
+    assert "ViewLayer.Alpha.A" in read_exr(folder / "a.exr")[0]
+    assert command(["render", "--output", str(folder / "b.exr"), "--view-layer", "Empty"]) == 1
+    assert "shows no Volume" in capsys.readouterr().err and files(folder) == {"a.exr"}
+
+
+def test_report_says_what_a_render_would_do(command, blend, capsys):
+    blender_scenes.add_object(bpy.context.scene, "Ground", bpy.data.meshes.new("Ground"))
+    assert command(["report", "--frame", "2", "--json", str(blend.parent / "plan.json")]) == 0
+    said = capsys.readouterr()
+    assert "frame 2, 20 x 16 pixels" in said.out and "volume \"Cloud\"" in said.out and "\"Ground\"" in said.err
+    plan = json.loads((blend.parent / "plan.json").read_text())["plan"]
+    assert plan["volumes"][0]["name"] == "Cloud" and plan["memory"] > 0 and len(plan["warnings"]) == 1
+    assert files(blend.parent) == {"plan.json"}
+
+
+def test_compare_measures_against_cycles(command, blend, capsys):
+    assert command(["compare", "--samples", "4", "--bounces", "8", "--scale", "100", "--json",
+                    str(blend.parent / "figures.json")]) == 0
+    assert "relative RMSE" in capsys.readouterr().out
+    figures = json.loads((blend.parent / "figures.json").read_text())["comparison"]
+    assert figures["resolution"] == [20, 16] and figures["samples"] == 4 and abs(figures["alpha_bias"]["value"]) < 0.1
 
 
 def test_warnings_go_to_stderr(command, blend, capsys):

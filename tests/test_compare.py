@@ -30,7 +30,7 @@ def planted(comparison):
     halves = [np.concatenate([truth * rng.gamma(11.0, 1 / 11.0, truth.shape), alpha[..., None]], axis=-1)
               for _ in range(2)]
     black = np.zeros_like(truth)
-    layer = Layer(1.05 * truth, alpha, np.ones_like(alpha), 1.05 * truth, black)
+    layer = Layer(1.05 * truth, alpha, np.ones_like(alpha), 1.05 * truth, black, black[..., 0])
     return layer, Reference(*halves, seconds=12.0, samples=16, bounces=1024, version="4.5.15")
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks import fidelity
+from benchmarks import view_pictures, views
 from inference import Camera, Medium, Settings, Sun, render
 from inference.error import relative_bias, relative_rmse
 from training.path_tracer import trace_pixels
+from training.seeded_volume import cube_volume
 from training.volumes import HELD_BACK, make_volume
 
 BIAS, RMSE = 0.10, 0.30
@@ -16,7 +17,7 @@ def check(layer, a, b, mask, folder):
     """Assert bias and error; leave the pictures behind where they fail."""
     bias, rmse = relative_bias(layer.rgb, a, b, mask), relative_rmse(layer.rgb, a, b, mask)
     picture = folder / "ours-reference-error.png"
-    fidelity.picture(layer.rgb, a, b).save(picture)
+    view_pictures.picture({"ours": layer.rgb}, a, b).save(picture)
     # A bias counts where the reference's own noise cannot explain it.
     assert bias.low < BIAS and bias.high > -BIAS, f"bias {bias}, see {picture}"
     assert rmse.low < RMSE, f"relative RMSE {rmse}, see {picture}"
@@ -24,12 +25,12 @@ def check(layer, a, b, mask, folder):
 
 @pytest.mark.parametrize("key", ["cumulus-100-side-g0.857-chroma", "smoke-100-back-g0.857", "smoke-20-front-g0"])
 def test_independent_references(key, tmp_path):
-    if not fidelity.SHARED.is_dir():
+    if not views.SHARED.is_dir():
         pytest.skip("the folder ../shared/fidelity is absent")
-    with np.load(fidelity.SHARED / "views" / f"{key}.npz") as view:
-        layer = fidelity.render_view(key, view, Settings(depth_samples=16))
-        a, b = view["ab"].astype(np.float64)
-    mask = 0.5 * (a[..., 3] + b[..., 3]) > fidelity.MASK_ALPHA
+    (view,) = [view for view in views.shared_views() if view.name == key]
+    layer = view.render(Settings(depth_samples=16))
+    a, b = view.halves()
+    mask = 0.5 * (a[..., 3] + b[..., 3]) > views.MASK_ALPHA
     np.testing.assert_allclose(layer.alpha[mask].mean(), 0.5 * (a + b)[..., 3][mask].mean(), rtol=0.01)
     check(layer, a[..., :3], b[..., :3], mask, tmp_path)
 
@@ -44,8 +45,8 @@ def test_volumes_that_no_training_has_seen(seed, sigma, g, tmp_path):
         for half in (1, 2)
     ]
     a, b = (half.astype(np.float64) for half in halves)
-    camera = Camera(fidelity.look_at(position), resolution=(40, 40), fov=np.radians(40.0))
-    layer = render([(fidelity.cube_volume(density, "cloud"), Medium(sigma, albedo, g))], [Sun(sun)], camera)
-    mask = layer.alpha > fidelity.MASK_ALPHA
+    camera = Camera(views.look_at(position), resolution=(40, 40), fov=np.radians(40.0))
+    layer = render([(cube_volume(density, "cloud"), Medium(sigma, albedo, g))], [Sun(sun)], camera)
+    mask = layer.alpha > views.MASK_ALPHA
     np.testing.assert_allclose(layer.alpha[mask].mean(), 0.5 * (a + b)[..., 3][mask].mean(), rtol=0.02)
     check(layer, a[..., :3], b[..., :3], mask, tmp_path)

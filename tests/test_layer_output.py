@@ -16,14 +16,14 @@ from . import blender_scenes
 
 @pytest.fixture
 def layer(addon):
-    """Random values; infinite depth in places."""
+    """Random values, taller than one compressed block and not a multiple of it; infinite depth in places."""
     random = np.random.default_rng(5)
     shape = (37, 21)
     single, multiple = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
     alpha = random.uniform(0.1, 1, shape).astype(np.float32)
     depth = np.where(random.random(shape) < 0.3, np.inf, random.uniform(1, 9, shape)).astype(np.float32)
     single[:5], multiple[:5], alpha[:5] = 0.0, 0.0, 0.0
-    return addon.inference.Layer(single + multiple, alpha, depth, single, multiple)
+    return addon.inference.Layer(single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha)
 
 
 def channels(path):
@@ -38,12 +38,13 @@ def test_openexr_reads_what_was_written(addon, layer, tmp_path):
     found, header = channels(path)
     assert set(found) == {
         *(f"Fog.{name}.{c}" for name in ("Combined", "Single", "Multiple") for c in "RGB"),
-        "Fog.Combined.A", "Fog.Alpha.A", "Fog.Depth.Z"}
+        "Fog.Combined.A", "Fog.Alpha.A", "Fog.Depth.Z", "Fog.Uncertainty.X"}
     for name, values in (("Combined", layer.rgb), ("Single", layer.single), ("Multiple", layer.multiple)):
         for index, c in enumerate("RGB"):
             np.testing.assert_array_equal(found[f"Fog.{name}.{c}"], values[..., index])
     np.testing.assert_array_equal(found["Fog.Alpha.A"], layer.alpha)
     np.testing.assert_array_equal(found["Fog.Combined.A"], layer.alpha)
+    np.testing.assert_array_equal(found["Fog.Uncertainty.X"], layer.uncertainty)
     finite = np.isfinite(layer.depth)
     np.testing.assert_array_equal(found["Fog.Depth.Z"][finite], layer.depth[finite])
     assert np.all(found["Fog.Depth.Z"][~finite] == np.float32(1e10))
@@ -52,12 +53,36 @@ def test_openexr_reads_what_was_written(addon, layer, tmp_path):
         assert header[name] == value
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (16, 3), (17, 1), (40, 130)])
+def test_any_size_and_long_names(addon, tmp_path, shape):
+    random = np.random.default_rng(1)
+    written = {
+        "ViewLayer with a name beyond thirty-one bytes.Combined.R": random.random(shape, np.float32),
+        "Z": np.zeros(shape, np.float32),
+        "A": np.full(shape, np.nan, np.float32),
+    }
+    path = tmp_path / "any.exr"
+    addon.mrpnn_addon.exr_file.write_exr(str(path), written, {})
+    found, _ = channels(path)
+    assert set(found) == set(written)
+    for name, values in written.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def test_zeros_compress(addon, tmp_path):
+    path = tmp_path / "zeros.exr"
+    addon.mrpnn_addon.exr_file.write_exr(str(path), {"Z": np.zeros((512, 512), np.float32)}, {})
+    assert path.stat().st_size < 512 * 512 * 4 / 100
+
+
 def test_a_write_that_fails_leaves_nothing_and_keeps_the_old_file(addon, layer, tmp_path):
     write = addon.mrpnn_addon.layer_exr.write_layer
     with pytest.raises(OSError):
         write(str(tmp_path / "missing" / "layer.exr"), layer, "Fog", {})
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
+    with pytest.raises(ValueError, match="255"):
+        write(str(path), layer, "F" * 300, {})
     # A folder cannot be replaced by a file: the failure comes at the very last step.
     (tmp_path / "folder.exr").mkdir()
     with pytest.raises(OSError):
@@ -96,7 +121,7 @@ def test_the_image_holds_the_layer_and_is_used_again(addon, scene, layer):
     np.testing.assert_array_equal(pixels(image)[::-1, :, :3], layer.rgb)
     np.testing.assert_array_equal(pixels(image)[::-1, :, 3], layer.alpha)
 
-    smaller = type(layer)(*(values[:10, :7] for values in list(vars(layer).values())[:5]))
+    smaller = type(layer)(*(values[:10, :7] for values in list(vars(layer).values())[:6]))
     assert show(smaller) == image and tuple(image.size) == (7, 10)
     np.testing.assert_array_equal(pixels(image)[::-1, :, :3], smaller.rgb)
     assert len(bpy.data.images) == 1

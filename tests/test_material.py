@@ -1,5 +1,6 @@
 """Materials and lamps as extinction, albedo and irradiance, against Cycles' own renders."""
 
+import importlib
 import math
 
 import numpy as np
@@ -38,13 +39,15 @@ def assert_cycles_agrees(addon, scene, folder, tolerance=0.03):
     radiance = E albedo p(-1) (1 - exp(-2 sigma_t L)) / 2.
     """
     described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
-    (volume, medium), (sun,) = described.volumes[0], described.suns
-    # The box's length along the view, in world units.
-    length = CELLS * np.linalg.norm(volume.world_from_index[:3, 2])
-    depth = medium.sigma_t * length
+    volume, medium = described.volumes[0]
+    # A soft sun's directions share its light.
+    irradiance = sum(sun.irradiance for sun in described.suns)
+    # Along the view through the middle, in world units; the density is linear between voxels.
+    middle = volume.density[volume.density.shape[0] // 2, volume.density.shape[1] // 2]
+    depth = medium.sigma_t * float(middle.sum()) * np.linalg.norm(volume.world_from_index[:3, 2])
     g = medium.anisotropy
     phase = (1.0 - g * g) / (4.0 * math.pi * (1.0 + g) ** 3)
-    radiance = sun.irradiance * medium.albedo * phase * (1.0 - np.exp(-2.0 * depth)) / 2.0
+    radiance = irradiance * medium.albedo * phase * (1.0 - np.exp(-2.0 * depth)) / 2.0
     pixel = blender_scenes.render_cycles(scene, folder, samples=512).mean(axis=(0, 1))
     assert pixel[3] > 0.02, "Cycles shows no volume"
     np.testing.assert_allclose(pixel[3], np.mean(1.0 - np.exp(-depth)), rtol=tolerance)
@@ -127,6 +130,129 @@ def test_lamp_nodes(addon, scene, box, tmp_path):
     assert_cycles_agrees(addon, scene, tmp_path)
 
 
+def link(node, kind, *inputs, into="Density", **values):
+    """Feed a new node from `inputs` sockets and into one of the shader's; gives the new node."""
+    tree = node.id_data
+    added = tree.nodes.new(f"ShaderNode{kind}")
+    for socket, source in zip(added.inputs, inputs):
+        tree.links.new(source, socket)
+    for name, value in values.items():
+        added.inputs[name.replace("_", " ")].default_value = value
+    if into:
+        tree.links.new(added.outputs[0], node.inputs[into])
+    return added
+
+
+def density_grid(node):
+    return link(node, "VolumeInfo", into=None).outputs["Density"]
+
+
+@pytest.mark.parametrize("chain", ["map range", "color ramp", "curve and mix"])
+def test_a_chain_of_nodes_shapes_the_density(addon, scene, box, tmp_path, chain):
+    _, node, _ = build(scene, box, Color=(0.6, 0.5, 0.4, 1.0))
+    # The grid is 1: shifted into the curved part of the nodes.
+    half = link(node, "Math", density_grid(node), into=None)
+    half.operation, half.inputs[1].default_value = 'MULTIPLY', 0.37
+    if chain == "map range":
+        link(node, "MapRange", half.outputs[0], To_Max=0.5).interpolation_type = 'SMOOTHERSTEP'
+    elif chain == "color ramp":
+        ramp = link(node, "ValToRGB", half.outputs[0]).color_ramp
+        ramp.elements.new(0.4).color = (0.1, 0.4, 0.2, 1.0)
+    else:
+        curve = link(node, "FloatCurve", into=None)
+        node.id_data.links.new(half.outputs[0], curve.inputs["Value"])
+        mix = link(node, "Mix", into=None)
+        mix.inputs[2].default_value, mix.inputs[3].default_value = 0.0, 0.4
+        node.id_data.links.new(curve.outputs[0], mix.inputs[0])
+        node.id_data.links.new(mix.outputs[0], node.inputs["Density"])
+    assert_cycles_agrees(addon, scene, tmp_path)
+
+
+def test_density_attribute_multiplies_what_is_linked(addon, scene, box, tmp_path):
+    _, node, _ = build(scene, box)
+    link_grid(node, "ShaderNodeVolumeInfo", "Density", 0.1)
+    assert_cycles_agrees(addon, scene, tmp_path)
+
+
+def shaders(node, *kinds, joined):
+    """Replace the shader by several of `kinds`, all reading the grid times 0.1, joined by a node."""
+    tree = node.id_data
+    added = []
+    for kind in kinds:
+        shader = tree.nodes.new(f"ShaderNodeVolume{kind}")
+        shader.inputs["Color"].default_value = (0.7, 0.5, 0.2, 1.0)
+        link_grid(shader, "ShaderNodeVolumeInfo", "Density", 0.1)
+        added.append(shader)
+    join = tree.nodes.new(f"ShaderNode{joined}Shader")
+    for shader, socket in zip(added, [socket for socket in join.inputs if socket.type == 'SHADER']):
+        tree.links.new(shader.outputs[0], socket)
+    tree.links.new(join.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    return join
+
+
+@pytest.mark.parametrize("joined", ["Add", "Mix"])
+def test_scatter_and_absorption_together(addon, scene, box, tmp_path, joined):
+    _, node, _ = build(scene, box)
+    join = shaders(node, "Scatter", "Absorption", joined=joined)
+    if joined == "Mix":
+        join.inputs["Fac"].default_value = 0.3
+    medium = assert_cycles_agrees(addon, scene, tmp_path)
+    assert len(set(medium.albedo)) == 3 and medium.albedo.max() < 1.0
+
+
+def test_volume_coefficients(addon, scene, box, tmp_path):
+    if not hasattr(bpy.types, "ShaderNodeVolumeCoefficients"):
+        pytest.skip("this version has no Volume Coefficients node")
+    _, node, _ = build(scene, box, "ShaderNodeVolumeCoefficients", Anisotropy=0.3)
+    for kind, colour in (("Scatter", (0.1, 0.2, 0.3)), ("Absorption", (0.3, 0.1, 0.0))):
+        product = link(node, "VectorMath", density_grid(node), into=f"{kind} Coefficients")
+        product.operation, product.inputs[1].default_value = 'MULTIPLY', colour
+    assert_cycles_agrees(addon, scene, tmp_path)
+
+
+@pytest.mark.parametrize("phase, inputs", [
+    ("RAYLEIGH", ()), ("DRAINE", (0.6, 3.0)), ("MIE", (0.05,)), ("MIE", (0.8,)), ("MIE", (3.0,)), ("MIE", (20.0,)),
+    ("FOURNIER_FORAND", (1.33, 0.1)),
+], ids=str)
+def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase, inputs):
+    """What the mean cosine is taken of, seen by single scattering at two angles."""
+    found = importlib.import_module("mrpnn.mrpnn_addon.phase_functions")
+    _, node, sun = build(scene, box, "ShaderNodeVolumeScatter")
+    node.phase = phase
+    names = {"DRAINE": ("Anisotropy", "Alpha"), "MIE": ("Diameter",), "FOURNIER_FORAND": ("IOR", "Backscatter")}
+    for name, value in zip(names.get(phase, ()), inputs):
+        node.inputs[name].default_value = value
+    link_grid(node, "ShaderNodeVolumeInfo", "Density", 0.02)
+
+    def draine(u, g, alpha):
+        return ((1 - g * g) / (1 + g * g - 2 * g * u) ** 1.5 * (1 + alpha * u * u)
+                / (1 + alpha * (1 + 2 * g * g) / 3) / (4 * math.pi))
+
+    def density(u):
+        if phase == "RAYLEIGH":
+            return 3 / (16 * math.pi) * (1 + u * u)
+        if phase == "DRAINE":
+            return draine(u, *inputs)
+        if phase == "MIE":
+            g, d, alpha, share = found.mie_parameters(*inputs)
+            return (1 - share) * draine(u, g, 0.0) + share * draine(u, d, alpha)
+        return found.fournier_forand(np.asarray(u), *inputs)
+
+    angles = (np.arange(4000) + 0.5) * math.pi / 4000
+    weights = density(np.cos(angles)) * np.sin(angles)
+    mean = found.mean_cosine(phase, *inputs)
+    assert mean == pytest.approx((weights * np.cos(angles)).sum() / weights.sum(), abs=2e-3)
+    seen = []
+    for angle in (0.3, 2.4):
+        # Light that goes straight on has angle 0; the camera looks down.
+        sun.rotation_euler = (math.pi - angle, 0.0, 0.0)
+        seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=256)[..., 0].mean())
+    assert seen[0] / seen[1] == pytest.approx(density(math.cos(0.3)) / density(math.cos(2.4)), rel=0.06)
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    assert described.volumes[0][1].anisotropy == pytest.approx(mean)
+    assert any(f"{mean:.3f}" in warning and "mean cosine" in warning for warning in described.warnings)
+
+
 def glow(node):
     node.inputs["Emission Strength"].default_value = 1.0
 
@@ -135,19 +261,23 @@ def burn(node):
     node.inputs["Blackbody Intensity"].default_value = 1.0
 
 
-def link_noise(node):
-    tree = node.id_data
-    noise = tree.nodes.new("ShaderNodeTexNoise")
-    tree.links.new(noise.outputs[0], node.inputs["Density"])
+@pytest.mark.parametrize("change", [glow, burn])
+def test_emission_is_named_as_not_rendered(addon, scene, box, change):
+    _, node, _ = build(scene, box)
+    change(node)
+    (warning,) = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).warnings
+    assert "Cloud" in warning and "Principled Volume" in warning and "emits" in warning
 
 
-def link_colour_ramp(node):
-    tree = node.id_data
-    ramp = tree.nodes.new("ShaderNodeValToRGB")
-    tree.links.new(ramp.outputs[0], node.inputs["Color"])
+def link_voronoi(node):
+    link(node, "TexVoronoi")
 
 
-def colour_by_grid(node):
+def ramp_in_colour(node):
+    link(node, "ValToRGB", density_grid(node), into="Color")
+
+
+def colour_by_a_grid_beside_its_own(node):
     node.inputs["Color Attribute"].default_value = "density"
 
 
@@ -155,37 +285,47 @@ def clear_attribute(node):
     node.inputs["Density Attribute"].default_value = ""
 
 
-def use_grid_twice(node):
-    link_grid(node, "ShaderNodeVolumeInfo", "Density")
-
-
-def mute(node):
-    node.mute = True
+def fog_without_end(node):
+    clear_attribute(node)
+    link(node, "Math", density_grid(node))
 
 
 def unlink(node):
     node.id_data.links.clear()
 
 
+def bend_phase(node):
+    link(node, "Math", density_grid(node), into="Anisotropy")
+
+
 @pytest.mark.parametrize("change, named", [
-    (glow, "Emission Strength"), (burn, "Blackbody Intensity"), (link_noise, "Noise Texture"),
-    (link_colour_ramp, "Color Ramp"), (colour_by_grid, "Color Attribute"), (clear_attribute, "Density Attribute"),
-    (use_grid_twice, "Density Attribute"), (mute, "muted"), (unlink, "Volume socket"),
+    (link_voronoi, "Voronoi Texture"), (clear_attribute, "Density Attribute"), (fog_without_end, "fog without end"),
+    (unlink, "Volume socket"), (bend_phase, "phase function"),
 ])
 def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, named):
     _, node, _ = build(scene, box)
     change(node)
+    assert_refused(addon, named)
+
+
+def assert_refused(addon, named):
     with pytest.raises(addon.inference.SceneError, match="Cloud") as refusal:
         addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
     assert "Cloud fog" in str(refusal.value) and named in str(refusal.value)
 
 
+@pytest.mark.parametrize("change", [ramp_in_colour, colour_by_a_grid_beside_its_own])
+def test_colour_that_varies_from_voxel_to_voxel_is_refused(addon, scene, tmp_path, change):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    node = bpy.data.materials["Cloud fog"].node_tree.nodes["Principled Volume"]
+    change(node)
+    assert_refused(addon, "varies from voxel to voxel")
+
+
 def test_an_unknown_shader_and_scatter_without_grid_are_refused(addon, scene, box):
     _, node, _ = build(scene, box, "ShaderNodeVolumeScatter")
-    with pytest.raises(addon.inference.SceneError, match="does not read a grid"):
-        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    assert_refused(addon, "reads no grid")
     tree = node.id_data
-    absorption = tree.nodes.new("ShaderNodeVolumeAbsorption")
-    tree.links.new(absorption.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
-    with pytest.raises(addon.inference.SceneError, match="\"Volume Absorption\" is not supported"):
-        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    surface = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    tree.links.new(surface.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    assert_refused(addon, "\"Diffuse BSDF\"")

@@ -1,22 +1,37 @@
-"""The exported network on onnxruntime against PyTorch, and weights files that are not right."""
+"""The exported networks on onnxruntime against PyTorch, and weights files that are not right."""
 
 import numpy as np
 import pytest
 import torch
 
-from inference import network
+from inference import network, sun_lattice
 from inference.scene import SceneError
 from inference.stencil import Stencil, make_stencil
 from training.export import export, save
-from training.networks import MRPNN
+from training.networks import NETWORKS
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
+POINTS = 77
+LARGEST_FILE = 8_000_000
 
 
-@pytest.fixture(scope="module")
-def net():
+def make_net(name):
     torch.manual_seed(3)
-    return MRPNN()
+    return NETWORKS[name]()
+
+
+def make_inputs(kind):
+    """Inputs of a network as onnxruntime takes them, without the albedo."""
+    random = np.random.default_rng(4)
+    gamma = random.uniform(0, np.pi, POINTS).astype(np.float32)
+    if kind == "lattice":
+        return {"lattice": random.random((POINTS, sun_lattice.LEVELS, sun_lattice.POINTS), np.float32), "gamma": gamma}
+    anisotropy = np.full(POINTS, 0.857, np.float32)
+    if kind == "ray":
+        stencil, light = random.random((POINTS, 384), np.float32), random.random((POINTS, 5), np.float32)
+        return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
+    features = random.random((3, POINTS, 192), np.float32)
+    return {"features": features, "anisotropy": anisotropy, "gamma": gamma}
 
 
 def weights_folder(folder, monkeypatch, model):
@@ -24,50 +39,71 @@ def weights_folder(folder, monkeypatch, model):
     monkeypatch.setattr(network, "WEIGHTS", folder)
 
 
-def test_parameters_are_the_papers(net):
-    """A.5 gives about 50 thousand parameters, and a 128-vector before the reduction."""
-    assert 45_000 < sum(p.numel() for p in net.parameters()) < 55_000
-
-
-def test_onnxruntime_equals_pytorch(net, tmp_path, monkeypatch):
-    weights_folder(tmp_path, monkeypatch, export(net, make_stencil(), CONFIGURATION))
+@pytest.mark.parametrize("name", sorted(NETWORKS))
+def test_onnxruntime_equals_pytorch(name, tmp_path, monkeypatch):
+    net = make_net(name)
+    weights_folder(tmp_path, monkeypatch, export(net, CONFIGURATION))
+    assert (tmp_path / "test.onnx").stat().st_size < LARGEST_FILE
     loaded = network.load_network("test")
-    random = np.random.default_rng(4)
-    features = random.random((3, 77, 192), np.float32)
-    gamma = random.uniform(0, np.pi, 77).astype(np.float32)
+    assert loaded.configuration["network"] == name
+    inputs = make_inputs(net.kind)
     albedos = np.array([0.0, 0.3, 1.0], np.float32)
     with torch.no_grad():
-        expected = net(
-            torch.from_numpy(features),
-            torch.full((77,), 0.857),
-            torch.from_numpy(gamma),
-            torch.from_numpy(np.repeat(albedos[:, None], 77, axis=1)),
-        ).numpy()
-    result = loaded.multiple(features, 0.857, gamma, albedos)
+        tensors = [torch.from_numpy(value) for value in inputs.values()]
+        expected = net(*tensors, torch.from_numpy(np.repeat(albedos[:, None], POINTS, axis=1))).numpy()
+    result = loaded.run(**inputs, albedo=albedos)
+    assert result.shape == (3, POINTS)
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-12)
-    assert np.all(result[0] == 0.0) and np.all(result[1:] > 0.0)
     # A point's result does not depend on its neighbours in the batch.
-    one = loaded.multiple(np.ascontiguousarray(features[:, 5:6]), 0.857, gamma[5:6], albedos)
-    np.testing.assert_allclose(one[:, 0], result[:, 5], rtol=1e-5)
+    points_axis = {"features": 1}
+    one = {key: np.take(value, [5], axis=points_axis.get(key, 0)) for key, value in inputs.items()}
+    np.testing.assert_allclose(loaded.run(**one, albedo=albedos)[:, 0], result[:, 5], rtol=1e-5)
 
 
-def test_a_stencil_that_does_not_belong_is_refused(net, tmp_path, monkeypatch):
-    stencil = make_stencil()
-    model = export(net, stencil, CONFIGURATION)
-    moved = Stencil(stencil.low * 1.01, stencil.high)
-    for entry in model.metadata_props:
-        if entry.key == "stencil_sha256":
-            entry.value = moved.digest
-    weights_folder(tmp_path, monkeypatch, model)
-    with pytest.raises(SceneError, match="do not belong together"):
-        network.load_network("test")
+@pytest.mark.parametrize("name", sorted(set(NETWORKS) - {"rpnn"}))
+def test_light_is_positive_and_none_is_scattered_without_albedo(name):
+    net = make_net(name)
+    albedo = torch.tensor([[0.0], [0.5], [1.0]]).expand(3, POINTS)
+    with torch.no_grad():
+        radiance = net(*(torch.from_numpy(value) for value in make_inputs(net.kind).values()), albedo)
+    assert torch.all(radiance[0] == 0.0) and torch.all(radiance[1:] > 0.0)
 
 
-def test_damaged_and_unknown_weights_are_refused(net, tmp_path, monkeypatch):
-    weights_folder(tmp_path, monkeypatch, export(net, make_stencil(), CONFIGURATION))
+def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
+    """RPNN's one anisotropy and albedo, whatever the range of the data; the stencil's networks know all albedos."""
+    weights_folder(tmp_path, monkeypatch, export(make_net("rpnn"), CONFIGURATION))
+    loaded = network.load_network("test")
+    assert loaded.anisotropy_range == (0.857, 0.857) and loaded.albedo_range == (1.0, 1.0)
+    assert loaded.sigma_hat_range == (1, 2000)
+    np.testing.assert_array_equal(loaded.points.points, sun_lattice.make_sun_lattice().points)
+    weights_folder(tmp_path, monkeypatch, export(make_net("mrpnn-narrow"), CONFIGURATION))
+    loaded = network.load_network("test")
+    assert loaded.anisotropy_range == (-0.3, 0.95) and loaded.albedo_range == (0.0, 1.0)
+    assert loaded.points.digest == make_stencil().digest
+
+
+def test_points_that_do_not_belong_are_refused(tmp_path, monkeypatch):
+    stencil, lattice = make_stencil(), sun_lattice.make_sun_lattice()
+    moved = {
+        "mrpnn-paper": Stencil(stencil.low * 1.01, stencil.high),
+        "rpnn": sun_lattice.SunLattice(lattice.points * 1.01),
+    }
+    for name, points in moved.items():
+        net = make_net(name)
+        model = export(net, CONFIGURATION)
+        for entry in model.metadata_props:
+            if entry.key == "points_sha256":
+                entry.value = points.digest
+        weights_folder(tmp_path, monkeypatch, model)
+        with pytest.raises(SceneError, match=f"their {net.kind} do not belong together"):
+            network.load_network("test")
+
+
+def test_damaged_and_unknown_weights_are_refused(tmp_path, monkeypatch):
+    weights_folder(tmp_path, monkeypatch, export(make_net("mrpnn-paper"), CONFIGURATION))
     whole = (tmp_path / "test.onnx").read_bytes()
     (tmp_path / "test.onnx").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(SceneError, match="'test' cannot be read"):
         network.load_network("test")
-    with pytest.raises(SceneError, match="available: test"):
+    with pytest.raises(SceneError, match="available: .*test"):
         network.load_network("nothing")

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
+from inference.multiple import FLUENCE_MOST
 from inference.phase import henyey_greenstein
 
 
@@ -187,6 +188,24 @@ def test_predictions_are_those_that_the_image_shows():
     np.testing.assert_allclose(layer.multiple[0, 0], 0.9 * predicted.mean(axis=0) * (1 - np.exp(-10.0)), rtol=0.02)
 
 
+def test_uncertainty_is_the_spread_that_other_depths_show():
+    """Between seeds, over the pixels: the estimate is right in its size, and in where it is large."""
+    def layers(samples):
+        return [render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, seed=seed, threads=1))
+                for seed in range(8)]
+
+    for samples in (2, 8):
+        found = layers(samples)
+        spread = np.std([layer.multiple.mean(axis=2) for layer in found], axis=0, ddof=1)
+        told = np.sqrt(np.mean([layer.uncertainty**2 for layer in found], axis=0))
+        lit = found[0].alpha > 0.01
+        assert 0.6 < np.sqrt((told[lit] ** 2).mean() / (spread[lit] ** 2).mean()) < 1.6
+        assert np.corrcoef(told[lit], spread[lit])[0, 1] > 0.5
+        assert np.all(told[~lit] <= 1e-3 * told.max())
+    one = render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(), Settings(1))
+    np.testing.assert_allclose(one.uncertainty, one.multiple.mean(axis=2), rtol=1e-5, atol=1e-7)
+
+
 def test_a_sun_without_light_leaves_the_shape_alone():
     layer = render([(cloud(), Medium(30.0, 0.9))], [Sun((0.0, 0.0, 1.0), 0.0)], camera())
     assert np.all(layer.rgb == 0.0) and layer.alpha.max() > 0.5
@@ -226,3 +245,17 @@ def test_warnings_name_what_is_outside_the_trained_range():
     assert any("fog: anisotropy" in w for w in layer.report.warnings)
     assert any("fog: optical density" in w for w in layer.report.warnings)
     assert np.all(np.isfinite(layer.rgb)) and layer.rgb.min() >= 0.0
+
+
+@pytest.mark.parametrize("anisotropy", [-0.99, 0.0, 0.999])
+@pytest.mark.parametrize("sigma_t", [1e-6, 1.0, 1e7])
+def test_outside_the_trained_range_light_stays_finite_and_bounded(sigma_t, anisotropy):
+    """Never more than a conservative medium's largest fluence, all of it where the phase function peaks."""
+    random = np.random.default_rng(6)
+    points, directions = random.uniform(-0.4, 0.4, (300, 3)), random.normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = predict_multiple(cloud(), Medium(sigma_t, 1.0, anisotropy), SUN, points, directions)
+    used = np.clip(anisotropy, -0.3, 0.95)
+    most = FLUENCE_MOST * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
+    assert np.all(np.isfinite(found)) and found.min() >= 0.0 and found.max() <= most * (1 + 1e-6)
+    assert found.max() > 0.0

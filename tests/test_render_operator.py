@@ -1,4 +1,4 @@
-"""Rendering inside Blender: the operator, the worker thread and the render engine."""
+"""Rendering inside Blender: the operator and the worker thread."""
 
 import threading
 import time
@@ -12,6 +12,7 @@ bpy = pytest.importorskip("bpy")
 import OpenEXR
 
 from . import blender_scenes
+from .exr_files import channels, combined
 
 
 @pytest.fixture
@@ -28,17 +29,6 @@ def image_pixels():
     values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(image.size[1], image.size[0], 4)[::-1]
-
-
-def channels(path):
-    """All channels; from 5.0 on Blender writes a part for each pass."""
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
-
-
-def combined(path, view_layer="ViewLayer."):
-    found = channels(path)
-    return np.stack([found[f"{view_layer}Combined.{c}"] for c in "RGBA"], axis=-1)
 
 
 def test_the_operator_gives_the_layer_of_the_library(addon, scene, cloud, tmp_path):
@@ -128,63 +118,3 @@ def test_a_workers_error_reaches_the_main_thread(addon, scene, cloud, tmp_path):
     job = addon.mrpnn_addon.render_job.RenderJob(described, settings, None)
     job.wait()
     assert isinstance(job.error, addon.inference.SceneError) and "no such network" in str(job.error)
-
-
-# The engine
-
-
-def render_engine(scene, path):
-    scene.render.engine = 'MRPNN'
-    scene.view_layers[0].use_pass_z = True
-    blender_scenes.write_multilayer(scene)
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-
-
-def test_f12_puts_the_layer_into_the_render_result(addon, scene, cloud, tmp_path):
-    bpy.ops.mrpnn.render(filepath=str(tmp_path / "operator.exr"))
-    render_engine(scene, tmp_path / "engine.exr")
-    np.testing.assert_array_equal(combined(tmp_path / "engine.exr"), combined(tmp_path / "operator.exr"))
-    np.testing.assert_array_equal(
-        channels(tmp_path / "engine.exr")["ViewLayer.Depth.Z"], channels(tmp_path / "operator.exr")["ViewLayer.Depth.Z"])
-
-
-def test_the_engine_sees_what_only_renders_show(addon, scene, cloud, tmp_path):
-    """Hidden in the viewport, the cloud is not there for the operator; a render evaluates it."""
-    render_engine(scene, tmp_path / "shown.exr")
-    cloud.hide_viewport = True
-    render_engine(scene, tmp_path / "hidden.exr")
-    np.testing.assert_array_equal(combined(tmp_path / "hidden.exr"), combined(tmp_path / "shown.exr"))
-
-
-@pytest.mark.parametrize("crop", [False, True])
-def test_the_render_region_is_cut_as_blender_cuts_it(addon, scene, cloud, tmp_path, crop):
-    bpy.ops.mrpnn.render()
-    whole = image_pixels().copy()
-    render = scene.render
-    render.use_border, render.use_crop_to_border = True, crop
-    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.71, 0.13, 0.62
-    bpy.ops.mrpnn.render()
-    part = image_pixels()
-    # Columns 8 to 21 of 32, rows 3 to 13 of 24 from the bottom.
-    rows, columns = slice(24 - 14, 24 - 3), slice(8, 22)
-    if crop:
-        np.testing.assert_array_equal(part, whole[rows, columns])
-    else:
-        expected = np.zeros_like(whole)
-        expected[rows, columns] = whole[rows, columns]
-        np.testing.assert_array_equal(part, expected)
-    render_engine(scene, tmp_path / "engine.exr")
-    np.testing.assert_array_equal(combined(tmp_path / "engine.exr"), part)
-
-
-def test_built_in_panels_show_for_the_engine_only_while_registered(addon):
-    panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_volume]
-    assert all('MRPNN' in panel.COMPAT_ENGINES for panel in panels)
-    addon.unregister()
-    try:
-        assert not [panel for panel in bpy.types.Panel.__subclasses__()
-                    if 'MRPNN' in getattr(panel, 'COMPAT_ENGINES', ())]
-        assert not hasattr(bpy.types.Scene, 'mrpnn') and not hasattr(bpy.types, 'MRPNN_OT_render')
-    finally:
-        addon.register()

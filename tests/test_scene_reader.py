@@ -1,5 +1,6 @@
 """What is read from Blender scenes: volumes, placement, suns, camera, and clear refusals."""
 
+import importlib
 import math
 import shutil
 
@@ -130,6 +131,21 @@ def test_instances_are_volumes_of_their_own(addon, scene, tmp_path):
     assert [volume.name for volume in volumes] == ["Cloud in At -2", "Cloud in At 2"]
     np.testing.assert_allclose(
         volumes[1].world_from_index[:3, 3] - volumes[0].world_from_index[:3, 3], (4.0, 0.0, 0.0), atol=1e-6)
+    # A reference holds what makes the instances.
+    reference = importlib.import_module("mrpnn.mrpnn_addon.cycles_reference")
+    shown = reference.volumes_and_suns(blender_scenes.depsgraph())
+    assert {item.name for item in shown} == {"At -2", "At 2", "Sun"}
+
+
+def test_volumes_that_overlap_are_named(addon, scene, tmp_path):
+    cloud = blender_scenes.cloud_scene(scene, tmp_path)
+    other = cloud.copy()
+    scene.collection.objects.link(other)
+    other.location.x = 1.5
+    (warning,) = read(addon).warnings
+    assert "\"Cloud\" and \"Cloud.001\" overlap" in warning
+    other.location.x = 2.5
+    assert not read(addon).warnings
 
 
 def test_a_sequence_reads_the_frames_file(addon, scene, tmp_path):
@@ -216,7 +232,8 @@ def test_a_grid_too_large_to_hold_is_refused_with_its_size(addon, scene, tmp_pat
 def test_real_volumes_are_read_whole(addon, scene, shared_volumes):
     grids = {"openvdb_smoke.vdb": (111, 222, 112), "blender_smoke_wind.vdb": (51, 49, 96)}
     for number, name in enumerate(grids):
-        blender_scenes.add_volume(scene, shared_volumes / name, name=name)
+        volume, _ = blender_scenes.add_volume(scene, shared_volumes / name, name=name)
+        volume.location.x = 1000.0 * number
     lit(scene)
     described = read(addon)
     assert {volume.name: volume.density.shape for volume, _ in described.volumes} == grids
@@ -246,18 +263,19 @@ def test_what_is_not_rendered_is_named(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
     blender_scenes.add_object(scene, "Ground", bpy.data.meshes.new("Ground"))
-    soft = blender_scenes.add_sun(scene, "Soft")
-    soft.data.angle = math.radians(20.0)
+    linked = blender_scenes.add_sun(scene, "Linked")
+    linked.light_linking.receiver_collection = bpy.data.collections.new("Some")
+    bare = blender_scenes.add_sun(scene, "Bare")
+    bare.data.use_shadow = bare.data.cycles.cast_shadow = False
     blind = blender_scenes.add_sun(scene, "Blind")
     blind.visible_volume_scatter = False
     scene.camera.data.dof.use_dof = True
-    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
     described = read(addon)
     text = "\n".join(described.warnings)
-    for named in ("Lamp", "Ground", "Soft", "Blind", "depth of field", "World"):
+    for named in ("Lamp", "Ground", "Linked", "Bare", "Blind", "depth of field"):
         assert named in text
     assert len(described.warnings) == 6
-    assert {sun.name for sun in described.suns} == {"sun \"Sun\"", "sun \"Soft\""}
+    assert {sun.name for sun in described.suns} == {f"sun \"{name}\"" for name in ("Sun", "Linked", "Bare")}
 
 
 @pytest.mark.parametrize("hide", ["hide_render", "collection", "exclude"])
@@ -282,7 +300,7 @@ def test_hidden_in_the_viewport_alone_is_refused(addon, scene, tmp_path):
     cloud = blender_scenes.cloud_scene(scene, tmp_path)
     cloud.hide_set(True)
     message = refusal(addon)
-    assert "\"Cloud\" is hidden in the viewport" in message
+    assert "volume \"Cloud\" is hidden in the viewport" in message
     cloud.hide_render = True
     assert "no Volume object" in refusal(addon)
 
@@ -356,4 +374,28 @@ def test_cameras_that_cannot_be_rendered_are_refused(addon, scene, tmp_path):
     assert "aspect 2:1" in refusal(addon)
     scene.render.pixel_aspect_x = 1.0
     scene.camera.data.type = 'PANO'
-    assert "\"Camera\" is of type PANO" in refusal(addon)
+    scene.camera.data.panorama_type = 'FISHEYE_EQUIDISTANT'
+    assert "\"Camera\" is of type FISHEYE_EQUIDISTANT" in refusal(addon)
+
+
+@pytest.mark.parametrize("ends", [(-math.pi, math.pi, -math.pi / 2, math.pi / 2), (-0.3, 1.5, -1.2, 0.7)])
+def test_a_panorama_shows_a_volume_where_cycles_does(addon, scene, tmp_path, ends):
+    cloud = blender_scenes.cloud_scene(scene, tmp_path)
+    cloud.location, cloud.scale = (1.1, 0.4, -0.5), (0.5, 0.5, 0.5)
+    # Soot: nothing for the network to do.
+    shader = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
+    shader.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    camera = scene.camera
+    camera.location, camera.rotation_euler = (0.0, -2.0, 0.0), (1.4, 0.2, 0.3)
+    lens = camera.data
+    lens.type, lens.panorama_type = 'PANO', 'EQUIRECTANGULAR'
+    lens.longitude_min, lens.longitude_max, lens.latitude_min, lens.latitude_max = ends
+    scene.render.resolution_x, scene.render.resolution_y = 64, 32
+    bpy.context.view_layer.update()
+    described = read(addon)
+    layer = addon.inference.render(described.volumes, described.suns, described.camera,
+                                   addon.inference.Settings(depth_samples=1))
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=128)[..., 3]
+    assert expected.sum() > 5.0
+    assert np.abs(layer.alpha - expected).max() < 0.15
+    assert layer.alpha.sum() == pytest.approx(expected.sum(), rel=0.03)

@@ -1,14 +1,22 @@
 """Targets, the loss and the trainer, on data small enough for a test."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
 
-from inference import Medium, Sun, Volume
+from inference import Medium, Sun
 from inference.cube import fit_cube
+from inference.descriptors import angle_to_sun, read_fields
+from inference.grid import Grid
+from inference.march import light_at
 from inference.multiple import MultipleField
+from inference.network import load_network
+from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
 from training import evaluate, train
-from training.networks import MRPNN
+from training.networks import RayMRPNN
+from training.seeded_volume import seeded_volume
 from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
 
 
@@ -25,13 +33,13 @@ def test_rows_are_complete_and_plausible(data):
     with np.load(data / "0000003.npz") as rows:
         count = len(rows["gamma"])
         assert 0 < count <= 96 * SUNS and count % SUNS == 0
-        assert rows["features"].shape == (count, 3, 192)
-        assert rows["radiance"].shape == rows["albedo"].shape == (count, ALBEDOS)
+        assert rows["features"].shape == (count, 2, 192)
+        assert rows["albedo"].shape == (count, ALBEDOS) and rows["radiance"].shape == (count, 2, ALBEDOS)
         assert np.all(rows["radiance"] >= 0.0) and rows["radiance"].max() > 0.0
         # The same walks weighted with a smaller albedo bring less light.
         order = np.argsort(rows["albedo"], axis=1)
-        radiance = np.take_along_axis(rows["radiance"], order, axis=1)
-        assert np.all(np.diff(radiance, axis=1) >= 0.0)
+        radiance = np.take_along_axis(rows["radiance"], order[:, None], axis=2)
+        assert np.all(np.diff(radiance, axis=2) >= 0.0)
         assert np.all(rows["albedo"][:, 0] == 1.0)
 
 
@@ -58,14 +66,14 @@ def test_loss_is_smallest_at_the_mean_of_noisy_targets():
     optimizer = torch.optim.Adam([y], lr=0.02)
     for _ in range(300):
         optimizer.zero_grad()
-        train.relative_l2(torch.exp(y).expand_as(target), target).backward()
+        train.relative_l2(torch.exp(y).expand_as(target), target, torch.ones(1)).backward()
         optimizer.step()
     assert torch.exp(y).item() == pytest.approx(target.mean().item(), rel=0.01)
 
 
 def run(data, folder, steps):
-    train.main(["--data", str(data), "--run", str(folder), "--steps", str(steps), "--validation", "1",
-                "--report-every", "10", "--threads", "2"])
+    train.main(["--network", "mrpnn", "--data", str(data), "--held", str(data), "--run", str(folder),
+                "--steps", str(steps), "--report-every", "10", "--threads", "2"])
     return torch.load(folder / "checkpoint.pt", weights_only=True)
 
 
@@ -74,61 +82,86 @@ def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatc
     monkeypatch.setattr(train, "WARM_UP", 5)
     # A learning rate that does not depend on the number of steps, so that runs can be compared.
     monkeypatch.setattr(train, "rate", lambda step, steps: 1.0)
-    whole = run(data, tmp_path / "whole", 40)
+    whole = run(data, tmp_path / "whole", 60)
     run(data, tmp_path / "parts", 20)
-    resumed = run(data, tmp_path / "parts", 40)
+    resumed = run(data, tmp_path / "parts", 60)
     for key, value in whole["net"].items():
         torch.testing.assert_close(resumed["net"][key], value, rtol=1e-4, atol=1e-6)
+    progress = [json.loads(line) for line in (tmp_path / "whole" / "progress.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in progress] == [10, 20, 30, 40, 50, 60]
+    assert progress[-1]["loss"] < 0.7 * progress[0]["loss"]
+    assert abs(whole["configuration"]["held_bias"]) < 0.5
+
+
+def test_held_back_error_leaves_the_targets_noise_out():
+    """Targets with noise around what the network predicts: no error, where plain squares would show the noise."""
     torch.manual_seed(0)
-    held = train.load([data / "0000003.npz"])
-    trained = MRPNN()
-    trained.load_state_dict(whole["net"])
-    # The mean radiance of a volume it has not seen: far off before, near after.
-    before, after = train.validate(MRPNN(), held)[1], train.validate(trained, held)[1]
-    assert abs(before) > 5.0 and abs(after) < 2.0
+    net = RayMRPNN()
+    count = 20000
+    data = {
+        "features": torch.rand(count, 2, 192), "tau_sun": torch.rand(count), "tau_ahead": torch.rand(count),
+        "ahead": torch.rand(count, 3), "anisotropy": torch.full((count,), 0.5), "gamma": torch.rand(count),
+        "albedo": torch.ones(count, 1),
+    }
+    with torch.no_grad():
+        truth = net(*net.inputs(data, torch.arange(count)), data["albedo"].T)
+    noise = 0.5 * truth.std() + 0.3 * truth.mean()
+    data["radiance"] = (truth.T[:, None] + noise * torch.randn(count, 2, 1)).float()
+    plain = ((truth.T - data["radiance"][:, 0]) ** 2 / truth.T**2).mean().sqrt()
+    error, bias = train.held_error(net, data)
+    assert plain > 0.25 and error < 0.2 * plain and abs(bias) < 0.01
+    data["radiance"] *= 1.1
+    assert train.held_error(net, data)[0] == pytest.approx(0.1, rel=0.25)
+
+
+def test_typical_radiance_is_the_mean_of_rows_alike():
+    random = np.random.default_rng(0)
+    sigma_hat = np.repeat([2.0, 1500.0], 500)
+    radiance = np.where(sigma_hat < 10, 0.01, 0.4) * random.uniform(0.5, 1.5, 1000)
+    data = {"sigma_hat": sigma_hat, "gamma": np.full(1000, 1.0), "anisotropy": np.zeros(1000), "radiance": radiance[:, None]}
+    typical = train.typical_radiance({key: torch.from_numpy(value) for key, value in data.items()})
+    np.testing.assert_allclose(typical[:500, 0], radiance[:500].mean(), rtol=1e-5)
+    np.testing.assert_allclose(typical[500:, 0], radiance[500:].mean(), rtol=1e-5)
 
 
 def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
-    torch.save({"averaged": MRPNN().state_dict()}, checkpoint)
-    evaluate.main(["--data", str(data), "--checkpoint", str(checkpoint), "--volumes", "3"])
+    torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
+    evaluate.main(["--held", str(data), "--checkpoint", str(checkpoint)])
     lines = [line.split("|") for line in capsys.readouterr().out.splitlines() if "| gamma" in line]
     rows = sum(len(np.load(file)["gamma"]) for file in data.glob("*.npz"))
     assert sum(int(line[4]) for line in lines) == rows
 
 
-def test_features_are_those_that_rendering_uses(monkeypatch):
-    """A target's descriptor equals the one that inference builds for the same point and sun."""
-    from inference import network
-    from inference.descriptors import describe
-    from training import targets
-    from training.volumes import make_volume
-
-    seen = {}
-    def keep(density, suns, tau, positions, omega, *rest):
-        seen.update(suns=suns, positions=positions, omega=omega)
-        return trace(density, suns, tau, positions, omega, *rest)
-    trace = targets.trace_points
-    monkeypatch.setattr(targets, "trace_points", keep)
-    rows = make_targets(5, points=16, paths=1)
-    points = len(seen["positions"])
-    sample = make_volume(5, targets.RESOLUTION)
-    n = sample.density.shape[0]
-    matrix = np.diag([1 / n] * 3 + [1.0])
-    matrix[:3, 3] = 0.5 / n - 0.5
-    volume = Volume(sample.density, matrix)
+def test_inputs_are_those_that_rendering_uses():
+    """A target's descriptor and light along the ray equal those that inference finds for the same point and sun."""
+    rows = make_targets(5, points=16, paths=2)
+    volume, _ = seeded_volume(5)
     cube = fit_cube(volume)
-    loaded = network.load_network("mrpnn")
+    loaded = load_network("mrpnn")
+    points = len(rows["gamma"]) // SUNS
+    grid = Grid(volume)
     for k, i in ((0, 0), (1, points // 2), (SUNS - 1, points - 1)):
         row = k * points + i
-        sigma_t = rows["sigma_hat"][row] / cube.edge
+        sigma_t = float(rows["sigma_hat"][row] / cube.edge)
+        position, omega = (rows[key][row : row + 1].astype(float) for key in ("position", "omega"))
+        sun = Sun(rows["sun"][row]).direction
         field = MultipleField(loaded, volume, Medium(sigma_t, 1.0, rows["anisotropy"][row]))
-        position, omega = seen["positions"][i : i + 1].astype(float), seen["omega"][i : i + 1].astype(float)
-        field.light(sigma_t, Sun(seen["suns"][k]).direction, *field.bounds(position))
-        features, gamma = describe(
-            loaded.stencil, field.lattices, field.phase, cube.positions(position), cube.directions(omega), field.sun
-        )
-        assert gamma[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
+        field.light(sigma_t, sun, *field.bounds(position))
+        mu, transmittance = np.empty((2, 1, 192), np.float32)
+        reader = field.field
+        x, w = cube.positions(position), cube.directions(omega)
+        read_fields(loaded.points, reader.lattices, x, w, reader.sun, mu, transmittance)
+        assert angle_to_sun(w, reader.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
         # Half precision in the file; a point at a cell's border may fall on either side.
-        close = np.isclose(features[:, 0], rows["features"][row], rtol=2e-3, atol=2e-3)
+        close = np.isclose(np.stack([mu[0], transmittance[0]]), rows["features"][row], rtol=2e-3, atol=2e-3)
         assert close.mean() > 0.99
+
+        grid.sun_directions, grid.sun_depths = [], []
+        grid.add_sun(sun)
+        grid.set_extinction(sigma_t)
+        light = light_at(grid, sigma_t, position, omega).of(slice(None), 0, 0)[0]
+        expected = [min(rows["tau_sun"][row], TAU_SUN_MOST), min(rows["tau_ahead"][row], TAU_AHEAD_MOST)]
+        expected += list(rows["ahead"][row])
+        # Rendering interpolates transmittance, training optical depth.
+        np.testing.assert_allclose(light, expected, rtol=0.1, atol=0.02)

@@ -1,19 +1,18 @@
-"""Where the network is right on average: bias by angle, anisotropy and optical density.
+"""Where a network is right: bias and error by angle, anisotropy and optical density.
 
-    python -m training.evaluate --data data/train --checkpoint runs/first/checkpoint.pt
+    python -m training.evaluate --held data/test --checkpoint runs/mrpnn/checkpoint.pt
 
-Compares the mean prediction with the mean target, at albedo 1, over the volumes that training
-held back. Single targets are noisy; their means are not.
+Compares predictions with the targets of held-back volumes at albedo 1. The targets' halves are
+independent, so that their noise does not count.
 """
 
 import argparse
 import pathlib
 
-import numpy as np
 import torch
 
-from training.networks import MRPNN
-from training.train import BATCH, batch_of, load
+from training.networks import NETWORKS
+from training.train import BATCH, RADIANCE_EPS, load, predict
 
 BINS = {
     "gamma": (0.0, 0.3, 0.6, 1.0, 1.57, 2.2, 2.8, 3.15),
@@ -23,35 +22,34 @@ BINS = {
 
 
 def predictions(net, data):
-    """Predicted and target radiance (N,) at albedo 1, the first of each row."""
-    predicted, target = [], []
+    """Predicted radiance (N,) and its targets' halves (2, N), at albedo 1, the first of each row."""
+    net.eval()
     with torch.no_grad():
-        for rows in torch.arange(len(data["gamma"])).split(BATCH):
-            inputs, expected = batch_of(data, rows, torch.zeros(1, len(rows), dtype=torch.long))
-            predicted.append(net(*inputs)[0])
-            target.append(expected[0])
-    return torch.cat(predicted).numpy(), torch.cat(target).numpy()
+        parts = [
+            predict(net, data, rows, torch.ones(1, len(rows)))[0] for rows in torch.arange(len(data["gamma"])).split(BATCH)
+        ]
+    return torch.cat(parts), data["radiance"][:, :, 0].T
 
 
 def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=pathlib.Path, required=True)
+    parser.add_argument("--held", type=pathlib.Path, required=True)
     parser.add_argument("--checkpoint", type=pathlib.Path, required=True)
-    parser.add_argument("--volumes", type=int, default=24, help="held-back volumes, the first of the data")
     arguments = parser.parse_args(options)
     checkpoint = torch.load(arguments.checkpoint, weights_only=True)
-    net = MRPNN()
+    net = NETWORKS[checkpoint["configuration"]["network"]]()
     net.load_state_dict(checkpoint["averaged"])
-    data = load(sorted(arguments.data.glob("*.npz"))[: arguments.volumes])
-    predicted, target = predictions(net, data)
-    print("| quantity | from | to | rows | bias |\n|---|---|---|---|---|")
+    data = load(sorted(arguments.held.glob("*.npz")), net.columns)
+    y, (a, b) = predictions(net, data)
+    square = (y - a) * (y - b) / (y**2 + RADIANCE_EPS**2)
+    print("| quantity | from | to | rows | bias | relative RMSE of a point |\n|---|---|---|---|---|---|")
     for name, edges in BINS.items():
-        values = data[name].numpy()
         for low, high in zip(edges[:-1], edges[1:]):
-            inside = (values >= low) & (values < high)
+            inside = (data[name] >= low) & (data[name] < high)
             if inside.any():
-                bias = predicted[inside].sum() / target[inside].sum() - 1.0
-                print(f"| {name} | {low:g} | {high:g} | {inside.sum()} | {100 * bias:+.1f} % |")
+                bias = y[inside].sum() / (0.5 * (a + b)[inside].sum()) - 1.0
+                error = square[inside].mean().clamp(min=0.0).sqrt()
+                print(f"| {name} | {low:g} | {high:g} | {inside.sum()} | {100 * bias:+.1f} % | {error:.3f} |")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Training data: descriptors and path-traced radiance at points where camera rays scatter.
 
-    nice python -m training.targets --out data/train --volumes 0-799
+    nice python -m training.targets --out data/train --volumes 0-399
 
 One file a volume, written through a temporary name and left alone when it exists: the
 command can be stopped and started again. Everything follows from the volume's seed.
@@ -18,23 +18,22 @@ import numpy as np
 
 from inference.cube import fit_cube, level0_density
 from inference.fields import density_pyramid, padded_levels, unit_optical_depths
-from inference.phase import PhaseFeatures
-from inference.scene import Volume
 from inference.stencil import make_stencil
 from inference.transmittance import sun_optical_depth
 from training.descriptors import describe_points
 from training.path_tracer import sample_scattering_points, trace_points
-from training.volumes import make_volume
+from training.ray_features import describe_rays
+from training.seeded_volume import seeded_volume
+from training.transport import prepare
 
 SIGMA_HAT_RANGE = (1.0, 2000.0)
 ANISOTROPY_RANGE = (-0.3, 0.95)
-RESOLUTION = 160
 SUNS = 4
 ALBEDOS = 4
-# Values of G a volume; the table of phase features is made once for each.
+# Values of G a volume.
 GROUPS = 8
-POINTS = 1536
-PATHS = 48
+POINTS = 2048
+PATHS = 128
 
 
 def unit_vectors(random, count: int) -> np.ndarray:
@@ -52,10 +51,12 @@ def rays_towards(random, suns: np.ndarray, count: int) -> np.ndarray:
 
 
 def draw_anisotropy(random, groups: int) -> np.ndarray:
-    """Mean cosines: even over the range, with the values that scenes use most drawn more often."""
+    """Mean cosines on a grid of 0.005: even over the range, with more of the strongest and of those most used."""
     even = random.uniform(*ANISOTROPY_RANGE, groups)
-    usual = random.choice([0.0, 0.5, 0.857], groups)
-    return np.where(random.random(groups) < 0.25, usual, even)
+    strong = random.uniform(0.8, ANISOTROPY_RANGE[1], groups)
+    kind = random.choice(5, groups, p=[0.5, 0.2, 0.18, 0.06, 0.06])
+    usual = np.choose(kind, [even, strong, np.full(groups, 0.857), np.zeros(groups), np.full(groups, 0.5)])
+    return np.where(kind < 2, np.round(usual / 0.005) * 0.005, usual)
 
 
 def draw_albedos(random, count: int) -> np.ndarray:
@@ -69,50 +70,51 @@ def draw_albedos(random, count: int) -> np.ndarray:
 
 def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
     """Descriptors and targets of one volume: a dict of arrays with one row a (point, sun)."""
-    random = np.random.default_rng([seed, 2023])
     stencil = make_stencil_once()
-    sample = make_volume(seed, RESOLUTION)
-    n = sample.density.shape[0]
-    # The generator's cube is the world here: cell centres at (i + 1/2) / n - 1/2.
-    world_from_index = np.diag([1 / n, 1 / n, 1 / n, 1.0])
-    world_from_index[:3, 3] = 0.5 / n - 0.5
-    volume = Volume(sample.density, world_from_index)
+    volume, random = seeded_volume(seed)
+    density = volume.density
+    n = density.shape[0]
     cube = fit_cube(volume)
     padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
 
     suns = unit_vectors(random, SUNS)
-    sun_tau = np.stack([sun_optical_depth(sample.density, l * n, 1.0) for l in suns])
+    sun_tau = np.stack([sun_optical_depth(density, l * n, 1.0) for l in suns])
     sigma = np.exp(random.uniform(*np.log(SIGMA_HAT_RANGE), points))
     group = np.sort(random.integers(GROUPS, size=points))
     values = draw_anisotropy(random, GROUPS)
     omega = rays_towards(random, suns, points)
     albedos = draw_albedos(random, points)
     positions, valid = sample_scattering_points(
-        sample.density, sigma.astype(np.float32), omega.astype(np.float32), seed
+        density, sigma.astype(np.float32), omega.astype(np.float32), seed
     )
     sigma, group, omega, albedos, positions = (a[valid] for a in (sigma, group, omega, albedos, positions))
     anisotropy = values[group]
-    radiance = trace_points(
-        sample.density, suns, sun_tau, positions, omega, sigma, anisotropy, albedos, paths, seed
-    )
+    grid = prepare(density)
+    # Two independent halves, so that errors can be measured without the targets' own noise.
+    radiance = np.stack([
+        trace_points(grid, suns, sun_tau, positions, omega, sigma, anisotropy, albedos, paths // 2, 2 * seed + half)
+        for half in range(2)
+    ], axis=2)
+    tau_sun, tau_ahead, ahead = describe_rays(grid, sun_tau, positions, omega, sigma)
 
     sigma_hat = sigma * cube.edge
     x, w = cube.positions(positions), cube.directions(omega)
     rows = []
     for k, sun in enumerate(suns):
         l = cube.directions(sun)
-        features = np.empty((3, len(x), stencil.mips.size), np.float16)
-        features[:2] = describe_points(stencil, padded, unit_optical_depths(padded, l), x, w, l, sigma_hat)
-        gamma = np.arccos(np.clip(w @ l, -1.0, 1.0))
-        for i, g in enumerate(values):
-            rows_of_g = group == i
-            features[2, rows_of_g] = PhaseFeatures(stencil, g)(gamma[rows_of_g])
+        features = describe_points(stencil, padded, unit_optical_depths(padded, l), x, w, l, sigma_hat)
         rows.append(
             {
-                "features": features.transpose(1, 0, 2),
-                "gamma": gamma.astype(np.float32),
+                "features": features.astype(np.float16).transpose(1, 0, 2),
+                "position": positions,
+                "omega": omega.astype(np.float32),
+                "sun": np.broadcast_to(sun, (len(x), 3)).astype(np.float32),
+                "gamma": np.arccos(np.clip(w @ l, -1.0, 1.0)).astype(np.float32),
                 "anisotropy": anisotropy.astype(np.float32),
                 "sigma_hat": sigma_hat.astype(np.float32),
+                "tau_sun": tau_sun[:, k],
+                "tau_ahead": tau_ahead,
+                "ahead": ahead[:, k],
                 "albedo": albedos.astype(np.float32),
                 "radiance": radiance[:, k].astype(np.float32),
             }
@@ -138,6 +140,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True)
     parser.add_argument("--volumes", type=parse_range, required=True, help="seeds, FIRST-LAST")
+    parser.add_argument("--points", type=int, default=POINTS)
+    parser.add_argument("--paths", type=int, default=PATHS)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for seed in arguments.volumes:
@@ -145,7 +149,7 @@ def main():
         if target.exists():
             continue
         start = time.perf_counter()
-        rows = make_targets(seed)
+        rows = make_targets(seed, arguments.points, arguments.paths)
         partial = target.with_suffix(".partial")
         with open(partial, "wb") as file:
             np.savez(file, **rows)

@@ -1,11 +1,12 @@
-"""Train MRPNN on the files of training.targets.
+"""Train one of the networks on the files of training.targets (or, for RPNN, of training.lattice_rows).
 
-    nice python -m training.train --data data/train --run runs/first --steps 20000
+    nice python -m training.train --network mrpnn --data data/train --held data/test --run runs/mrpnn
 
-Reads the data into memory, holds the first volumes back for validation, and goes on from
-the run's checkpoint if there is one, with whatever volumes there are by then. The loss is relative L2 on radiance,
-(y - t)^2 / (stop_gradient(y)^2 + eps^2): linear in the targets' noise, so that it
-converges to their mean. The exported weights are an exponential moving average.
+Reads the data into memory and goes on from the run's checkpoint if there is one. The loss is relative
+L2 on radiance, (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2), where m is the mean radiance of rows of like optical density,
+anisotropy and angle: what is dark among its like shows little. It is linear in the targets'
+noise, so that it converges to their mean. The exported weights are an exponential moving average. progress.jsonl holds
+the loss and the error on held-back volumes against steps; step-N.pt are early and late checkpoints.
 """
 
 import argparse
@@ -18,21 +19,34 @@ import time
 import numpy as np
 import torch
 
-from training.networks import MRPNN
-from training.targets import ALBEDOS, ANISOTROPY_RANGE, PATHS, POINTS, SIGMA_HAT_RANGE, SUNS
+from training.networks import NETWORKS
+from training.targets import ANISOTROPY_RANGE, SIGMA_HAT_RANGE, SUNS
 
+STEPS = 12000
 BATCH = 4096
 LEARNING_RATE = 2e-3
 WARM_UP = 500
 WEIGHT_DECAY = 1e-4
 GRADIENT_NORM = 1.0
+#: Edges of the bins over which `typical_radiance` takes means.
+BINS = {
+    "sigma_hat": np.geomspace(1.0, 2000.0, 9)[1:-1],
+    "gamma": np.linspace(0.0, np.pi, 9)[1:-1],
+    "anisotropy": np.array([0.01, 0.4, 0.7, 0.84, 0.9]),
+}
+TYPICAL_SHARE, TYPICAL_LEAST = 0.5, 1e-4
+#: Radiance below which the held-back error is not relative.
 RADIANCE_EPS = 3e-3
 AVERAGING = 0.999
-# Of a row's albedos, how many are used each time it is drawn.
+#: Of a row's albedos, how many are used each time it is drawn.
 ALBEDOS_A_STEP = 2
+#: Rows from which a network that standardises its inputs takes their means and deviations.
+CALIBRATION_ROWS = 100_000
 
-def load(files):
-    """All rows of the files as torch tensors."""
+
+def load(files, columns):
+    """Rows of all files as torch tensors: the columns named, albedo, BINS', and radiance (rows, halves, albedos)."""
+    columns = {*columns, *BINS, "albedo", "radiance"}
     counts = []
     for file in files:
         with np.load(file) as data:
@@ -40,40 +54,53 @@ def load(files):
     total, start, arrays = sum(counts), 0, {}
     for file, count in zip(files, counts):
         with np.load(file) as data:
-            for key in data.files:
+            for key in columns:
+                values = data[key]
                 if key not in arrays:
-                    arrays[key] = np.empty((total, *data[key].shape[1:]), data[key].dtype)
-                arrays[key][start : start + count] = data[key]
+                    arrays[key] = np.empty((total, *values.shape[1:]), values.dtype)
+                arrays[key][start : start + count] = values
         start += count
     return {key: torch.from_numpy(array) for key, array in arrays.items()}
 
 
-def batch_of(data, rows, columns):
-    """Network inputs and targets of some rows; columns (A, rows) pick the albedos."""
-    features = data["features"][rows].float().transpose(0, 1).contiguous()
-    albedo = data["albedo"][rows].T.gather(0, columns)
-    radiance = data["radiance"][rows].T.gather(0, columns)
-    return (features, data["anisotropy"][rows], data["gamma"][rows], albedo), radiance
+def predict(net, data, rows, albedo):
+    """Radiance (A, N), float32, of some rows for albedos (A, N); in training, layers multiply in bfloat16."""
+    with torch.autocast("cpu", torch.bfloat16, enabled=net.training):
+        return net(*net.inputs(data, rows), albedo)
 
 
-def relative_l2(prediction, target):
-    scale = prediction.detach() ** 2 + RADIANCE_EPS**2
+def typical_radiance(data):
+    """(rows, albedos): the mean target of the rows in the same bins, for each of the albedos' columns."""
+    index = np.zeros(len(data["gamma"]), int)
+    for name, edges in BINS.items():
+        index = index * (len(edges) + 1) + np.digitize(data[name].numpy(), edges)
+    counts = np.maximum(np.bincount(index), 1)
+    means = [np.bincount(index, column.numpy()) / counts for column in data["radiance"].T]
+    return torch.from_numpy(np.stack(means, axis=1)[index].astype(np.float32)).clamp(min=TYPICAL_LEAST)
+
+
+def relative_l2(prediction, target, typical):
+    scale = prediction.detach() ** 2 + (TYPICAL_SHARE * typical) ** 2
     return ((prediction - target) ** 2 / scale).mean()
 
 
-def validate(net, data):
-    """Mean relative L2 and relative bias of the mean radiance, over the held-back volumes."""
-    loss, predicted, expected, count = 0.0, 0.0, 0.0, 0
+def held_error(net, data):
+    """Root of the mean squared error relative to the prediction, without the targets' noise, and the relative bias.
+
+    The two halves of a target are independent, so that (y - a) (y - b) is the squared error on average.
+    """
+    squares, predicted, expected, count = 0.0, 0.0, 0.0, 0
+    net.eval()
     with torch.no_grad():
         for rows in torch.arange(len(data["gamma"])).split(BATCH):
-            columns = torch.arange(ALBEDOS)[:, None].expand(-1, len(rows))
-            inputs, target = batch_of(data, rows, columns)
-            prediction = net(*inputs)
-            loss += relative_l2(prediction, target).item() * len(rows)
-            predicted += prediction.sum().item()
-            expected += target.sum().item()
-            count += len(rows)
-    return loss / count, predicted / expected - 1.0
+            y = predict(net, data, rows, data["albedo"][rows].T)
+            a, b = data["radiance"][rows].permute(1, 2, 0)
+            squares += ((y - a) * (y - b) / (y**2 + RADIANCE_EPS**2)).sum().item()
+            predicted += y.sum().item()
+            expected += 0.5 * (a + b).sum().item()
+            count += y.numel()
+    net.train()
+    return math.sqrt(max(squares / count, 0.0)), predicted / expected - 1.0
 
 
 def rate(step: int, steps: int) -> float:
@@ -83,48 +110,62 @@ def rate(step: int, steps: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * (step - WARM_UP) / max(steps - WARM_UP, 1)))
 
 
+def save(state, path):
+    torch.save(state, f"{path}.partial")
+    os.replace(f"{path}.partial", path)
+
+
 def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--network", choices=sorted(NETWORKS), required=True)
     parser.add_argument("--data", type=pathlib.Path, required=True)
+    parser.add_argument("--held", type=pathlib.Path, required=True, help="data of held-back volumes")
     parser.add_argument("--run", type=pathlib.Path, required=True)
-    parser.add_argument("--steps", type=int, default=20000)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--validation", type=int, default=24, help="volumes held back")
-    parser.add_argument("--report-every", type=int, default=500, help="steps between reports and checkpoints")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--volumes", type=int, help="train on the first so many files only")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--report-every", type=int, default=1000, help="steps between reports and checkpoints")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(options)
     arguments.run.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
 
-    files = sorted(arguments.data.glob("*.npz"))
-    if len(files) <= arguments.validation:
-        parser.error(f"{arguments.data} holds {len(files)} volumes; more than {arguments.validation} are needed")
-    train, held = load(files[arguments.validation :]), load(files[: arguments.validation])
-    rows = len(train["gamma"])
+    net, averaged = NETWORKS[arguments.network](), NETWORKS[arguments.network]()
+    files, held_files = (sorted(folder.glob("*.npz")) for folder in (arguments.data, arguments.held))
+    files = files[: arguments.volumes]
+    if not files or not held_files:
+        parser.error(f"no volumes in {arguments.data if not files else arguments.held}")
+    train, held = load(files, net.columns), load(held_files, net.columns)
+    train["radiance"] = train["radiance"].mean(dim=1)
+    train["typical"] = typical_radiance(train)
+    rows, albedos = train["albedo"].shape
+    used = min(ALBEDOS_A_STEP, albedos)
     configuration = {
-        "network": "mrpnn",
+        "network": arguments.network,
         "anisotropy_range": ANISOTROPY_RANGE,
         "sigma_hat_range": SIGMA_HAT_RANGE,
-        "volumes": [files[arguments.validation].stem, files[-1].stem],
-        "validation_volumes": [files[0].stem, files[arguments.validation - 1].stem],
+        "volumes": len(files),
+        "first_and_last_volume": [files[0].stem, files[-1].stem],
+        "held_volumes": [held_files[0].stem, held_files[-1].stem],
         "rows": rows,
-        "points_a_volume": POINTS,
         "suns_a_point": SUNS,
-        "paths_a_point": PATHS,
         "steps": arguments.steps,
         "batch": BATCH,
-        "albedos_a_step": ALBEDOS_A_STEP,
+        "albedos_a_step": used,
         "learning_rate": LEARNING_RATE,
         "weight_decay": WEIGHT_DECAY,
-        "radiance_eps": RADIANCE_EPS,
+        "typical_share": TYPICAL_SHARE,
         "averaging": AVERAGING,
+        "parameters": sum(p.numel() for p in net.parameters()),
         "seed": arguments.seed,
-    }
+    } | net.ranges
     (arguments.run / "configuration.json").write_text(json.dumps(configuration, indent=1))
     print(json.dumps(configuration), flush=True)
 
-    net, averaged = MRPNN(), MRPNN()
+    if hasattr(net, "calibrate"):
+        random = torch.Generator().manual_seed(arguments.seed)
+        net.calibrate(*net.inputs(train, torch.randint(rows, (CALIBRATION_ROWS,), generator=random)))
     averaged.load_state_dict(net.state_dict())
     optimizer = torch.optim.AdamW(net.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     first, path = 0, arguments.run / "checkpoint.pt"
@@ -135,14 +176,15 @@ def main(options=None):
         optimizer.load_state_dict(checkpoint["optimizer"])
         first = checkpoint["step"]
 
-    total, start = 0.0, time.perf_counter()
+    total, since, start = 0.0, 0, time.perf_counter()
     for step in range(first, arguments.steps):
         # Each step draws from its own stream, so that a resumed run takes the same path.
         random = torch.Generator().manual_seed(arguments.seed * 1_000_003 + step)
         picked = torch.randint(rows, (BATCH,), generator=random)
-        columns = torch.rand(BATCH, ALBEDOS, generator=random).argsort(dim=1)[:, :ALBEDOS_A_STEP].T
-        inputs, target = batch_of(train, picked, columns)
-        loss = relative_l2(net(*inputs), target)
+        columns = torch.rand(BATCH, albedos, generator=random).argsort(dim=1)[:, :used]
+        albedo = train["albedo"][picked].gather(1, columns).T
+        target, typical = (train[key][picked].gather(1, columns).T for key in ("radiance", "typical"))
+        loss = relative_l2(predict(net, train, picked, albedo), target, typical)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_NORM)
@@ -151,27 +193,28 @@ def main(options=None):
         optimizer.step()
         with torch.no_grad():
             keep = min(AVERAGING, (1 + step) / (10 + step))
-            for slow, fast in zip(averaged.parameters(), net.parameters()):
-                slow.lerp_(fast, 1.0 - keep)
-        total += loss.item()
-        if (step + 1) % arguments.report_every == 0 or step + 1 == arguments.steps:
-            held_loss, held_bias = validate(averaged, held)
-            seconds = time.perf_counter() - start
-            line = {"step": step + 1, "loss": total / arguments.report_every, "held_loss": held_loss}
-            line |= {"held_bias": held_bias, "seconds": seconds}
+            torch._foreach_lerp_(list(averaged.parameters()), list(net.parameters()), 1.0 - keep)
+        total, since = total + loss.item(), since + 1
+        done = step + 1
+        if done % arguments.report_every == 0 or done == arguments.steps:
+            error, bias = held_error(averaged, held)
+            line = {"step": done, "loss": total / since, "held_rmse": error, "held_bias": bias}
+            line["seconds"] = time.perf_counter() - start
             print(json.dumps(line), flush=True)
             with open(arguments.run / "progress.jsonl", "a") as log:
                 log.write(json.dumps(line) + "\n")
-            total = 0.0
+            total, since = 0.0, 0
             state = {
-                "step": step + 1,
+                "step": done,
                 "net": net.state_dict(),
                 "averaged": averaged.state_dict(),
                 "optimizer": optimizer.state_dict(),
-                "configuration": configuration | {"step": step + 1, "held_loss": held_loss, "held_bias": held_bias},
+                "configuration": configuration | {"step": done, "held_rmse": error, "held_bias": bias},
             }
-            torch.save(state, f"{path}.partial")
-            os.replace(f"{path}.partial", path)
+            save(state, path)
+            # Early and late: a checkpoint is kept each time the steps have grown about threefold.
+            if done in (1000, 3000, 10000) or done == arguments.steps:
+                save(state, arguments.run / f"step-{done}.pt")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,66 @@
+"""A volume as networks of kinds "stencil" and "ray" read it."""
+
+import numpy as np
+
+from .cube import level0_density
+from .descriptors import angle_to_sun, describe, read_fields
+from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
+from .phase import PhaseFeatures
+from .stencil import LOW_POINTS, POINTS, Stencil
+
+
+class StencilField:
+    """Density, transmittance and phase function at A.2's stencil, and the network that reads them.
+
+    network: its `points` are the Stencil; cube: of the volume.
+    """
+
+    needs_light = False
+
+    def __init__(self, network, volume, cube, anisotropy: float):
+        self.network, self.anisotropy = network, anisotropy
+        pyramid = density_pyramid(level0_density(volume, cube))
+        self.padded = padded_levels(pyramid, network.points)
+        self.prepare(pyramid)
+
+    def prepare(self, pyramid):
+        """What does not depend on optical density and sun."""
+        self.phase = PhaseFeatures(self.network.points, self.anisotropy)
+
+    @staticmethod
+    def read_points(values) -> Stencil:
+        """The stencil from the floats of a weights file."""
+        low = values[: 3 * LOW_POINTS].reshape(LOW_POINTS, 3)
+        return Stencil(low, values[3 * LOW_POINTS :].reshape(POINTS - LOW_POINTS))
+
+    def light(self, sigma_hat: float, sun, low, high, mapper=map):
+        """Prepare one optical density and sun (3,), in the cube's frame, for points from low to high (3,)."""
+        self.sun = sun
+        depths = unit_optical_depths(self.padded, sun)
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper)
+
+    def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
+        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as in `read_fields`."""
+        features, gamma = describe(
+            self.network.points, self.lattices, self.phase, positions, omega, self.sun, jitter
+        )
+        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
+        return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+
+
+class RayField(StencilField):
+    """Density and transmittance at A.2's stencil, light along the camera ray, and the network."""
+
+    needs_light = True
+
+    def prepare(self, pyramid):
+        """Nothing: the phase function follows from the angle."""
+
+    def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
+        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); light: (N, 5), as RayLight gives it."""
+        stencil = np.empty((len(positions), 2 * POINTS), np.float32)
+        mu, transmittance = stencil[:, :POINTS], stencil[:, POINTS:]
+        read_fields(self.network.points, self.lattices, positions, omega, self.sun, mu, transmittance, jitter)
+        gamma = angle_to_sun(omega, self.sun)
+        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
+        return self.network.run(stencil=stencil, ray=light, anisotropy=anisotropy, gamma=gamma, albedo=albedos)

@@ -1,0 +1,87 @@
+"""What a render will cost, from what can be known at once, for a panel that is drawn many times a second."""
+
+from dataclasses import dataclass
+from typing import List
+
+import numpy as np
+
+from ..inference.scene import Camera, SceneError
+from .camera import read_camera
+from .last_render import last_render
+from .lights import read_suns
+from .material import shows_volume
+from .visibility import shown_objects
+from .world import expected_lights
+
+# Two cores of a desktop of 2020: a point that the network predicts, a pixel's ray, the fields of a
+# volume and sun. A render of this session puts its own figure for points in their place.
+SECONDS_A_POINT, SECONDS_A_PIXEL, SECONDS_A_FIELD = 8e-6, 4e-6, 0.8
+
+
+@dataclass
+class Forecast:
+    """volumes, suns: how many. pixels: inside the bounds of volumes. points: that the network
+    predicts, at most. seconds: of the render, roughly. warnings: of camera and suns.
+    problem: what keeps the scene from rendering, or "".
+    """
+
+    volumes: int
+    suns: int
+    pixels: int
+    points: int
+    seconds: float
+    warnings: List[str]
+    problem: str = ""
+
+
+def forecast(depsgraph) -> Forecast:
+    """Look at the scene without reading its volumes."""
+    try:
+        camera, warnings = read_camera(depsgraph)
+        covered, volumes, lights = np.zeros(camera.resolution[::-1], bool), 0, []
+        for shown in shown_objects(depsgraph):
+            if shows_volume(shown.object) and shown.object.visible_camera:
+                volumes += 1
+                _cover(covered, camera, shown)
+            elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
+                suns, said = read_suns(shown)
+                lights += suns
+                warnings += said
+        suns = len(lights) + expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
+    except SceneError as error:
+        return Forecast(0, 0, 0, 0, 0.0, [], str(error))
+    x0, y0, x1, y1 = camera.window
+    pixels = int(covered[y0:y1, x0:x1].sum())
+    points = pixels * depsgraph.scene.mrpnn.depth_samples * suns
+    seconds = pixels * SECONDS_A_PIXEL + points * _seconds_a_point() + volumes * suns * SECONDS_A_FIELD
+    return Forecast(volumes, suns, pixels, points, seconds, warnings)
+
+
+def _seconds_a_point() -> float:
+    last = last_render()
+    # Small renders measure something else.
+    if last is None or last.points < 10_000:
+        return SECONDS_A_POINT
+    return last.network_seconds / last.points
+
+
+def _cover(covered: np.ndarray, camera: Camera, shown) -> None:
+    """Mark the rectangle around a volume's bounds; all of the image where they reach behind the camera."""
+    corners = np.array([(*corner, 1.0) for corner in shown.object.bound_box]) @ shown.matrix.T
+    seen = corners @ np.linalg.inv(camera.world_matrix).T
+    height, width = covered.shape
+    if camera.projection == "equirectangular":
+        covered[...] = True
+        return
+    if camera.projection == "perspective":
+        if seen[:, 2].max() >= -camera.clip[0]:
+            covered[...] = True
+            return
+        window = seen[:, :2] / -seen[:, 2:3] / (2.0 * np.tan(camera.fov / 2.0))
+    else:
+        window = seen[:, :2] / camera.ortho_scale
+    # In widths of the image from its middle, then in pixels from the upper left.
+    x, y = (window - camera.shift).T * width
+    left, right = np.clip([np.floor(x.min() + width / 2), np.ceil(x.max() + width / 2)], 0, width).astype(int)
+    top, bottom = np.clip([np.floor(height / 2 - y.max()), np.ceil(height / 2 - y.min())], 0, height).astype(int)
+    covered[top:bottom, left:right] = True

@@ -1,0 +1,172 @@
+"""A volume shader evaluated at every voxel: one density grid with one extinction and albedo."""
+
+from dataclasses import dataclass
+from typing import Dict, List, Optional
+
+import numpy as np
+
+from .material import VolumeMaterial
+from .voxel_points import VoxelPoints
+
+VOXELS_AT_ONCE = 1 << 19
+# Share of a coefficient's root mean square that may differ from one colour for all voxels.
+ONE_COLOUR = 0.01
+
+
+@dataclass
+class ShadedGrid:
+    """density: float32 (nx, ny, nz). sigma_t, albedo: float64 (3,), extinction per unit density.
+    anisotropy: mean cosine. placed: whether the shader depends on where the voxels are.
+    notes: what is not rendered as Cycles renders it.
+    """
+
+    density: np.ndarray
+    sigma_t: np.ndarray
+    albedo: np.ndarray
+    anisotropy: float
+    placed: bool
+    notes: List[str]
+
+
+def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None):
+    """The ShadedGrid of a material.
+
+    grids: float32 arrays of one shape by name. frames: see `VoxelPoints`. inside: float32, the share of
+    each voxel that a mesh encloses, None for grids.
+
+    Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
+    absorbs where every grid is 0, or has colours that vary from voxel to voxel.
+    """
+    shape = next(iter(grids.values())).shape if inside is None else inside.shape
+    density = np.empty(int(np.prod(shape)), np.float32)
+    # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
+    gram, means, notes, placed = np.zeros((6, 6)), {}, [], False
+    plain = None
+    for start in range(0, len(density), VOXELS_AT_ONCE):
+        span = slice(start, min(start + VOXELS_AT_ONCE, len(density)))
+        points = VoxelPoints(grids, shape, span, frames, fills_its_bounds=inside is not None)
+        shading = material.at(points)
+        placed |= points.placed
+        if not shading.closures:
+            material.refuse("it neither scatters nor absorbs, so there is nothing to render")
+        notes = shading.notes
+        _sum_phases(means, shading)
+        if plain is None:
+            plain = _plain(shading)
+            reference = 0 if plain else _densest(shading)
+        if plain:
+            density[span] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
+        else:
+            coefficients = _coefficients(shading)
+            gram += coefficients.T @ coefficients * ((span.stop - span.start) / len(coefficients))
+            density[span] = coefficients[:, reference]
+        if inside is None:
+            _require_empty_background(material, points, density[span])
+    if inside is not None:
+        density *= inside.reshape(-1)
+    if plain:
+        closure = shading.closures[0]
+        scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
+    else:
+        extinction, scatter = _one_colour(material, gram, reference)
+    if not density.max() > 0.0 or not extinction.max() > 0.0:
+        material.refuse("its density is 0 everywhere, so the volume is invisible")
+    albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
+    if len(means) > 1:
+        notes = notes + ["phase functions of several shaders are rendered as one with their mean cosine"]
+    weight = sum(means.values())
+    anisotropy = sum(g * w for g, w in means.items()) / weight if weight else 0.0
+    return ShadedGrid(density.reshape(shape), extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes)
+
+
+def _plain(shading) -> bool:
+    return len(shading.closures) == 1 and len(shading.closures[0].scatter) == len(shading.closures[0].absorb) == 1
+
+
+def _coefficients(shading) -> np.ndarray:
+    """(n, 6): extinction and scattering of all closures together."""
+    total = np.zeros((1, 6))
+    for closure in shading.closures:
+        weight = np.maximum(closure.weight, 0.0)
+        scatter, absorb = weight * closure.scatter, weight * closure.absorb
+        total = total + np.concatenate(np.broadcast_arrays(scatter + absorb, scatter), axis=1)
+    return total
+
+
+def _densest(shading) -> int:
+    return int(_coefficients(shading)[:, :3].sum(axis=0).argmax())
+
+
+def _sum_phases(means, shading) -> None:
+    """Add to each mean cosine in `means` how much scatters with it."""
+    for closure in shading.closures:
+        scattered = float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
+        if scattered > 0.0:
+            means[closure.anisotropy] = means.get(closure.anisotropy, 0.0) + scattered
+
+
+def _one_colour(material, gram, reference: int):
+    """(extinction, scatter) (3,) per unit of the reference channel's extinction."""
+    diagonal = np.maximum(np.diag(gram), 0.0)
+    if not diagonal[reference] > 0.0:
+        return np.zeros(3), np.zeros(3)
+    share = gram[reference] / diagonal[reference]
+    left = diagonal - gram[reference] ** 2 / diagonal[reference]
+    if np.any(left > ONE_COLOUR**2 * diagonal):
+        material.refuse("its colour or its share of absorption varies from voxel to voxel, which is not supported; "
+                        "let grids and textures drive the density alone")
+    return share[:3], share[3:]
+
+
+def is_linear(material, names) -> bool:
+    """Whether twice the grids' values give twice the extinction: then voxels say all between them."""
+    half, whole = (_extinction_at(material, names, value) for value in (0.5, 1.0))
+    return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
+
+
+def _extinction_at(material, names, value: float) -> np.ndarray:
+    """(3,) where every grid has one value."""
+    grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
+    frames = {kind: np.eye(4) for kind in ("object", "world")}
+    points = VoxelPoints(grids, (1, 1, 1), slice(0, 1), frames, fills_its_bounds=False)
+    return _coefficients(material.at(points))[0, :3]
+
+
+def refine(values: np.ndarray) -> np.ndarray:
+    """Twice as many voxels an axis, at the old ones and half way between them and to the 0 outside.
+
+    float32 (nx, ny, nz) to (2 nx + 1, 2 ny + 1, 2 nz + 1); the trilinear interpolant stays the same.
+    """
+    for axis in range(3):
+        padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(3)])
+        shape = list(values.shape)
+        shape[axis] = 2 * shape[axis] + 1
+        fine = np.empty(shape, np.float32)
+        at = [slice(None)] * 3
+        at[axis] = slice(1, None, 2)
+        fine[tuple(at)] = values
+        at[axis] = slice(0, None, 2)
+        lower, upper = [slice(None)] * 3, [slice(None)] * 3
+        lower[axis], upper[axis] = slice(None, -1), slice(1, None)
+        fine[tuple(at)] = 0.5 * (padded[tuple(lower)] + padded[tuple(upper)])
+        values = fine
+    return values
+
+
+def require_empty_background(material: VolumeMaterial, shading) -> None:
+    """Raise SceneError where a shading at a point at which every grid is 0 has density."""
+    if shading.closures and _coefficients(shading)[:, :3].max() > 0.0:
+        _refuse_background(material)
+
+
+def _require_empty_background(material, points: VoxelPoints, density) -> None:
+    empty = np.ones(len(density), bool)
+    for name in points.names:
+        empty &= points.grids[name].reshape(-1)[points.span] == 0.0
+    if np.any(density[empty] > 0.0):
+        _refuse_background(material)
+
+
+def _refuse_background(material):
+    material.refuse("it has density where the grids are 0, fog without end that Cycles cuts off at boxes around the "
+                    "voxels; multiply by a grid at last")

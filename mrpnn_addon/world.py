@@ -1,0 +1,105 @@
+"""The World's light as a few directions of parallel light."""
+
+from typing import List, Tuple
+
+import bpy
+import numpy as np
+
+from ..inference.scene import Sun
+from .environment import Sphere, quadrature
+from .node_values import NodeValues
+from .sockets import Unsupported, active_output, input_of, source_of
+
+# A World hardly counts where it gives less than this share of the suns' light: half the directions do.
+HARDLY = 0.1
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+
+
+def read_world(world, suns: List[Sun], directions: int) -> Tuple[List[Sun], List[str]]:
+    """Parallel lights that stand for the World's light in volumes, and warnings.
+
+    suns: of the scene; beside bright ones the World needs fewer directions. directions: at most.
+
+    What cannot be evaluated is left out with a warning that names it.
+    """
+    if world is None:
+        return [], []
+    name, warnings = f"World \"{world.name}\"", []
+    output = active_output(world)
+    if output is not None and source_of(output.inputs['Volume']).node is not None:
+        warnings.append(f"{name}: its fog is not rendered")
+    if not _lights_volumes(world):
+        return [], warnings
+    sphere = Sphere()
+    try:
+        radiance = _radiance(world, output, sphere)
+    except Unsupported as problem:
+        return [], warnings + [f"{name}: {problem}; its light is not rendered"]
+    if not radiance.max() > 0.0:
+        return [], warnings
+    if directions < 1:
+        return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
+    count = _count(float((radiance * sphere.solid_angle[:, None]).sum(axis=0) @ LUMA), suns, directions)
+    lights = [Sun(direction, irradiance, name=name) for direction, irradiance in quadrature(sphere, radiance, count)]
+    return lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions"]
+
+
+def expected_lights(world, suns: List[Sun], directions: int) -> int:
+    """About how many lights `read_world` gives; looks at no image, so that a panel may ask."""
+    if world is None or not _lights_volumes(world):
+        return 0
+    try:
+        radiance = _radiance(world, active_output(world), Sphere(1, images=False))
+    except Unsupported:
+        return directions
+    return _count(4.0 * np.pi * float(radiance.mean(axis=0) @ LUMA), suns, directions)
+
+
+def _count(fluence: float, suns, directions: int) -> int:
+    if not fluence > 0.0:
+        return 0
+    others = sum(float(sun.irradiance @ LUMA) for sun in suns)
+    return (directions + 1) // 2 if fluence < HARDLY * others else directions
+
+
+def _lights_volumes(world) -> bool:
+    # Cycles' own properties, gone while Cycles is disabled.
+    visibility = getattr(world, 'cycles_visibility', None)
+    return visibility is None or visibility.scatter
+
+
+def _radiance(world, output, sphere) -> np.ndarray:
+    """(n, 3) at the sphere's directions."""
+    if output is None:
+        # Without nodes, Blender before 5.0 shows the World's own colour.
+        colour = np.zeros(3) if bpy.app.version >= (5, 0, 0) else np.array(world.color)
+        return np.broadcast_to(colour, sphere.directions.shape)
+    light = _surface(NodeValues(sphere), source_of(output.inputs['Surface']))
+    return np.broadcast_to(np.maximum(light, 0.0), sphere.directions.shape)
+
+
+def _surface(values: NodeValues, source) -> np.ndarray:
+    node, groups = source.node, source.groups
+    if node is None:
+        return np.zeros((1, 3))
+    if node.bl_idname in ('ShaderNodeBackground', 'ShaderNodeEmission'):
+        return values.number(node, "Strength", groups) * values.colour(node, "Color", groups)
+    if node.bl_idname == 'ShaderNodeAddShader':
+        first, second = (_surface(values, source_of(socket, groups)) for socket in node.inputs)
+        return first + second
+    if node.bl_idname == 'ShaderNodeMixShader':
+        if source_of(input_of(node, "Fac"), groups).node is not None:
+            if source_of(input_of(node, "Fac"), groups).node.bl_idname == 'ShaderNodeLightPath':
+                return _as_volumes_see(values, node, groups)
+        factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
+        first, second = (_surface(values, source_of(input_of(node, name), groups)) for name in ("Shader", "Shader_001"))
+        return (1.0 - factor) * first + factor * second
+    raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated")
+
+
+def _as_volumes_see(values, node, groups):
+    """Of two shaders mixed by Is Camera Ray, the one that light in volumes comes from."""
+    path = source_of(input_of(node, "Fac"), groups)
+    if path.output.identifier != 'Is Camera Ray':
+        raise Unsupported(f"output {path.output.name} of node \"{path.node.name}\" cannot be evaluated")
+    return _surface(values, source_of(input_of(node, "Shader"), groups))

@@ -1,0 +1,139 @@
+"""What the command line does: render frames, compare one with Cycles, report on a scene."""
+
+import os
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+
+import bpy
+
+from ..inference.plan import make_plan
+from ..inference.scene import SceneError
+from ..mrpnn_addon.frames import frame_path, parse_frames
+from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
+from ..mrpnn_addon.render_job import render_scene
+from ..mrpnn_addon.scene import read_scene
+from .compare import measure, scaled
+
+ENDINGS = (".exr", ".png")
+
+
+def render(options, console, found: dict) -> None:
+    """Render each frame to its file. `found` gathers what --json writes, frame by frame."""
+    scene = bpy.context.scene
+    if os.path.splitext(options.output)[1].lower() not in ENDINGS:
+        raise SceneError(f"--output must end in .exr or .png, not {options.output!r}")
+    frames = parse_frames(options.frames) if options.frames else [scene.frame_current]
+    found["frames"] = []
+    with _overridden(options) as settings:
+        for frame in frames:
+            path = frame_path(options.output, frame, many=len(frames) > 1)
+            if options.skip_existing and os.path.exists(path):
+                found["frames"].append({"frame": frame, "file": path, "skipped": True})
+                console.event("skipped", f"frame {frame}: {path} is there already", frame=frame, file=path)
+                continue
+            found["frames"].append(_render_frame(frame, path, settings, console))
+
+
+def _render_frame(frame: int, path: str, settings, console) -> dict:
+    """Render one frame to `path`; the facts about it."""
+    scene = bpy.context.scene
+    # Also for the current frame: an override may have changed what is evaluated.
+    scene.frame_set(frame)
+    description = read_scene(bpy.context.evaluated_depsgraph_get())
+    # As Blender's own output does, once it is clear that there is something to write.
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    exr = path.lower().endswith(".exr")
+    finished = render_scene(description, settings, path if exr else None, console.progress(frame))
+    if not exr:
+        image = show_in_image(finished.layer)
+        try:
+            save_view_transformed(image, path, scene)
+        finally:
+            bpy.data.images.remove(image)
+    for warning in finished.warnings:
+        console.event("warning", warning, frame=frame, message=warning)
+    facts = {"frame": frame, "file": path, "seconds": finished.seconds, "warnings": finished.warnings}
+    # Farms look for Blender's own words.
+    console.event("frame", f"wrote {path} in {finished.seconds:.1f} s\nSaved: '{path}'", **facts)
+    return {**facts, "report": finished.layer.report.to_dict()}
+
+
+def compare(options, console, found: dict) -> None:
+    """Compare one frame with Cycles."""
+    scene = bpy.context.scene
+    if options.frame is not None:
+        scene.frame_set(options.frame)
+    with _overridden(options) as settings, scaled(scene, options.scale):
+        comparison, _, _ = measure(bpy.context, settings, options.samples, options.bounces,
+                                   console.progress(scene.frame_current))
+    found["comparison"] = asdict(comparison)
+    for warning in comparison.warnings:
+        console.event("warning", warning, message=warning)
+    console.event("comparison", comparison.table(), **found["comparison"])
+
+
+def report(options, console, found: dict) -> None:
+    """Say what a frame's render would do, without rendering."""
+    scene = bpy.context.scene
+    if options.frame is not None:
+        scene.frame_set(options.frame)
+    with _overridden(options) as settings:
+        description = read_scene(bpy.context.evaluated_depsgraph_get())
+        plan = make_plan(description.volumes, description.suns, description.camera, settings)
+    width, height = description.camera.resolution
+    found["plan"] = {
+        "frame": description.frame,
+        "resolution": [width, height],
+        "volumes": [{"name": volume.name, "voxels": list(volume.density.shape)} for volume, _ in description.volumes],
+        "suns": [sun.name for sun in description.suns],
+        "planned": plan.planned,
+        "left_out": plan.left_out,
+        "warnings": description.warnings,
+        "memory": plan.memory,
+    }
+    lines = [f"frame {description.frame}, {width} x {height} pixels, about {plan.memory / 2**30:.1f} GiB of memory"]
+    lines += [f"  volume \"{volume.name}\": {' x '.join(map(str, volume.density.shape))} voxels"
+              for volume, _ in description.volumes]
+    lines += [f"  {sun.name}" for sun in description.suns]
+    lines += [f"  renders {sentence}" for sentence in plan.planned]
+    lines += [f"  leaves out {sentence}" for sentence in plan.left_out]
+    for warning in description.warnings:
+        console.event("warning", warning, message=warning)
+    console.event("report", "\n".join(lines), **found["plan"])
+
+
+@contextmanager
+def _overridden(options):
+    """The scene's settings with those of the command line in their place; the scene keeps its own."""
+    scene = bpy.context.scene
+    settings = scene.mrpnn.settings()
+    given = {name: getattr(options, name) for name in ("depth_samples", "seed", "threads", "model")
+             if getattr(options, name) is not None}
+    if options.memory_limit is not None:
+        given["memory_limit"] = int(options.memory_limit * 2**30)
+    before = scene.render.resolution_percentage, scene.camera
+    try:
+        if options.resolution_percentage is not None:
+            scene.render.resolution_percentage = options.resolution_percentage
+        if options.camera is not None:
+            scene.camera = _camera(options.camera)
+        with bpy.context.temp_override(view_layer=_view_layer(scene, options.view_layer)):
+            yield replace(settings, **given)
+    finally:
+        scene.render.resolution_percentage, scene.camera = before
+
+
+def _camera(name: str):
+    camera = bpy.context.scene.objects.get(name)
+    if camera is None or camera.type != 'CAMERA':
+        cameras = [other.name for other in bpy.context.scene.objects if other.type == 'CAMERA']
+        raise SceneError(f"there is no camera {name!r} in the scene; there are: {', '.join(cameras) or 'none'}")
+    return camera
+
+
+def _view_layer(scene, name):
+    if name is None:
+        return bpy.context.view_layer
+    if name not in scene.view_layers:
+        raise SceneError(f"there is no view layer {name!r}; there are: {', '.join(scene.view_layers.keys())}")
+    return scene.view_layers[name]

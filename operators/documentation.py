@@ -1,0 +1,22 @@
+"""Operator `mrpnn.documentation`: open the pages that the extension ships."""
+
+from pathlib import Path
+
+import bpy
+
+# The pages themselves: the extension's folder holds them, so they fit its version.
+PAGES = Path(__file__).resolve().parent.parent / "docs"
+
+
+class MRPNN_OT_documentation(bpy.types.Operator):
+    """Open the folder with the documentation of this version"""
+
+    bl_idname = "mrpnn.documentation"
+    bl_label = "Documentation"
+
+    def execute(self, context):
+        bpy.ops.wm.path_open(filepath=str(PAGES))
+        return {'FINISHED'}
+
+
+classes = (MRPNN_OT_documentation,)

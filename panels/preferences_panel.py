@@ -1,0 +1,31 @@
+"""The extension's entry in the preferences."""
+
+import bpy
+
+from ..mrpnn_addon.preferences import EXTENSION, PreferenceProperties
+from ..mrpnn_addon.runtime import check_runtime, runtime_version
+from ..inference.scene import SceneError
+from ..operators.documentation import MRPNN_OT_documentation
+from .text import draw_text
+
+
+class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
+    bl_idname = EXTENSION
+
+    def draw(self, context):
+        layout = self.layout
+        column = layout.column()
+        column.use_property_split = True
+        column.prop(self, "threads")
+        column.prop(self, "memory_limit")
+        try:
+            problems = check_runtime()
+            layout.label(text=f"onnxruntime {runtime_version()}, on the processor", icon='CHECKMARK')
+        except SceneError as error:
+            problems = [str(error)]
+        for problem in problems:
+            draw_text(context, layout, problem, 'ERROR')
+        layout.operator(MRPNN_OT_documentation.bl_idname, icon='HELP')
+
+
+classes = (MRPNN_preferences,)

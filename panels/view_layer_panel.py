@@ -1,0 +1,31 @@
+"""Passes in the view layer properties."""
+
+import bpy
+
+from ..mrpnn_addon.engine import MRPNNRenderEngine
+
+
+class MRPNN_PT_passes(bpy.types.Panel):
+    bl_label = "Data"
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "view_layer"
+    bl_parent_id = "VIEWLAYER_PT_layer_passes"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == MRPNNRenderEngine.bl_idname
+
+    def draw(self, context):
+        layout, view_layer = self.layout, context.view_layer
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column(heading="Include", align=True)
+        column.prop(view_layer, "use_pass_z", text="Depth")
+        column = layout.column(heading="Volume", align=True)
+        column.prop(view_layer.mrpnn, "use_pass_volume_direct", text="Direct")
+        column.prop(view_layer.mrpnn, "use_pass_volume_indirect", text="Indirect")
+        column.prop(view_layer.mrpnn, "use_pass_uncertainty")
+
+
+classes = (MRPNN_PT_passes,)

@@ -1,0 +1,80 @@
+"""The light along the camera ray: closed forms in a box, and each volume by itself."""
+
+import numpy as np
+import pytest
+
+from inference import Volume
+from inference.grid import Grid
+from inference.march import light_at, march
+from inference.ray_light import SCALES
+
+CELLS = 48
+
+
+def box(name="box", offset=(0.0, 0.0, 0.0)):
+    """Density 1 in a cube of edge 1 around `offset`; Blender's ramp at its faces is a voxel wide."""
+    matrix = np.diag([1 / CELLS] * 3 + [1.0])
+    matrix[:3, 3] = 0.5 / CELLS - 0.5 + np.array(offset)
+    return Volume(np.ones((CELLS,) * 3, np.float32), matrix, name)
+
+
+def prepared(volume, sun, sigma_t):
+    grid = Grid(volume)
+    grid.add_sun(np.asarray(sun, float))
+    grid.set_extinction(sigma_t)
+    return grid
+
+
+@pytest.mark.parametrize("sigma_t", [0.3, 3.0, 8.0])
+def test_light_in_a_box_has_its_closed_form(sigma_t):
+    """Along +x below a sun at +z: exp(-a tau_sun) (1 - exp(-a tau_ahead)), tau_sun being constant along the ray."""
+    grid = prepared(box(), (0.0, 0.0, 1.0), sigma_t)
+    position = np.array([[-0.3, 0.0, 0.2], [0.1, 0.1, -0.1], [0.45, -0.2, 0.3]])
+    direction = np.tile([1.0, 0.0, 0.0], (3, 1))
+    found = light_at(grid, sigma_t, position, direction).of(slice(None), 0, 0)
+    tau_sun, tau_ahead = sigma_t * (0.5 - position[:, 2]), sigma_t * (0.5 - position[:, 0])
+    expected = [tau_sun, tau_ahead] + [np.exp(-a * tau_sun) * -np.expm1(-a * tau_ahead) for a in SCALES]
+    np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=0.02, atol=2e-3 * sigma_t)
+
+
+def test_marched_samples_see_what_their_points_see():
+    """A sample of a marched ray and a ray begun at the sample's place."""
+    sigma_t, sun = 6.0, np.array([0.48, 0.6, 0.64])
+    volume = box()
+    volume.density[:, :, :20] = 0.2
+    volume.density[:30, :20] *= 0.5
+    grid = prepared(volume, sun, sigma_t)
+    random = np.random.default_rng(2)
+    origins = np.concatenate([random.uniform(-0.4, 0.4, (40, 2)), np.full((40, 1), 2.0)], axis=1)
+    directions = np.tile([0.0, 0.0, -1.0], (40, 1))
+    near, far = grid.interval(origins, directions)
+    segment = march([grid], [sigma_t], origins, directions, near, far, random.random(40), 4, with_light=True)
+    ray = segment.sample_ray
+    positions = origins[ray] + segment.sample_distance[:, None] * directions[ray]
+    marched = segment.sample_light.of(slice(None), 0, 0)
+    own = light_at(grid, sigma_t, positions, directions[ray]).of(slice(None), 0, 0)
+    assert marched[:, 1].max() > 3.0 and marched[:, 1].min() < 1.5
+    np.testing.assert_allclose(marched, own, rtol=0.03, atol=0.01)
+
+
+def test_each_volume_is_seen_by_itself():
+    """The network of one volume knows nothing of another; so must the light that it is given."""
+    sun, sigma_t = np.array([0.0, 0.6, 0.8]), (4.0, 2.0)
+    volumes = [box("left"), box("right", (0.6, 0.0, 0.0))]
+    grids = [prepared(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
+    origins, directions = np.array([[-2.0, 0.05, 0.1]]), np.array([[1.0, 0.0, 0.0]])
+    near, far = np.array([1.4]), np.array([3.2])
+    both = march(grids, sigma_t, origins, directions, near, far, np.array([0.5]), 16, with_light=True)
+    positions = origins + both.sample_distance[:, None] * directions
+    for v in range(2):
+        inside = both.sample_fraction[:, v] > 0.0
+        alone = light_at(grids[v], sigma_t[v], positions[inside], np.tile(directions, (inside.sum(), 1)))
+        found = both.sample_light.of(inside, v, 0)
+        np.testing.assert_allclose(found, alone.of(slice(None), 0, 0), rtol=0.05, atol=0.03)
+
+
+def test_without_need_nothing_is_kept():
+    grid = prepared(box(), (0.0, 0.0, 1.0), 1.0)
+    origins, directions = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]])
+    near, far = grid.interval(origins, directions)
+    assert march([grid], [1.0], origins, directions, near, far, np.zeros(1), 4).sample_light is None

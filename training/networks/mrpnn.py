@@ -1,0 +1,182 @@
+"""The network that ships: the paper's descriptors with the light along the camera ray, in a plain residual network."""
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+
+from inference.ray_light import SCALES, TAU_AHEAD_MOST, TAU_SUN_MOST
+from inference.stencil import LAYER_POINTS, POINTS
+
+WIDTH = 192
+HIDDEN_LAYERS = 3
+MODULATION = 64
+#: Scattering orders n whose powers of the albedo, with weights >= 0, make up the radiance.
+ORDERS = (1, 2, 3, 4, 6, 9, 14, 24, 48, 100, 250, 800)
+# Scales of extinction at which the sun's optical depth is seen.
+SUN_SCALES = tuple(0.578**k for k in (0, 1, 2, 3, 4, 5, 6, 8))
+AHEAD_SCALES = (1.0, 0.334, 0.1)
+LOG_RADIANCE_MOST = 4.0
+# Added to logarithms of layers' mean densities and of the light ahead.
+POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
+RAY_INPUTS = 2 + len(SCALES)
+
+
+def log_phase(cosine, g):
+    """log of Henyey-Greenstein's phase function."""
+    return torch.log((1 - g * g) / (4 * math.pi)) - 1.5 * torch.log(1 + g * g - 2 * g * cosine)
+
+
+class RayMRPNN(nn.Module):
+    """Multiple-scattered radiance at a point, for a sun of irradiance 1.
+
+    Reads density and scaled transmittance at A.2's stencil, the optical depths towards the sun and
+    ahead along the camera ray, and the single-scattered light from ahead. Feature P is left out: it follows from
+    the angle to the sun and the anisotropy. The output is a power series in the albedo with weights >= 0, so that
+    one evaluation serves all albedos and the radiance is never negative and never falls with albedo.
+    """
+
+    name = "mrpnn"
+    kind = "ray"
+    columns = ("features", "tau_sun", "tau_ahead", "ahead", "anisotropy", "gamma")
+    ranges = {}
+
+    def __init__(self, width: int = WIDTH, hidden: int = HIDDEN_LAYERS):
+        super().__init__()
+        auxiliary = len(LAYER_POINTS) + len(SUN_SCALES) + 1 + 2 * len(SCALES) + 1 + len(AHEAD_SCALES)
+        angles = 8
+        inputs = 2 * POINTS + auxiliary + angles
+        # Inputs are standardised with the training data's mean and deviation.
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("deviation", torch.ones(inputs))
+        self.first = nn.Linear(inputs, width)
+        self.modulation = nn.ModuleList([nn.Linear(angles, MODULATION), nn.Linear(MODULATION, 2 * width)])
+        nn.init.zeros_(self.modulation[1].weight)
+        nn.init.zeros_(self.modulation[1].bias)
+        self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(hidden))
+        self.last = nn.Linear(width, len(ORDERS))
+        with torch.no_grad():
+            self.last.weight *= 0.1
+            self.last.bias.fill_(-4.0)
+        self.register_buffer("orders", torch.tensor(ORDERS, dtype=torch.float32), persistent=False)
+        pooling = torch.zeros(2 * POINTS, len(LAYER_POINTS))
+        start = 0
+        for i, points in enumerate(LAYER_POINTS):
+            pooling[start : start + points, i] = 1.0 / points
+            start += points
+        self.register_buffer("pooling", pooling, persistent=False)
+
+    @staticmethod
+    def inputs(data, rows):
+        """Of some rows of the training data: stencil (N, 2 POINTS), ray (N, 5), anisotropy (N,), gamma (N,)."""
+        stencil = data["features"][rows].float().flatten(1)
+        ray = [data["tau_sun"][rows, None], data["tau_ahead"][rows, None], data["ahead"][rows]]
+        return stencil, torch.cat(ray, dim=1), data["anisotropy"][rows], data["gamma"][rows]
+
+    @torch.no_grad()
+    def calibrate(self, *inputs):
+        """Take the means and deviations by which inputs are standardised from rows of data."""
+        x, angles = self.assemble(*inputs)
+        x = torch.cat([x, angles], dim=1)
+        self.mean.copy_(x.mean(dim=0))
+        self.deviation.copy_(x.std(dim=0) + 1e-2)
+
+    def assemble(self, stencil, ray, anisotropy, gamma):
+        """All inputs (N, k) but the angles, and the angles (N, 8), before standardisation."""
+        with torch.autocast("cpu", enabled=False):
+            pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
+        tau_sun = ray[:, :1].clamp(0.0, TAU_SUN_MOST)
+        tau_ahead = ray[:, 1:2].clamp(0.0, TAU_AHEAD_MOST)
+        ahead = ray[:, 2:].clamp(min=0.0)
+        cosine, g = torch.cos(gamma), anisotropy
+        angles = torch.stack(
+            [
+                cosine, torch.sin(gamma), gamma / math.pi, g, log_phase(cosine, g),
+                log_phase(cosine, g * g.abs()), log_phase(cosine, g**3), torch.log(1 - g.abs()),
+            ],
+            dim=1,
+        )
+        x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
+        x += [ahead, torch.log(ahead + AHEAD_LEAST), torch.log1p(tau_ahead)]
+        x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES)]
+        return torch.cat(x, dim=1), angles
+
+    def weights(self, stencil, ray, anisotropy, gamma):
+        """(N, orders) weights of the powers of the albedo, >= 0."""
+        x, angles = self.assemble(stencil, ray, anisotropy, gamma)
+        x = (torch.cat([x, angles], dim=1) - self.mean) / self.deviation
+        angles = x[:, -angles.shape[1] :]
+        scale, shift = self.modulation[1](torch.relu(self.modulation[0](angles))).chunk(2, dim=1)
+        h = torch.relu(self.first(x) * (1.0 + scale) + shift)
+        for layer in self.hidden:
+            h = h + torch.relu(layer(h))
+        return torch.exp(self.last(h).float().clamp(max=LOG_RADIANCE_MOST))
+
+    def forward(self, stencil, ray, anisotropy, gamma, albedo):
+        """albedo (A, N); returns radiance (A, N)."""
+        weights = self.weights(stencil, ray, anisotropy, gamma)
+        return (albedo[:, :, None] ** self.orders * weights).sum(dim=2)
+
+    def graph(self, g):
+        """Add the whole network to an ONNX graph, with the inputs that inference.RayField feeds."""
+        g.input("stencil", ["N", 2 * POINTS])
+        g.input("ray", ["N", RAY_INPUTS])
+        g.input("anisotropy", ["N"])
+        g.input("gamma", ["N"])
+        g.input("albedo", ["A"])
+        x, angles = self._assemble_graph(g)
+        x = g.concat([x, angles], axis=1)
+        # Standardisation folds into the first layers.
+        first_w = self.first.weight / self.deviation
+        first_b = self.first.bias - first_w @ self.mean
+        n = 8
+        mod_w = self.modulation[0].weight / self.deviation[-n:]
+        mod_b = self.modulation[0].bias - mod_w @ self.mean[-n:]
+        hidden = g.relu(g.op("Gemm", angles, g.constant(mod_w), g.constant(mod_b), transB=1))
+        width = len(first_b)
+        bias = self.modulation[1].bias.clone()
+        bias[:width] += 1.0
+        modulation = g.op("Gemm", hidden, g.constant(self.modulation[1].weight), g.constant(bias), transB=1)
+        scale, shift = g.split(modulation, [width, width], axis=1)
+        h = g.op("Gemm", x, g.constant(first_w), g.constant(first_b), transB=1)
+        h = g.relu(g.op("Add", g.op("Mul", h, scale), shift))
+        for layer in self.hidden:
+            h = g.op("Add", h, g.relu(g.linear(h, layer)))
+        y = g.op("Min", g.linear(h, self.last), g.number(LOG_RADIANCE_MOST))
+        powers = g.op("Pow", g.column("albedo"), g.constant(np.array([ORDERS], np.float32)))
+        radiance = g.op("MatMul", powers, g.op("Transpose", g.op("Exp", y), perm=[1, 0]))
+        g.output("radiance", radiance, ["A", "N"])
+
+    def _assemble_graph(self, g):
+        def scaled_exp(x, scales):
+            return g.op("Exp", g.op("Mul", x, g.constant(-np.array([scales], np.float32))))
+
+        def log1p(x):
+            return g.op("Log", g.op("Add", x, g.number(1.0)))
+
+        pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
+        pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
+        tau_sun, tau_ahead, ahead = g.split("ray", [1, 1, len(SCALES)], axis=1)
+        tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(TAU_SUN_MOST))
+        tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(TAU_AHEAD_MOST))
+        ahead = g.relu(ahead)
+        x = ["stencil", pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
+        x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]
+        gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
+        cosine, size = g.op("Cos", gamma), g.op("Abs", anisotropy)
+        square = g.op("Mul", anisotropy, anisotropy)
+
+        def phase(a):
+            aa = g.op("Mul", a, a)
+            front = g.op("Log", g.op("Mul", g.op("Sub", g.number(1.0), aa), g.number(0.25 / math.pi)))
+            cross = g.op("Mul", g.op("Mul", a, cosine), g.number(2.0))
+            d = g.op("Log", g.op("Sub", g.op("Add", aa, g.number(1.0)), cross))
+            return g.op("Sub", front, g.op("Mul", d, g.number(1.5)))
+
+        angles = [
+            cosine, g.op("Sin", gamma), g.op("Mul", gamma, g.number(1.0 / math.pi)), anisotropy, phase(anisotropy),
+            phase(g.op("Mul", anisotropy, size)), phase(g.op("Mul", anisotropy, square)),
+            g.op("Log", g.op("Sub", g.number(1.0), size)),
+        ]
+        return g.concat(x, axis=1), g.concat(angles, axis=1)

@@ -1,0 +1,34 @@
+"""Feature P of the training data's rows, which do not store it: it follows from G and gamma."""
+
+import math
+
+import torch
+
+from inference.phase import PhaseFeatures
+from inference.stencil import POINTS, make_stencil
+
+
+class PhaseTable:
+    """P at the stencil's points, from one table over gamma for every value of G met so far."""
+
+    def __init__(self):
+        self._slots = {}
+        self._tables = torch.empty(0, PhaseFeatures.KNOTS, POINTS)
+
+    def _slot(self, anisotropy: float) -> int:
+        if anisotropy not in self._slots:
+            self._stencil = make_stencil() if not self._slots else self._stencil
+            table = torch.from_numpy(PhaseFeatures(self._stencil, anisotropy).table)
+            self._tables = torch.cat([self._tables, table[None].to(self._tables.device)])
+            self._slots[anisotropy] = len(self._slots)
+        return self._slots[anisotropy]
+
+    def __call__(self, anisotropy, gamma):
+        """float32 (N, 192) for tensors anisotropy and gamma (N,), linear between the knots of gamma."""
+        self._tables = self._tables.to(gamma.device)
+        values, which = torch.unique(anisotropy, return_inverse=True)
+        slots = torch.tensor([self._slot(round(value, 6)) for value in values.tolist()], device=gamma.device)[which]
+        position = (gamma / math.pi).clamp(0.0, 1.0) * (PhaseFeatures.KNOTS - 1)
+        knot = position.long().clamp(max=PhaseFeatures.KNOTS - 2)
+        low, high = self._tables[slots, knot], self._tables[slots, knot + 1]
+        return torch.lerp(low, high, (position - knot)[:, None])
