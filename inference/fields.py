@@ -85,35 +85,51 @@ def _fine_span(m: int, stencil: Stencil, low, high):
     return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
 
 
-def _refine(grid: np.ndarray, centres) -> np.ndarray:
-    """Linear interpolation at fine-cell centres, separably; clamped at the rim.
+def _along(grid: np.ndarray, below, above_share, axis: int) -> np.ndarray:
+    """Linear interpolation along one axis, between cells `below` and the next."""
+    if not above_share.any():
+        return grid.take(below, axis)
+    share = above_share.reshape([-1 if a == axis else 1 for a in range(3)])
+    refined = grid.take(below, axis)
+    rise = grid.take(below + 1, axis)
+    rise -= refined
+    rise *= share
+    refined += rise
+    return refined
 
-    centres: three arrays, positions in cells of the grid, whose centres lie at integers.
+
+def _refined_planes(grid: np.ndarray, centres):
+    """Linear interpolation of the grid at fine-cell centres, a plane (y, z) of the first axis at a time.
+
+    centres: three arrays, positions in cells of the grid, whose centres lie at integers; clamped at the rim.
+    Yields the plane's number and the plane, which the next one overwrites.
     """
-    weights, spans = [], []
+    below, share = [], []
     for axis, position in enumerate(centres):
-        n = grid.shape[axis]
-        position = np.clip(position, 0.0, n - 1.0)
-        below = np.minimum(position.astype(int), n - 2)
-        spans.append(slice(below[0], below[-1] + 2))
-        rows = np.zeros((len(position), below[-1] + 2 - below[0]), np.float32)
-        rows[np.arange(len(position)), below - below[0]] = 1.0 - (position - below)
-        rows[np.arange(len(position)), below - below[0] + 1] = position - below
-        weights.append(rows)
-    # One matrix product an axis, none of which moves the grid in memory.
-    grid = np.ascontiguousarray(grid[tuple(spans)])
-    x, y, z = grid.shape
-    grid = (weights[0] @ grid.reshape(x, -1)).reshape(-1, y, z)
-    return np.matmul(np.matmul(weights[1], grid), weights[2].T)
+        # Fine centres that are a cell's centre are one in spite of rounding.
+        position = np.clip(np.round(position, 6), 0.0, grid.shape[axis] - 1.0)
+        cell = np.minimum(position.astype(int), grid.shape[axis] - 2)
+        below.append(cell)
+        share.append((position - cell).astype(np.float32))
+    first, last = below[0][0], below[0][-1] + 2
+    # The short axes' work is done before the grid grows along the long one.
+    grid = _along(_along(grid[first:last], below[2], share[2], 2), below[1], share[1], 1)
+    plane = np.empty(grid.shape[1:], np.float32)
+    for number, (cell, part) in enumerate(zip(below[0] - first, share[0])):
+        np.subtract(grid[cell + 1], grid[cell], out=plane)
+        plane *= part
+        plane += grid[cell]
+        yield number, plane
 
 
-def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map):
+def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map, earlier=None):
     """Lattices of mips 0..7 for one optical density and one sun: a list of Lattice.
 
     padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
     interpolated before the logarithm and the optical depth before the exponential.
     low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
     stencils cannot reach is not built. mapper: `map`, or an executor's, to build mips side by side.
+    earlier: lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
     """
     margin = margins(stencil)
     low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
@@ -121,16 +137,21 @@ def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, low=
     def build(m: int) -> Lattice:
         n, source = LEVEL0_CELLS >> m, max(m, 1)
         first, last = _fine_span(m, stencil, low, high)
-        # Fine-cell centres in cube edges from the cube's lower corner, then in cells of the source.
+        # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
-        feature = _refine(padded[m], [c * n + margin[m] - 0.5 for c in cube])
-        feature *= np.float32(sigma_hat / DENSITY_SCALE)
-        packed = np.empty(feature.shape, np.complex64)
-        packed.real = np.log1p(feature, out=feature)
+        if earlier:
+            lattice = earlier[m]
+        else:
+            packed = np.empty([len(c) for c in cube], np.complex64)
+            lattice = Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]), first)
+            for i, plane in _refined_planes(padded[m], [c * n + margin[m] - 0.5 for c in cube]):
+                plane *= np.float32(sigma_hat / DENSITY_SCALE)
+                plane += np.float32(1.0)
+                packed.real[i] = np.log(plane, out=plane)
         n = LEVEL0_CELLS >> source
-        feature = _refine(unit_depths[source - 1], [c * n + margin[source] - 0.5 for c in cube])
-        feature *= np.float32(-sigma_hat * BETA**source)
-        packed.imag = np.exp(feature, out=feature)
-        return Lattice(packed, -0.5 - margin[m] / (LEVEL0_CELLS >> m), float((LEVEL0_CELLS >> m) * FINE[m]), first)
+        for i, plane in _refined_planes(unit_depths[source - 1], [c * n + margin[source] - 0.5 for c in cube]):
+            plane *= np.float32(-sigma_hat * BETA**source)
+            lattice.packed.imag[i] = np.exp(plane, out=plane)
+        return lattice
 
     return list(mapper(build, range(MIPS)))

@@ -21,6 +21,7 @@ class StencilField:
         self.network, self.anisotropy = network, anisotropy
         pyramid = density_pyramid(level0_density(volume, cube))
         self.padded = padded_levels(pyramid, network.points)
+        self.lattices, self.built = None, None
         self.prepare(pyramid)
 
     def prepare(self, pyramid):
@@ -37,7 +38,10 @@ class StencilField:
         """Prepare one optical density and sun (3,), in the cube's frame, for points from low to high (3,)."""
         self.sun = sun
         depths = unit_optical_depths(self.padded, sun)
-        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper)
+        built = sigma_hat, *low, *high
+        earlier = self.lattices if built == self.built else None
+        self.built = built
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper, earlier)
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
         """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as in `read_fields`."""

@@ -45,6 +45,16 @@ def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays
     np.testing.assert_allclose(gamma, np.arccos(rays[1] @ SUN), atol=1e-4)
 
 
+def test_another_suns_lattices_are_taken_over(stencil, fields):
+    """The density stays, and of the transmittance of the sun before nothing is left."""
+    padded, depths = fields
+    other = unit_optical_depths(padded, np.array([0.6, -0.8, 0.0]))
+    earlier = build_lattices(padded, other, SIGMA_HAT, stencil)
+    taken_over = build_lattices(padded, depths, SIGMA_HAT, stencil, earlier=earlier)
+    for one, anew in zip(taken_over, build_lattices(padded, depths, SIGMA_HAT, stencil)):
+        np.testing.assert_array_equal(one.packed, anew.packed)
+
+
 def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
     """What is left out is what no stencil around these points reads."""
     positions = 0.1 + 0.05 * rays[0]
