@@ -1,24 +1,13 @@
 """Features mu, S and P at the stencil's points around each x."""
 
-from typing import List
-
 import numpy as np
 
-from .fields import Lattice
+from .fields import Lattices
 from .phase import PhaseFeatures
-from .stencil import LOW_POINTS, MIPS, POINTS, Stencil, frames
+from .stencil import LOW_POINTS, POINTS, Stencil, frames
 
-
-def _lookup(lattice: Lattice, points: np.ndarray, jitter) -> np.ndarray:
-    """Nearest fine cell of points (N, k, 3) in the cube's frame, moved by jitter (N, 3) cells: complex64 (N, k)."""
-    _, ny, nz = lattice.packed.shape
-    cell = points * np.float32(lattice.scale)
-    cell += (jitter - np.float32(lattice.origin * lattice.scale))[:, None]
-    cell = cell.astype(np.int32)
-    index = (cell[..., 0] * ny + cell[..., 1]) * nz + cell[..., 2]
-    index -= (lattice.first[0] * ny + lattice.first[1]) * nz + lattice.first[2]
-    # The lattice holds every cell that a stencil can read; clipping costs less than checking.
-    return lattice.packed.reshape(-1).take(index, mode="clip")
+# Points looked up together, so that what is made on the way stays in the cache.
+POINTS_A_STEP = 256
 
 
 def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
@@ -34,23 +23,50 @@ def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
     return points
 
 
-def read_fields(stencil: Stencil, lattices: List[Lattice], positions, omega, sun, mu, transmittance, jitter=None):
+def _columns(stencil: Stencil, lattices: Lattices):
+    """Of each of the 192 points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins."""
+    levels = [lattices.levels[m] for m in stencil.mips]
+    scale = np.array([level.scale for level in levels], np.float32)
+    origin = np.array([level.origin * level.scale for level in levels], np.float32)
+    stride = np.array([level.packed.strides for level in levels], np.int32).T // lattices.values.itemsize
+    sizes = np.array([level.packed.size for level in lattices.levels])
+    begin = (np.cumsum(sizes) - sizes)[stencil.mips] - (stride * np.array([level.first for level in levels]).T).sum(axis=0)
+    return scale, origin, stride, begin.astype(np.int32)
+
+
+def read_fields(stencil: Stencil, lattices: Lattices, positions, omega, sun, mu, transmittance, jitter=None):
     """Fill mu and transmittance, float32 (N, 192), with the features mu and S of points.
 
     positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector. jitter: (N, 3) in
     [-1/2, 1/2), by which lookups of each point are moved, in fine cells; none by default.
     Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
     """
-    points = stencil_points(stencil, positions, omega, np.asarray(sun, np.float64))
-    jitter = np.zeros((len(positions), 3), np.float32) if jitter is None else np.asarray(jitter, np.float32)
-    for m in range(MIPS):
-        columns = np.flatnonzero(stencil.mips == m)
-        # A mip's points are one run of the low-frequency part and perhaps one of the high-frequency part.
-        for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
-            span = slice(run[0], run[-1] + 1)
-            values = _lookup(lattices[m], points[:, span], jitter)
-            mu[:, span] = values.real
-            transmittance[:, span] = values.imag
+    sun = np.asarray(sun, np.float64)
+    jitter = np.zeros((len(positions), 3), np.float32) if jitter is None else jitter
+    scale, origin, stride, begin = _columns(stencil, lattices)
+    # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all 192.
+    terms = np.zeros((6, POINTS), np.float32)
+    terms[0] = scale
+    terms[1:4, :LOW_POINTS] = stencil.low.T * scale[:LOW_POINTS]
+    terms[4] = 1.0
+    towards = np.zeros(POINTS, np.float32)
+    towards[LOW_POINTS:] = stencil.high * scale[LOW_POINTS:]
+    point = np.ones((3, len(positions), 6), np.float32)
+    point[..., 0], point[..., 4] = positions.T, jitter.T
+    point[..., 1:4] = frames(omega, sun).transpose(1, 0, 2)
+    constant = [np.float32(component) * towards - origin for component in sun]
+    for start in range(0, len(positions), POINTS_A_STEP):
+        span = slice(start, start + POINTS_A_STEP)
+        index = begin
+        for axis in range(3):
+            terms[5] = constant[axis]
+            cell = (point[axis, span] @ terms).astype(np.int32)
+            cell *= stride[axis]
+            cell += index
+            index = cell
+        # The lattices hold every cell that a stencil can read; clipping costs less than checking.
+        values = lattices.values.take(index, mode="clip")
+        mu[span], transmittance[span] = values.real, values.imag
 
 
 def angle_to_sun(omega, sun) -> np.ndarray:
@@ -59,7 +75,7 @@ def angle_to_sun(omega, sun) -> np.ndarray:
     return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
 
 
-def describe(stencil: Stencil, lattices: List[Lattice], phase: PhaseFeatures, positions, omega, sun, jitter=None):
+def describe(stencil: Stencil, lattices: Lattices, phase: PhaseFeatures, positions, omega, sun, jitter=None):
     """Descriptors of points for one sun, as the paper's networks read them.
 
     Arguments as for `read_fields`. Returns features float32 (3, N, 192) in the order mu, S, P, and

@@ -75,6 +75,14 @@ class Lattice:
     first: np.ndarray
 
 
+@dataclass
+class Lattices:
+    """Lattices of mips 0..7, `levels`; `values`: complex64, all of theirs, one after another."""
+
+    values: np.ndarray
+    levels: List[Lattice]
+
+
 def _fine_span(m: int, stencil: Stencil, low, high):
     """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
     margin, reach, scale = margins(stencil)[m], stencil.reach(m), (LEVEL0_CELLS >> m) * FINE[m]
@@ -122,36 +130,39 @@ def _refined_planes(grid: np.ndarray, centres):
         yield number, plane
 
 
-def build_lattices(padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map, earlier=None):
-    """Lattices of mips 0..7 for one optical density and one sun: a list of Lattice.
+def build_lattices(
+    padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map, earlier=None
+) -> Lattices:
+    """Lattices of mips 0..7 for one optical density and one sun.
 
     padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
     interpolated before the logarithm and the optical depth before the exponential.
     low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
     stencils cannot reach is not built. mapper: `map`, or an executor's, to build mips side by side.
-    earlier: lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
+    earlier: Lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
     """
     margin = margins(stencil)
     low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
 
+    spans = [_fine_span(m, stencil, low, high) for m in range(MIPS)]
+    ends = np.cumsum([np.prod(last - first) for first, last in spans])
+    values = earlier.values if earlier else np.empty(ends[-1], np.complex64)
+
     def build(m: int) -> Lattice:
         n, source = LEVEL0_CELLS >> m, max(m, 1)
-        first, last = _fine_span(m, stencil, low, high)
+        first, last = spans[m]
+        packed = values[ends[m] - np.prod(last - first) : ends[m]].reshape(last - first)
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
-        if earlier:
-            lattice = earlier[m]
-        else:
-            packed = np.empty([len(c) for c in cube], np.complex64)
-            lattice = Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]), first)
+        if not earlier:
             for i, plane in _refined_planes(padded[m], [c * n + margin[m] - 0.5 for c in cube]):
                 plane *= np.float32(sigma_hat / DENSITY_SCALE)
                 plane += np.float32(1.0)
                 packed.real[i] = np.log(plane, out=plane)
-        n = LEVEL0_CELLS >> source
-        for i, plane in _refined_planes(unit_depths[source - 1], [c * n + margin[source] - 0.5 for c in cube]):
+        cells = LEVEL0_CELLS >> source
+        for i, plane in _refined_planes(unit_depths[source - 1], [c * cells + margin[source] - 0.5 for c in cube]):
             plane *= np.float32(-sigma_hat * BETA**source)
-            lattice.packed.imag[i] = np.exp(plane, out=plane)
-        return lattice
+            packed.imag[i] = np.exp(plane, out=plane)
+        return Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]), first)
 
-    return list(mapper(build, range(MIPS)))
+    return Lattices(values, list(mapper(build, range(MIPS))))
