@@ -103,7 +103,7 @@ def _estimate(statistic, mask, seed, *per_pixel) -> Estimate:
 
     statistic: takes (1 + len(per_pixel), ...) sums and works along the trailing axes.
     """
-    sums = np.stack([_tile_sums(values * mask) for values in (np.ones(mask.shape), *per_pixel)])
+    sums = np.stack([tile_sums(values * mask) for values in (np.ones(mask.shape), *per_pixel)])
     sums = sums[:, sums[0] > 0]
     tiles = sums.shape[1]
     drawn = np.random.default_rng(seed).integers(0, tiles, size=(RESAMPLES, tiles))
@@ -111,7 +111,7 @@ def _estimate(statistic, mask, seed, *per_pixel) -> Estimate:
     return Estimate(float(statistic(sums.sum(axis=-1))), float(low), float(high))
 
 
-def _tile_sums(image: np.ndarray) -> np.ndarray:
+def tile_sums(image: np.ndarray) -> np.ndarray:
     """Sums over TILE x TILE pixels, flattened; tiles at the right and lower edge may be smaller."""
     rows, columns = np.arange(0, image.shape[0], TILE), np.arange(0, image.shape[1], TILE)
     return np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1).ravel()

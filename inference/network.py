@@ -21,17 +21,22 @@ WEIGHTS = pathlib.Path(__file__).parent / "weights"
 # What reads a volume for a network, by the kind that its weights file states.
 FIELDS = {"stencil": StencilField, "ray": RayField, "lattice": LatticeField}
 
-_systems = {}
+_systems, _unlisted = {}, set()
 
 
-def register_system(name: str, factory):
-    """Let Settings.model name a system that has no weights file; factory() makes it."""
+def register_system(name: str, factory, listed: bool = True):
+    """Let Settings.model name a system that has no weights file; factory() makes it.
+
+    listed: whether `available_models` names it.
+    """
     _systems[name] = factory
+    if not listed:
+        _unlisted.add(name)
 
 
 def available_models():
-    """Names that Settings.model accepts."""
-    return sorted({path.stem for path in WEIGHTS.glob("*.onnx")} | set(_systems))
+    """Names that Settings.model accepts, but for those that are not listed."""
+    return sorted({path.stem for path in WEIGHTS.glob("*.onnx")} | set(_systems) - _unlisted)
 
 
 @dataclass

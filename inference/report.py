@@ -14,7 +14,8 @@ class Report:
     model, checksum: the network's name and sha256. planned, left_out: sentences.
     warnings: what the user should know, naming objects. counts: pixels, rays, points.
     seconds: by stage; "march" and "network" overlap on several threads, so that "total" is measured
-    apart. peak_memory: bytes, of the whole process, None where the platform does not tell.
+    apart. cpu_seconds: by stage, of all threads of the process. peak_memory: bytes, of the whole process, None
+    where the platform does not tell.
     """
 
     model: str = ""
@@ -25,15 +26,17 @@ class Report:
     warnings: List[str] = field(default_factory=list)
     counts: Dict[str, int] = field(default_factory=dict)
     seconds: Dict[str, float] = field(default_factory=dict)
+    cpu_seconds: Dict[str, float] = field(default_factory=dict)
     peak_memory: Optional[int] = None
 
     @contextlib.contextmanager
     def stage(self, name: str):
         """Add the time spent inside to a stage."""
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
+            self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + time.process_time() - cpu
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def count(self, name: str, number: int):

@@ -13,11 +13,16 @@ IMAGE_NAME = "MRPNN"
 
 
 def show_in_image(layer: Layer, name: str = IMAGE_NAME) -> bpy.types.Image:
-    """Put the layer into the float Image `name`, made or resized as need be.
+    """Put the layer into the float Image `name`, as `show_image`."""
+    return show_image(rgba(layer), name)
+
+
+def show_image(values: np.ndarray, name: str) -> bpy.types.Image:
+    """Put float32 (H, W, 4), rows from the top, into the float Image `name`, made or resized as need be.
 
     The image is scene-linear RGBA with premultiplied alpha; Blender's rows start at the bottom.
     """
-    height, width = layer.alpha.shape
+    height, width = values.shape[:2]
     image = bpy.data.images.get(name)
     if image is not None and not (image.source == 'GENERATED' and image.is_float):
         # A packed or reloaded image of that name cannot be written to: put a new one in its place.
@@ -27,7 +32,7 @@ def show_in_image(layer: Layer, name: str = IMAGE_NAME) -> bpy.types.Image:
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     image.alpha_mode = 'PREMUL'
-    image.pixels.foreach_set(np.ascontiguousarray(rgba(layer)[::-1]).ravel())
+    image.pixels.foreach_set(np.ascontiguousarray(values[::-1], np.float32).ravel())
     image.update()
     return image
 

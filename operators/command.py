@@ -11,6 +11,7 @@ import bpy
 
 from ..inference import available_models
 from ..inference.scene import SceneError
+from ..mrpnn_addon.comparison_run import REPORT_FOLDER
 from ..mrpnn_addon.json_file import write_json
 from . import command_actions
 from .console import Console
@@ -43,7 +44,14 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--skip-existing", action="store_true", help="leave frames whose file is there already")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
-    compare.add_argument("--samples", type=_positive, default=32, help="samples a pixel in each of two Cycles renders")
+    compare.add_argument("--samples", type=_positive, default=32,
+                         help="samples a pixel in each of the reference's two halves, at most")
+    compare.add_argument("--seconds", type=float, default=0.0, help="that Cycles may take, roughly; 0: any")
+    compare.add_argument("--ladder", type=int, default=64, help="samples a pixel of Cycles' highest rung; 0: none")
+    compare.add_argument("--no-denoise", action="store_true", help="leave out Cycles with OpenImageDenoise")
+    compare.add_argument("--all-models", action="store_true", help="every network, not the scene's alone")
+    compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
+    compare.add_argument("--folder", default=REPORT_FOLDER, help="for the report, and for images to go on from")
     compare.add_argument("--bounces", type=_positive, default=1024, help="most scattering events along a path")
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
 

@@ -2,17 +2,17 @@
 
 import os
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import bpy
 
 from ..inference.plan import make_plan
 from ..inference.scene import SceneError
+from ..mrpnn_addon.comparison_run import ComparisonRun, Options
 from ..mrpnn_addon.frames import frame_path, parse_frames
 from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.render_job import render_scene
 from ..mrpnn_addon.scene import read_scene
-from .compare import measure, scaled
 
 ENDINGS = (".exr", ".png")
 
@@ -59,17 +59,22 @@ def _render_frame(frame: int, path: str, settings, console) -> dict:
 
 
 def compare(options, console, found: dict) -> None:
-    """Compare one frame with Cycles."""
+    """Compare one frame with Cycles, and write the report."""
     scene = bpy.context.scene
     if options.frame is not None:
         scene.frame_set(options.frame)
-    with _overridden(options) as settings, scaled(scene, options.scale):
-        comparison, _, _ = measure(bpy.context, settings, options.samples, options.bounces,
-                                   console.progress(scene.frame_current))
-    found["comparison"] = asdict(comparison)
+    with _overridden(options) as settings:
+        run = ComparisonRun(bpy.context, settings, Options(
+            samples=options.samples, seconds=options.seconds, ladder=options.ladder, denoised=not options.no_denoise,
+            all_models=options.all_models, bounces=options.bounces, scale=options.scale,
+            reference_path=options.reference or "", folder=options.folder))
+        run.wait(console.progress(scene.frame_current))
+    comparison = run.result()
+    page = run.write(comparison)
+    found["comparison"] = comparison.figures()
     for warning in comparison.warnings:
         console.event("warning", warning, message=warning)
-    console.event("comparison", comparison.table(), **found["comparison"])
+    console.event("comparison", f"{comparison.table()}\nreport: {page}", report=str(page), **found["comparison"])
 
 
 def report(options, console, found: dict) -> None:

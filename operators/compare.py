@@ -1,46 +1,62 @@
-"""Operator `mrpnn.compare`: the layer against Cycles on the same view."""
+"""Operator `mrpnn.compare`: error against run time, of the layer and of Cycles, on the scene's view."""
 
-import os
-from contextlib import contextmanager
-from dataclasses import replace
-from typing import Tuple
 
 import bpy
 import numpy as np
-from bpy.props import IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..inference.layer import Layer
 from ..inference.scene import SceneError
-from ..mrpnn_addon.comparison import Comparison, compare
-from ..mrpnn_addon.cycles_reference import render_reference, volumes_and_suns
-from ..mrpnn_addon.layer_image import IMAGE_NAME, show_in_image
-from ..mrpnn_addon.render_job import render_scene
-from ..mrpnn_addon.scene import read_scene
+from ..mrpnn_addon.comparison_run import REPORT_FOLDER, ComparisonRun, Options
+from ..mrpnn_addon.last_comparison import remember
+from ..mrpnn_addon.layer_image import IMAGE_NAME, show_image
+from ..mrpnn_addon.properties import RELATIVE_PATH
 
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"
 ERROR_IMAGE = f"{IMAGE_NAME} error"
 TEXT_NAME = f"{IMAGE_NAME} comparison"
+SECONDS_A_TICK = 0.1
 
 
 class MRPNN_OT_compare(bpy.types.Operator):
-    """Render the view twice in Cycles with every bounce, and measure the layer against it.
-    Blender does not respond meanwhile"""
+    """Measure error against run time of the layer and of Cycles on this view, and write a report.
+    Cycles renders in a Blender of its own; Esc stops and keeps what is finished, and another run goes on from there"""
 
     bl_idname = "mrpnn.compare"
     bl_label = "Compare with Cycles"
 
     samples: IntProperty(
-        name="Cycles Samples", default=32, min=1, max=65536,
-        description="Samples a pixel in each of the two Cycles renders")
+        name="Reference Samples", default=32, min=1, max=65536,
+        description="Samples a pixel in each of the reference's two halves, at most")
+    budget: FloatProperty(
+        name="Seconds", default=300.0, min=0.0, soft_max=3600.0,
+        description="That Cycles may take in this run, roughly; 0 for as many as it needs")
+    ladder: IntProperty(
+        name="Ladder", default=64, min=0, max=65536,
+        description="Samples a pixel of Cycles' highest rung: 1, 4, 16 and so on up to it; 0 for none")
+    denoised: BoolProperty(
+        name="Denoised", default=True, description="Measure Cycles with OpenImageDenoise as well")
+    models: EnumProperty(
+        name="Networks", default='ONE', description="Whose errors are measured",
+        items=[('ONE', "The Scene's", "The scene's network"), ('ALL', "All", "Every network of the extension")])
     bounces: IntProperty(
         name="Bounces", default=1024, min=1, max=1024,
         description="Most scattering events along a path in Cycles")
     scale: IntProperty(
         name="Size", default=25, min=1, max=100, subtype='PERCENTAGE',
         description="Size of the comparison, of the render resolution; Cycles' time goes with its square")
+    reference_path: StringProperty(
+        name="Reference", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
+        description="Image of the same view to judge by, OpenEXR with alpha; rendered in Cycles by default")
+    folder: StringProperty(
+        name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
+        description="For the report and for finished images, from which another run goes on; beside a file "
+                    "that is not saved, it lies in Blender's temporary folder")
     json_path: StringProperty(
-        name="JSON File", subtype='FILE_PATH', options={'SKIP_SAVE'},
-        description="File for all figures; none by default")
+        name="JSON File", subtype='FILE_PATH', options={'SKIP_SAVE', 'HIDDEN'},
+        description="One more file for all figures")
+
+    _run = None
+    _timer = None
 
     def invoke(self, context, event):
         if bpy.app.background:
@@ -48,70 +64,83 @@ class MRPNN_OT_compare(bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context):
-        manager = context.window_manager
-        manager.progress_begin(0, 100)
-        try:
-            with scaled(context.scene, self.scale):
-                comparison, layer, cycles = measure(
-                    context, context.scene.mrpnn.settings(), self.samples, self.bounces,
-                    lambda done, text: manager.progress_update(int(100 * done)))
-            _show(layer, cycles)
-            if self.json_path:
-                comparison.write_json(_absolute(self.json_path))
-        except (SceneError, OSError) as error:
-            self.report({'ERROR'}, str(error))
+        if MRPNN_OT_compare._run is not None:
+            self.report({'WARNING'}, "a comparison is running already; Esc stops it")
             return {'CANCELLED'}
-        finally:
-            manager.progress_end()
+        try:
+            run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options())
+        except (SceneError, OSError) as error:
+            return self._fail(error)
+        if bpy.app.background:
+            run.wait()
+            return self._deliver(context, run)
+        MRPNN_OT_compare._run = run
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
+        manager.progress_begin(0, 100)
+        manager.modal_handler_add(self)
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context, event):
+        run = MRPNN_OT_compare._run
+        if event.type == 'ESC':
+            run.job.stop()
+        elif event.type != 'TIMER':
+            return {'PASS_THROUGH'}
+        try:
+            run.job.step()
+        except BaseException:
+            self.cancel(context)
+            raise
+        context.window_manager.progress_update(int(100 * run.job.fraction))
+        context.workspace.status_text_set(
+            f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)")
+        if not run.job.done:
+            return {'PASS_THROUGH'}
+        self.cancel(context)
+        return self._deliver(context, run)
+
+    def cancel(self, context):
+        """Also called by Blender where it ends the operator itself, as when it closes or loads a file."""
+        MRPNN_OT_compare._run.job.stop()
+        MRPNN_OT_compare._run = None
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.progress_end()
+        context.workspace.status_text_set(None)
+
+    def _options(self) -> Options:
+        return Options(
+            samples=self.samples, seconds=self.budget, ladder=self.ladder, denoised=self.denoised,
+            all_models=self.models == 'ALL', bounces=self.bounces, scale=self.scale,
+            reference_path=self.reference_path, folder=self.folder, json_path=self.json_path)
+
+    def _fail(self, error):
+        self.report({'ERROR'}, str(error))
+        return {'CANCELLED'}
+
+    def _deliver(self, context, run):
+        try:
+            comparison = run.result()
+            page = run.write(comparison)
+        except (SceneError, OSError) as error:
+            return self._fail(error)
+        show(run)
+        remember(comparison, page)
         _keep_as_text(comparison.table())
         for warning in comparison.warnings:
             self.report({'WARNING'}, warning)
-        self.report({'INFO'}, comparison.table())
+        self.report({'INFO'}, f"{comparison.table()}\nreport: {page}")
+        if not bpy.app.background:
+            bpy.ops.wm.url_open(url=page.as_uri())
         return {'FINISHED'}
 
 
-def measure(context, settings, samples: int, bounces: int, progress) -> Tuple[Comparison, Layer, np.ndarray]:
-    """The comparison at the scene's resolution; the layer; Cycles' image, float32 (H, W, 4), rows from the top.
-
-    progress: called with (fraction, message).
-    """
-    depsgraph = context.evaluated_depsgraph_get()
-    # The layer and Cycles' image both have the region's size.
-    description = replace(read_scene(depsgraph), crop=True)
-    objects = volumes_and_suns(depsgraph)
-    finished = render_scene(description, settings)
-    progress(0.1, "rendering the reference")
-    reference = render_reference(context.scene, objects, samples, bounces,
-                                 progress=lambda done, text: progress(0.1 + 0.9 * done, text),
-                                 world=context.scene.world if description.environment else None)
-    comparison = compare(finished.layer, finished.seconds, reference, finished.warnings)
-    return comparison, finished.layer, (reference.a + reference.b) / 2
-
-
-def _show(layer: Layer, cycles: np.ndarray) -> None:
-    """Leave the layer, Cycles' image and their difference as images."""
-    show_in_image(layer)
-    show_in_image(replace(layer, rgb=cycles[..., :3], alpha=cycles[..., 3]), REFERENCE_IMAGE)
-    show_in_image(replace(layer, rgb=layer.rgb - cycles[..., :3]), ERROR_IMAGE)
-
-
-@contextmanager
-def scaled(scene, percentage: int):
-    """The scene at a part of its resolution; as it was afterwards."""
-    before = scene.render.resolution_percentage
-    scene.render.resolution_percentage = max(1, before * percentage // 100)
-    try:
-        yield
-    finally:
-        scene.render.resolution_percentage = before
-
-
-def _absolute(path: str) -> str:
-    path = bpy.path.abspath(path)
-    if not os.path.isabs(path):
-        raise SceneError(f"the JSON file {path} lies beside the .blend file, which is not saved yet; "
-                         "save it, or enter a full path")
-    return path
+def show(run: ComparisonRun) -> None:
+    """Leave the layer, the reference and their difference as images."""
+    layer, reference = run.layer_image(), run.reference_image()
+    show_image(layer, IMAGE_NAME)
+    show_image(reference, REFERENCE_IMAGE)
+    show_image(np.concatenate([layer[..., :3] - reference[..., :3], layer[..., 3:]], axis=-1), ERROR_IMAGE)
 
 
 def _keep_as_text(table: str) -> None:

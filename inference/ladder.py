@@ -1,0 +1,166 @@
+"""Error against run time: candidates at several sample counts, and what a second of each buys.
+
+A path tracer's error is noise: error^2 = variance / samples. Its variance is measured between the
+reference's two halves, its seconds on the ladder's rungs, so that what was not rendered can be told
+and is marked as extrapolated.
+"""
+
+from dataclasses import dataclass
+from typing import List, Optional
+
+import numpy as np
+
+from .error import Estimate, relative_bias, relative_rmse, tile_sums
+
+MEASURED, EXTRAPOLATED, AT_MOST, AT_LEAST = "measured", "extrapolated", "at most", "at least"
+# A reference is good where its noise moves a candidate's RMSE by less than this share of it.
+ACCURACY = 0.1
+
+
+@dataclass
+class Rung:
+    """One candidate's image against the reference.
+
+    method: what made it; samples: a pixel, or depths. seconds: wall clock of the frame; cpu_seconds: of all
+    threads; once, once_cpu: of these, what further frames of the same volume and sun would not pay again.
+    rmse, bias: relative. flip: NVIDIA's perceptual difference, None where it was not computed.
+    """
+
+    method: str
+    samples: int
+    seconds: float
+    cpu_seconds: float
+    once: float
+    once_cpu: float
+    rmse: Estimate
+    bias: Estimate
+    flip: Optional[float] = None
+
+    @property
+    def error(self) -> float:
+        """The RMSE, or the end of its interval where the reference cannot tell it from 0."""
+        return self.rmse.value or self.rmse.high
+
+
+@dataclass
+class Reached:
+    """A figure and how it is known: MEASURED, EXTRAPOLATED, AT_MOST or AT_LEAST."""
+
+    value: float
+    how: str
+
+    def __str__(self):
+        return f"{self.value:.3g}" + ("" if self.how == MEASURED else f" ({self.how})")
+
+
+@dataclass
+class PathTracing:
+    """What a sample costs and brings: seconds = start + each * samples, error = sqrt(variance / samples).
+
+    variance: of a pixel at one sample, over the squared mean. largest: most samples that were rendered at once.
+    """
+
+    start: float
+    each: float
+    variance: float
+    largest: int
+
+    def seconds(self, samples: float) -> float:
+        return self.start + self.each * samples
+
+    def seconds_for(self, error: float) -> Reached:
+        """Seconds until the noise is as small as `error`."""
+        samples = self.variance / error**2 if error > 0.0 else np.inf
+        return Reached(self.seconds(samples), MEASURED if 1 <= samples <= self.largest else EXTRAPOLATED)
+
+    def error_after(self, seconds: float) -> Reached:
+        """Error in that time; where it does not suffice for a sample, that of one."""
+        samples = (seconds - self.start) / self.each
+        if samples < 1.0:
+            return Reached(float(np.sqrt(self.variance)), AT_LEAST)
+        return Reached(float(np.sqrt(self.variance / samples)), MEASURED if samples <= self.largest else EXTRAPOLATED)
+
+
+def cost(samples, seconds):
+    """(start, each) of seconds = start + each * samples, the relative misfit least; neither below 0."""
+    samples, seconds = np.asarray(samples, float), np.asarray(seconds, float)
+    if len(np.unique(samples)) < 2:
+        return 0.0, float((seconds / samples).mean())
+    each, start = np.polyfit(samples, seconds, 1, w=1.0 / np.maximum(seconds, 1e-9))
+    if each <= 0.0 or start < 0.0:
+        return 0.0, float(seconds.sum() / samples.sum())
+    return float(start), float(each)
+
+
+def variance_at_one(a, b, mask, samples: float) -> float:
+    """Variance of a pixel at one sample over the squared mean; a, b: (H, W, C) halves of `samples` each."""
+    return float(0.5 * np.mean((a - b)[mask] ** 2) * samples / (0.5 * np.mean((a + b)[mask])) ** 2)
+
+
+def seconds_on_ladder(rungs: List[Rung], error: float, clock: str = "seconds") -> Reached:
+    """Seconds in which a ladder of one method, by ascending samples, gets down to `error`.
+
+    Between rungs on the straight line of the logarithms. Beyond the last the error is taken to fall with
+    1 / sqrt(samples), which a filter that blurs never does better than: AT_LEAST.
+    """
+    times, errors = [getattr(r, clock) for r in rungs], [r.error for r in rungs]
+    for i, (time, found) in enumerate(zip(times, errors)):
+        if found <= error:
+            if i == 0:
+                return Reached(time, AT_MOST)
+            share = np.log(errors[i - 1] / error) / max(np.log(errors[i - 1] / max(found, 1e-12)), 1e-12)
+            return Reached(float(times[i - 1] * (time / times[i - 1]) ** min(share, 1.0)), MEASURED)
+    if error <= 0.0:
+        return Reached(np.inf, AT_LEAST)
+    best = int(np.argmin(errors))
+    start, each = cost([r.samples for r in rungs], times)
+    return Reached(start + each * rungs[best].samples * (errors[best] / error) ** 2, AT_LEAST)
+
+
+def error_on_ladder(rungs: List[Rung], seconds: float, clock: str = "seconds") -> Reached:
+    """Error of a ladder of one method after so many seconds: its best rung that is done by then."""
+    done = [r.error for r in rungs if getattr(r, clock) <= seconds]
+    return Reached(min(done), MEASURED) if done else Reached(rungs[0].error, AT_LEAST)
+
+
+@dataclass
+class Verdict:
+    """Whether a reference can judge a candidate. more: how many times its samples a good one has, 1 at least.
+    seconds: that a good one takes.
+    """
+
+    good: bool
+    more: float
+    seconds: float
+
+    def __str__(self):
+        if self.good:
+            return f"good: its noise moves the error by less than {ACCURACY:.0%}"
+        if not np.isfinite(self.more):
+            return "too noisy to judge: the error cannot be told from 0"
+        return (f"too noisy to judge: one that tells the error to {ACCURACY:.0%} has {self.more:.1f} times the samples "
+                f"and takes about {self.seconds:.0f} s")
+
+
+def judge(rung: Rung, a, b, mask, seconds: float) -> Verdict:
+    """Whether halves a, b (H, W, C), rendered in `seconds`, tell the rung's RMSE to ACCURACY.
+
+    The mean of (d - e_a)(d - e_b) over P pixels, e independent noise of variance v, varies by
+    (2 d^2 v + v^2) / P.
+    """
+    mean = 0.5 * np.mean((a + b)[mask])
+    variance = 0.5 * (((a - b) / mean) ** 2).reshape(*mask.shape, -1).mean(axis=-1) * mask
+    pixels = mask.sum()
+    tiles, counts = tile_sums(variance), tile_sums(mask.astype(float))
+    first = variance.sum() / pixels
+    second = float((tiles[counts > 0] ** 2 / counts[counts > 0]).sum() / pixels)
+    square = rung.error**2
+    if square == 0.0 and second > 0.0:
+        return Verdict(False, np.inf, np.inf)
+    if second == 0.0:  # a reference without noise
+        return Verdict(True, 1.0, seconds)
+    # Variance may grow by u before the squared error's standard error reaches 2 ACCURACY of it.
+    wanted = pixels * (2 * ACCURACY * square) ** 2
+    u = (np.sqrt((square * first) ** 2 + second * wanted) - square * first) / second
+    more = 1.0 / u
+    return Verdict(bool(more <= 1.0), float(max(more, 1.0)), float(max(more, 1.0) * seconds))

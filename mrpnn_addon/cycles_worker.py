@@ -1,0 +1,45 @@
+"""Runs in a Blender process of its own, without the extension: renders scenes of one file, pass by pass.
+
+Arguments, the last two: the .blend file that holds the scenes, and a folder. Each line of standard input asks for an
+image: {"scene", "samples", "seed", "denoise", "name"}; FOLDER/NAME.exr and then FOLDER/NAME.json answer, with
+the wall-clock and processor seconds, or with an error. Ends with its input.
+"""
+
+import json
+import os
+import sys
+import time
+
+import bpy
+
+
+def main(blend, folder):
+    with bpy.data.libraries.load(blend) as (found, wanted):
+        wanted.scenes = found.scenes
+    for line in sys.stdin:
+        ask = json.loads(line)
+        try:
+            answer = render(ask, os.path.join(folder, ask["name"] + ".exr"))
+        except (RuntimeError, TypeError) as error:
+            answer = {"error": str(error).strip()}
+        partial = os.path.join(folder, ask["name"] + ".part")
+        with open(partial, "w") as file:
+            json.dump(answer, file)
+        os.replace(partial, os.path.join(folder, ask["name"] + ".json"))
+
+
+def render(ask, path):
+    scene = bpy.data.scenes[ask["scene"]]
+    settings = scene.cycles
+    settings.samples, settings.seed, settings.use_denoising = ask["samples"], ask["seed"], ask["denoise"]
+    if ask["denoise"]:
+        settings.denoiser = "OPENIMAGEDENOISE"
+    scene.render.filepath = path
+    wall, processor = time.perf_counter(), time.process_time()
+    bpy.ops.render.render(scene=scene.name, write_still=True)
+    seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - processor}
+    return seconds if os.path.exists(path) else {"error": "Cycles wrote no image"}
+
+
+if __name__ == "__main__":
+    main(*sys.argv[-2:])
