@@ -18,15 +18,20 @@ CLOUD_CELLS = 192
 
 
 def write_cloud(path: Path, openvdb) -> None:
-    """Write the generator's cumulus as a .vdb file with the grid "density", edge EDGE around the origin."""
+    """Write the generator's cumulus as `write_grid` does."""
     from training.volumes import make_volume
 
-    density = make_volume(CLOUD_SEED, CLOUD_CELLS).density
+    write_grid(path, make_volume(CLOUD_SEED, CLOUD_CELLS).density, openvdb)
+
+
+def write_grid(path: Path, density: np.ndarray, openvdb) -> None:
+    """Write a density (n, n, n) as a .vdb file with the grid "density", edge EDGE around the origin."""
+    cells = len(density)
     grid = openvdb.FloatGrid()
     grid.copyFromArray(np.ascontiguousarray(density, np.float32))
     grid.name, grid.gridClass = "density", "fog volume"
-    index_to_world = np.diag([EDGE / CLOUD_CELLS] * 3 + [1.0])
-    index_to_world[3, :3] = EDGE * (0.5 / CLOUD_CELLS - 0.5)
+    index_to_world = np.diag([EDGE / cells] * 3 + [1.0])
+    index_to_world[3, :3] = EDGE * (0.5 / cells - 0.5)
     grid.transform = openvdb.createLinearTransform(index_to_world.tolist())
     openvdb.write(str(path), grids=[grid])
 

@@ -56,16 +56,7 @@ def write_cloud(path: Path) -> None:
     from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
     from training.volumes import make_volume
 
-    openvdb = load_openvdb()
-    grid = openvdb.FloatGrid()
-    grid.copyFromArray(np.ascontiguousarray(
-        make_volume(scene_features.SEED, scene_features.CELLS).density, np.float32))
-    grid.name, grid.gridClass = "density", "fog volume"
-    edge = demo_scene.EDGE
-    matrix = np.diag([edge / scene_features.CELLS] * 3 + [1.0])
-    matrix[3, :3] = edge * (0.5 / scene_features.CELLS - 0.5)
-    grid.transform = openvdb.createLinearTransform(matrix.tolist())
-    openvdb.write(str(path), grids=[grid])
+    demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
 
 
 def measured(name, stage, options) -> dict:

@@ -15,12 +15,12 @@ ONCE = ("network loading", "fields", "shadows")
 
 
 class ComparisonJob:
-    """Makes what a request still lacks and keeps each image in a store.
+    """Makes what a request still lacks, and keeps each image of Cycles in a store: layers are quickly made anew.
 
     description: as `read_scene` gives it, cropped. process: of the same view; ended at the end. `step` is to be
     called again and again from the main thread until `done`, and `stop` whatever else happens.
 
-    passes: everything of the request that is there. marks: candidates that failed, in words. message, fraction:
+    passes: whatever of the request is there. marks: candidates that failed, in words. message, fraction:
     how far it is. error: what ended it.
     """
 
@@ -38,7 +38,7 @@ class ComparisonJob:
         self._start = time.monotonic()
 
     def _find_finished(self):
-        for job in (*self.request.layers, *self.request.cycles_jobs()):
+        for job in self.request.cycles_jobs():
             found = self.store.get(job)
             if found is not None:
                 self.passes[job] = found
@@ -53,8 +53,9 @@ class ComparisonJob:
                 if finished is None:
                     return
                 self.passes[self._job] = finished
-                self.store.put(self._job, finished)
-                self._spent += finished.seconds * self._job.by_cycles
+                if self._job.by_cycles:
+                    self.store.put(self._job, finished)
+                    self._spent += finished.seconds
             self._begin(next_job(self.request, self.passes, self._failed, self._spent))
         except PassFailed as problem:  # One candidate; the others may do.
             if self._job.method != DENOISED:

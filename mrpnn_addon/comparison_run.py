@@ -12,7 +12,6 @@ import numpy as np
 
 from ..inference import available_models
 from ..inference.baselines import OCTAVES, SINGLE, register_baselines
-from ..inference.network import load_network
 from ..inference.scene import SceneError, Settings
 from . import comparison_report
 from .comparison import Comparison, compare, halves
@@ -119,7 +118,7 @@ class ComparisonRun:
 def _layers(settings: Settings, options: Options):
     """The judged image first, then its ladder, other networks, and what needs no network."""
     def job(model, depths):
-        return Job(model, depths, settings.seed, load_network(model).checksum[:8])
+        return Job(model, depths, settings.seed)
 
     own = settings.depth_samples
     layers = [job(settings.model, depths) for depths in (own, *(d for d in options.depths if d != own))]

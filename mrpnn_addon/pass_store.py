@@ -1,4 +1,4 @@
-"""Finished passes of a comparison on disk, so that a second run continues the first."""
+"""Finished passes of Cycles on disk, so that a second run continues the first."""
 
 import hashlib
 import json
@@ -20,13 +20,11 @@ REFERENCE, CYCLES, DENOISED = "reference", "cycles", "cycles denoised"
 class Job:
     """One image to make. method: REFERENCE, CYCLES, DENOISED, or a network's name.
     samples: a pixel, or depth samples. seed: independent images of the same kind differ by it.
-    version: of what makes it, where that may change.
     """
 
     method: str
     samples: int
     seed: int = 0
-    version: str = ""
 
     @property
     def by_cycles(self) -> bool:
@@ -35,8 +33,7 @@ class Job:
     @property
     def name(self) -> str:
         """For files."""
-        return "-".join([self.method.replace(" ", "-"), *([self.version] if self.version else []),
-                         str(self.samples), str(self.seed)])
+        return f"{self.method.replace(' ', '-')}-{self.samples}-{self.seed}"
 
 
 @dataclass
@@ -81,7 +78,7 @@ class PassStore:
     def get(self, job: Job) -> Optional[Pass]:
         """The pass, or None where it was not made or its file is damaged."""
         try:
-            with np.load(self._path(job)) as file:
+            with open(self._path(job), "rb") as stream, np.load(stream) as file:
                 return Pass(file["image"], **json.loads(str(file["facts"])))
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             return None

@@ -4,6 +4,7 @@ import bpy
 
 from ..mrpnn_addon.engine import MRPNNRenderEngine
 from ..mrpnn_addon.forecast import forecast
+from ..mrpnn_addon.last_comparison import last_comparison
 from ..mrpnn_addon.last_render import last_render
 from ..mrpnn_addon.scene_check import last_check
 from ..mrpnn_addon.scene_watch import scene_state
@@ -13,6 +14,9 @@ from ..operators.composite import MRPNN_OT_composite
 from ..operators.documentation import MRPNN_OT_documentation
 from ..operators.render import MRPNN_OT_render
 from .text import draw_text
+
+
+CLOCK_NAMES = {"seconds": "seconds", "cpu_seconds": "processor seconds"}
 
 
 class _RenderPanel:
@@ -166,6 +170,27 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
         column.enabled = hasattr(context.scene, "cycles")
         column.operator(MRPNN_OT_compare.bl_idname)
         column.operator(MRPNN_OT_composite.bl_idname)
+        _draw_comparison(context, self.layout, last_comparison())
+
+
+def _draw_comparison(context, layout, last):
+    """The last comparison's table."""
+    if last is None:
+        return
+    comparison, page = last
+    box = layout.box()
+    box.label(text=f"Error and {CLOCK_NAMES[comparison.clock]}", icon='GRAPH')
+    grid = box.column(align=True)
+    for rung in comparison.rungs:
+        row = grid.row()
+        row.label(text=f"{rung.method}, {rung.samples}")
+        row.label(text=f"{rung.error:.3f}")
+        row.label(text=f"{getattr(rung, comparison.clock):.2g}")
+    for sentence in (*comparison.sentences(), *comparison.marks):
+        draw_text(context, box, sentence, 'INFO')
+    if not comparison.verdict.good:
+        draw_text(context, box, f"The reference is {comparison.verdict}", 'ERROR')
+    box.operator("wm.url_open", text="Open Report", icon='URL').url = page.as_uri()
 
 
 classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_exr, MRPNN_PT_cycles)

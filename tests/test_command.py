@@ -220,9 +220,11 @@ def test_report_says_what_a_render_would_do(command, blend, capsys):
 
 
 def test_compare_measures_against_cycles(command, blend, capsys):
-    assert command(["compare", "--samples", "4", "--bounces", "8", "--scale", "100", "--json",
+    assert command(["compare", "--samples", "4", "--bounces", "8", "--scale", "100", "--ladder", "1", "--json",
                     str(blend.parent / "figures.json")]) == 0
-    assert "relative RMSE" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "relative RMSE" in said and "after 8 bounces" in said
+    assert (blend.parent / "mrpnn-comparison" / "report.html").exists()
     figures = json.loads((blend.parent / "figures.json").read_text())["comparison"]
     assert figures["resolution"] == [20, 16] and figures["samples"] == 4 and abs(figures["alpha_bias"]["value"]) < 0.1
 

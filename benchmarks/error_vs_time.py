@@ -1,0 +1,125 @@
+"""Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
+
+    python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 64] [--only WORDS] [--table]
+
+Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept under OUT,
+and so are the figures of finished cases, so that a run that was stopped goes on where it was. With other weights or
+--again cases are measured anew against Cycles' images as they are; --table only writes the page anew.
+"""
+
+import argparse
+import atexit
+import csv
+import io
+import json
+import os
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import bpy
+
+from . import error_vs_time_cases, error_vs_time_page, error_vs_time_plots
+from .extension import ROOT, load_extension
+
+DOCS = ROOT / "docs"
+DEPTH_SAMPLES = 8
+# Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow.
+LADDER, GROWTH_SAMPLES = 64, 16
+
+
+def main(arguments=None) -> int:
+    options = parse(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "results.json"
+    results = json.loads(file.read_text()) if file.is_file() else {}
+    cases = error_vs_time_cases.cases(options.size)
+    if not options.table:
+        atexit.register(load_extension().unregister)
+        for case in cases:
+            if not (options.only in case.name or options.only in case.growth):
+                continue
+            start, state = time.perf_counter(), [weights(), options.samples]
+            if options.again or results.get(case.name, {}).get("state") != state:
+                results[case.name] = {"case": asdict(case), "state": state, **measured(case, options)}
+                replace(file, json.dumps(results, indent=1) + "\n")
+                print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+    known = [results[case.name] for case in cases if case.name in results]
+    if not known:
+        print("nothing is measured yet", file=sys.stderr)
+        return 1
+    replace(DOCS / "error-vs-time.csv", csv_text(known))
+    error_vs_time_plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
+    error_vs_time_plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
+    replace(DOCS / "error-vs-time.md", error_vs_time_page.page(known, len(cases)))
+    return 0
+
+
+def weights() -> str:
+    """Checksum of the default network."""
+    from inference import Settings
+    from inference.network import load_network
+
+    return load_network(Settings.model).checksum
+
+
+def measured(case, options) -> dict:
+    """The comparison's figures."""
+    from mrpnn.mrpnn_addon.comparison_run import ComparisonRun, Options
+    from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
+    from mrpnn.mrpnn_addon.scene import read_scene
+
+    scene = error_vs_time_cases.make(case, options.out, load_openvdb(), read_scene)
+    scene.mrpnn.depth_samples = DEPTH_SAMPLES
+    bpy.context.view_layer.update()
+    wanted = Options(samples=options.samples, ladder=LADDER, scale=100, folder=str(options.out / "images"))
+    if case.growth:
+        wanted = Options(samples=GROWTH_SAMPLES, ladder=1, depths=(), scale=100, folder=wanted.folder)
+    run = ComparisonRun(bpy.context, scene.mrpnn.settings(), wanted)
+    run.wait()
+    if run.job.cancelled:
+        raise SystemExit("stopped; what is finished is kept")
+    return run.result().figures()
+
+
+def csv_text(results) -> str:
+    """A row for each image: the case, the method, its error, its time."""
+    text = io.StringIO()
+    writer = None
+    for result in results:
+        for rung in result["rungs"]:
+            row = dict(result["case"])
+            row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
+            for name in ("rmse", "bias"):
+                row.update({f"{name}{end}": rung[name][key]
+                            for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))})
+            if writer is None:
+                writer = csv.DictWriter(text, row, lineterminator="\n")
+                writer.writeheader()
+            writer.writerow({name: f"{value:.5g}" if isinstance(value, float) else value
+                             for name, value in row.items()})
+    return text.getvalue()
+
+
+def replace(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.error_vs_time", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
+    parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
+    parser.add_argument("--samples", type=int, default=64, help="a pixel in each half of the reference (64)")
+    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo")
+    parser.add_argument("--again", action="store_true", help="measure finished cases anew")
+    parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
+    options = parser.parse_args(arguments)
+    options.out = options.out.resolve()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""The page docs/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
+
+import math
+
+from .fidelity_tables import table
+
+NOISY = "too noisy"
+
+
+def equal(result, method: str, clock: str = "cpu_seconds"):
+    """The equal-error and equal-time figures against one method, None where there are none."""
+    return next((one for one in result["equal"] if (one["method"], one["clock"]) == (method, clock)), None)
+
+
+def times_as_long(result, method: str, per_frame: bool):
+    """Cycles' processor seconds to the layer's error over the layer's; None where it cannot be told."""
+    one = equal(result, method)
+    if one is None or one["needed"]["value"] is None:
+        return None
+    spent = one["seconds"] - (result["judged"]["once_cpu"] if per_frame else 0.0)
+    return one["needed"]["value"] / spent
+
+
+def geometric_mean(values) -> float:
+    values = list(values)
+    return math.exp(sum(map(math.log, values)) / len(values))
+
+
+def rung(result, method: str):
+    """The method's first rung; for the layer the judged one."""
+    return next((one for one in result["rungs"] if one["method"] == method), None)
+
+
+def page(results, wanted: int) -> str:
+    """results: of the cases measured so far, of `wanted`."""
+    main = [result for result in results if not result["case"]["growth"]]
+    model = results[0]["judged"]["method"]
+    size = results[0]["case"]["size"]
+    parts = [
+        "# Error against run time\n",
+        f"Made by `python -m benchmarks.error_vs_time`; {len(results)} of {wanted} scenes measured. Figures by image stand "
+        "in [error-vs-time.csv](error-vs-time.csv).\n",
+        f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, {results[0]['judged']['samples']} "
+        f"depth samples) and by Cycles {results[0]['cycles']} in a process of its own: {results[0]['bounces']} bounces, no "
+        "clamping. Errors are relative RMSE by split references, over the pixels of alpha above 0.02. Seconds are "
+        "processor seconds of all threads, which other work on the machine does not change; the CSV has wall "
+        "clock too. *First* counts fields, shadows and loading of the network, which further frames of the same volume "
+        "and sun do not pay again; *frame* does not. At this few pixels *first* is nearly all of it.\n",
+    ]
+    if main:
+        parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main),
+                  "## Every scene\n", scenes(main, model)]
+    parts += ["## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n", growth(results)]
+    return "\n".join(parts)
+
+
+def headline(main) -> str:
+    """Geometric means over the scenes whose error the reference can tell."""
+    rows = []
+    for method, wanted in (("cycles", 300), ("cycles denoised", 10)):
+        for per_frame in (False, True):
+            found = [value for value in (times_as_long(r, method, per_frame) for r in main) if value]
+            if found:
+                mean = geometric_mean(found)
+                rows.append([method, "frame" if per_frame else "first", f"{mean:.3g}", f"{min(found):.3g}",
+                             f"{max(found):.3g}", str(len(found)), f"{wanted}: {'yes' if mean >= wanted else 'no'}"])
+    return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
+            "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held.\n\n"
+            + table(["against", "of the layer", "geometric mean", "least", "most", "scenes", "aim reached"], rows))
+
+
+def scenes(main, model: str) -> str:
+    rows = []
+    for result in main:
+        judged = result["judged"]
+        row = [_label(result), _error(judged), f"{judged['bias']['value']:+.1%}",
+               f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}"]
+        for method in ("cycles", "cycles denoised"):
+            one = equal(result, method)
+            first, frame = (times_as_long(result, method, per_frame) for per_frame in (False, True))
+            row.append("n/a" if first is None else
+                       f"{one['needed']['value']:.3g} s ({one['needed']['how']}): {first:.3g} / {frame:.3g} ×")
+            row.append("n/a" if one is None else f"{one['error']['value']:.3f} ({one['error']['how']})")
+        for method in ("single-scattering", "multi-octave"):
+            found = rung(result, method)
+            row.append(_error(found) if found else "n/a")
+        row.append("good" if result["verdict"]["good"] else f"{NOISY}: {_more(result['verdict'])}")
+        rows.append(row)
+    head = ["scene", f"{model}: error", "bias", "seconds, first / frame", "Cycles to this error: times first / frame",
+            "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single only",
+            "multi-octave", "reference"]
+    return ("n/a: the reference cannot tell the error from 0. *Too noisy*: its noise moves the error by more than 10 %; "
+            "how many times the samples a good one has.\n\n" + table(head, rows))
+
+
+def growth(results) -> str:
+    """Costs where one thing changes: the layer's seconds, and Cycles' to an error of 0.1."""
+    base = results[0]["case"]
+    rows = []
+    for what, key in (("pixels", "size"), ("voxels", "cells"), ("suns", "suns"), ("albedo", "albedo"),
+                      ("optical density", "optical_density"), ("G", "anisotropy")):
+        same = [r for r in results if all(r["case"][k] == base[k] for k in base if k not in (key, "growth"))]
+        if len({r["case"][key] for r in same}) < 2:
+            continue
+        for result in sorted(same, key=lambda r: r["case"][key]):
+            law = result["path_tracing"].get("cpu_seconds")
+            judged, value = result["judged"], result["case"][key]
+            shown = f"{value}²" if key == "size" else f"{value}³" if key == "cells" else f"{value:g}"
+            rows.append([what, shown, f"{judged['once_cpu']:.2g}", f"{judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                         f"{law['each']:.2g}", f"{law['start'] + law['each'] * law['variance'] / 0.01:.3g}"])
+    for one in (r for r in results[0]["rungs"] if r["method"] == results[0]["judged"]["method"]):
+        rows.append(["depth samples", str(one["samples"]), f"{one['once_cpu']:.2g}",
+                     f"{one['cpu_seconds'] - one['once_cpu']:.2g}", "", ""])
+    head = ["grows", "value", "layer, once", "layer, frame", "Cycles, a sample a pixel", "Cycles, to an error of 0.1"]
+    return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
+
+
+def _label(result) -> str:
+    case = result["case"]
+    return (f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}")
+
+
+def _error(found) -> str:
+    rmse = found["rmse"]
+    return f"{rmse['value']:.3f} ({rmse['low']:.3f}–{rmse['high']:.3f})"
+
+
+def _more(verdict) -> str:
+    return "beyond telling" if verdict["more"] is None else f"{verdict['more']:.1f} ×"
