@@ -28,12 +28,14 @@ BUSY = 0.7
 class Equal:
     """One clock's figures of the judged image against one method of Cycles.
 
-    seconds: the judged image's. needed: seconds that Cycles takes to its error; error: Cycles' in its time.
+    seconds: the judged image's; frame_seconds: without what is paid once. needed: seconds that Cycles takes to its
+    error; error: Cycles' in its time.
     """
 
     method: str
     clock: str
     seconds: float
+    frame_seconds: float
     needed: Reached
     error: Reached
 
@@ -41,12 +43,17 @@ class Equal:
     def ratio(self) -> float:
         return self.needed.value / self.seconds
 
+    @property
+    def frame_ratio(self) -> float:
+        return self.needed.value / self.frame_seconds
+
     def __str__(self):
         clock = "s" if self.clock == "seconds" else "processor seconds"
         if not np.isfinite(self.ratio):
             return f"{self.method}: how long it takes to this error cannot be told"
-        return (f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long; in the "
-                f"layer's {self.seconds:.2g} {clock} it has an error of {self.error}")
+        return (f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
+                f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
+                f"{self.seconds:.2g} {clock} it has an error of {self.error}")
 
 
 @dataclass
@@ -197,11 +204,12 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
         law = PathTracing(*cost(*zip(*known)), variance, max(n for n, _ in known))
         result.path_tracing[clock] = law
         seconds = getattr(result.judged, clock)
-        result.equal.append(Equal(CYCLES, clock, seconds, law.seconds_for(result.judged.error),
+        frame = seconds - (result.judged.once if clock == CLOCKS[0] else result.judged.once_cpu)
+        result.equal.append(Equal(CYCLES, clock, seconds, frame, law.seconds_for(result.judged.error),
                                   law.error_after(seconds)))
         if ladders[DENOISED]:
             result.equal.append(Equal(
-                DENOISED, clock, seconds, seconds_on_ladder(ladders[DENOISED], result.judged.error, clock),
+                DENOISED, clock, seconds, frame, seconds_on_ladder(ladders[DENOISED], result.judged.error, clock),
                 error_on_ladder(ladders[DENOISED], seconds, clock)))
 
 

@@ -57,10 +57,13 @@ class MRPNN_OT_compare(bpy.types.Operator):
 
     _run = None
     _timer = None
+    # Whether Blender stays usable meanwhile, as after the dialog; scripts wait.
+    _modal = False
 
     def invoke(self, context, event):
         if bpy.app.background:
             return self.execute(context)
+        self._modal = True
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context):
@@ -71,7 +74,7 @@ class MRPNN_OT_compare(bpy.types.Operator):
             run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options())
         except (SceneError, OSError) as error:
             return self._fail(error)
-        if bpy.app.background:
+        if not self._modal:
             run.wait()
             return self._deliver(context, run)
         MRPNN_OT_compare._run = run
@@ -122,6 +125,8 @@ class MRPNN_OT_compare(bpy.types.Operator):
         try:
             comparison = run.result()
             page = run.write(comparison)
+        except ReferenceError:
+            return self._fail("the compared scene was removed meanwhile; the images of Cycles are kept")
         except (SceneError, OSError) as error:
             return self._fail(error)
         show(run)

@@ -263,7 +263,7 @@ def test_a_given_image_is_judged_by_and_a_wrong_one_refused(started, scene, tmp_
     first.wait()
     image = bpy.data.images.new("given", 16, 16, alpha=True, float_buffer=True)
     image.pixels.foreach_set(first.layer_image()[::-1].ravel())
-    image.alpha_mode, image.file_format = 'PREMUL', 'OPEN_EXR'
+    image.colorspace_settings.is_data, image.alpha_mode, image.file_format = True, 'CHANNEL_PACKED', 'OPEN_EXR'
     image.save(filepath=str(tmp_path / "given.exr"))
     run = started(reference_path=str(tmp_path / "given.exr"))
     run.wait()
