@@ -4,7 +4,7 @@
 
 Without a volume it makes a cumulus with the project's own generator. For each volume it writes, to
 build/demo: NAME.exr (multi-layer), NAME.png, NAME-comparison.png (the layer, Cycles, the signed
-error), NAME-comparison.json, and prints the table.
+error) and the comparison's report in NAME-comparison, and prints the table.
 """
 
 import argparse
@@ -22,6 +22,8 @@ from .extension import ROOT, load_extension
 
 # The signed error map's full colour, as a share of the reference's mean radiance.
 ERROR_LIMIT = 0.5
+# Samples of Cycles' highest rung in the comparison.
+LADDER = 16
 
 
 def demo(path: Path, out: Path, options) -> str:
@@ -42,8 +44,8 @@ def demo(path: Path, out: Path, options) -> str:
     say(f"{path.name}: rendered in {seconds:.1f} s, reading and writing included; {covered:.0%} of the image covered")
 
     say(f"{path.name}: comparing with Cycles at {options.scale} % of that size")
-    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale,
-                          json_path=str(out / f"{path.stem}-comparison.json"))
+    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, ladder=LADDER, budget=0.0,
+                          folder=str(out / f"{path.stem}-comparison"))
     comparison_picture(scene, options).save(out / f"{path.stem}-comparison.png")
     return bpy.data.texts["MRPNN comparison"].as_string()
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 64] [--only WORDS] [--table]
 
-Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept under OUT,
-and so are the figures of finished cases, so that a run that was stopped goes on where it was. With other weights or
+Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept
+under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was. With other weights or
 --again cases are measured anew against Cycles' images as they are; --table only writes the page anew.
 """
 

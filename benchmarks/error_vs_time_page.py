@@ -17,7 +17,7 @@ def equal(result, method: str, clock: str = "cpu_seconds"):
 
 
 def times_as_long(result, method: str, per_frame: bool, error: float = None):
-    """Cycles' processor seconds to the layer's error, or to another one, over the layer's; None where none can be told."""
+    """Cycles' processor seconds to the layer's error, or another, over the layer's; None where none can be told."""
     judged = result["judged"]
     error = error or judged["rmse"]["value"] or judged["rmse"]["high"]
     rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
@@ -48,11 +48,11 @@ def page(results, wanted: int) -> str:
     size = results[0]["case"]["size"]
     parts = [
         "# Error against run time\n",
-        f"Made by `python -m benchmarks.error_vs_time`; {len(results)} of {wanted} scenes measured. Figures by image stand "
-        "in [error-vs-time.csv](error-vs-time.csv).\n",
+        f"Made by `python -m benchmarks.error_vs_time`; {len(results)} of {wanted} scenes measured. Figures by image "
+        "stand in [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, {results[0]['judged']['samples']} "
-        f"depth samples) and by Cycles {results[0]['cycles']} in a process of its own: {results[0]['bounces']} bounces, no "
-        "clamping. Errors are relative RMSE by split references, over the pixels of alpha above 0.02. Seconds are "
+        f"depth samples) and by Cycles {results[0]['cycles']} in a process of its own: {results[0]['bounces']} bounces, "
+        "no clamping. Errors are relative RMSE by split references, over the pixels of alpha above 0.02. Seconds are "
         "processor seconds of all threads, which other work on the machine does not change; the CSV has wall "
         "clock too. *First* counts fields, shadows and loading of the network, which further frames of the same volume "
         "and sun do not pay again; *frame* does not. At this few pixels *first* is nearly all of it.\n",
@@ -60,7 +60,8 @@ def page(results, wanted: int) -> str:
     if main:
         parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main),
                   "## Every scene\n", scenes(main, model)]
-    parts += ["## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n", growth(results)]
+    parts += ["## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
+              growth(results)]
     return "\n".join(parts)
 
 
@@ -69,8 +70,8 @@ def headline(main) -> str:
     rows = []
     for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
         for per_frame in (False, True):
-            ratios = [(times_as_long(r, method, per_frame), times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"]))
-                      for r in main]
+            ratios = [(times_as_long(r, method, per_frame),
+                       times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"])) for r in main]
             found = [pair for pair in ratios if pair[0]]
             if found:
                 by_error, by_high = zip(*found)

@@ -64,9 +64,9 @@ def make_film(files, options) -> dict:
 
 
 def _compare(options, frame: int) -> dict:
-    path = options.out / f"{frame:04}-comparison.json"
-    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, json_path=str(path))
-    found = json.loads(path.read_text())
+    folder = options.out / f"{frame:04}-comparison"
+    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, ladder=0, budget=0.0, folder=str(folder))
+    found = json.loads((folder / "figures.json").read_text())
     return {name: found[name]["value"] for name in ("rmse", "bias", "alpha_bias")}
 
 

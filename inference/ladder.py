@@ -10,7 +10,7 @@ from typing import List, Optional
 
 import numpy as np
 
-from .error import Estimate, relative_bias, relative_rmse, tile_sums
+from .error import Estimate, tile_sums
 
 MEASURED, EXTRAPOLATED, AT_MOST, AT_LEAST = "measured", "extrapolated", "at most", "at least"
 # A reference is good where its noise moves a candidate's RMSE by less than this share of it.

@@ -32,8 +32,7 @@ SECONDS_A_LOOK = 0.02
 class Options:
     """samples, seconds, ladder, denoised: as in Request. all_models: every network, not the scene's alone.
     models: names of more of them. depths: of the judged network. bounces: of Cycles. scale: per cent of the resolution.
-    reference_path: an .exr, or "". folder, json_path: of the report, as Blender writes paths. step_rate: of Cycles' ray
-    marching.
+    reference_path: an .exr, or "". folder: of the report, as Blender writes paths. step_rate: of Cycles' ray marching.
     """
 
     samples: int = 32
@@ -47,7 +46,6 @@ class Options:
     scale: int = 25
     reference_path: str = ""
     folder: str = REPORT_FOLDER
-    json_path: str = ""
     step_rate: float = 1.0
 
 
@@ -60,7 +58,6 @@ class ComparisonRun:
     def __init__(self, context, settings: Settings, options: Options):
         self.options, self.settings, self.scene = options, settings, context.scene
         self.folder = _folder(options.folder)
-        self.json_path = _absolute(options.json_path) if options.json_path else ""
         self.given = _read_reference(options.reference_path) if options.reference_path else None
         register_baselines()
         layers = _layers(settings, options)
@@ -102,8 +99,6 @@ class ComparisonRun:
 
     def write(self, comparison: Comparison) -> Path:
         """The report's files into the folder; gives the page's path."""
-        if self.json_path:
-            comparison.write_json(self.json_path)
         return comparison_report.write(self, comparison)
 
     def layer_image(self) -> np.ndarray:
@@ -142,14 +137,6 @@ def _folder(path: str) -> Path:
     if path.startswith("//") and not bpy.data.filepath:
         return Path(bpy.app.tempdir or os.path.curdir).absolute() / path[2:]
     return Path(bpy.path.abspath(path)).absolute()
-
-
-def _absolute(path: str) -> str:
-    path = bpy.path.abspath(path)
-    if not os.path.isabs(path):
-        raise SceneError(f"the JSON file {path} lies beside the .blend file, which is not saved yet; "
-                         "save it, or enter a full path")
-    return path
 
 
 def _read_reference(path: str) -> Optional[np.ndarray]:

@@ -51,9 +51,6 @@ class MRPNN_OT_compare(bpy.types.Operator):
         name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
         description="For the report and for finished images, from which another run goes on; beside a file "
                     "that is not saved, it lies in Blender's temporary folder")
-    json_path: StringProperty(
-        name="JSON File", subtype='FILE_PATH', options={'SKIP_SAVE', 'HIDDEN'},
-        description="One more file for all figures")
 
     _run = None
     _timer = None
@@ -115,7 +112,7 @@ class MRPNN_OT_compare(bpy.types.Operator):
         return Options(
             samples=self.samples, seconds=self.budget, ladder=self.ladder, denoised=self.denoised,
             all_models=self.models == 'ALL', bounces=self.bounces, scale=self.scale,
-            reference_path=self.reference_path, folder=self.folder, json_path=self.json_path)
+            reference_path=self.reference_path, folder=self.folder)
 
     def _fail(self, error):
         self.report({'ERROR'}, str(error))

@@ -151,9 +151,9 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     scene.camera.location.z = 4.0
     scene.render.engine = 'BLENDER_WORKBENCH'
     scene.cycles.samples = 7
-    path = tmp_path / "figures.json"
+    path = tmp_path / "comparison" / "figures.json"
     before = state_of_file()
-    assert bpy.ops.mrpnn.compare(json_path=str(path), **small(tmp_path, samples=32)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=32)) == {'FINISHED'}
     after = state_of_file()
     # The layer, Cycles, the error and the chart; the table.
     assert after[1] == before[1]
@@ -176,9 +176,9 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
 def test_operator_refuses_a_scene_without_volume_and_writes_nothing(scene, tmp_path):
     make.add_sun(scene)
     make.add_camera(scene)
-    path = tmp_path / "figures.json"
+    path = tmp_path / "comparison" / "figures.json"
     with pytest.raises(RuntimeError, match="Volume"):
-        bpy.ops.mrpnn.compare(json_path=str(path), **small(tmp_path))
+        bpy.ops.mrpnn.compare(**small(tmp_path))
     assert not path.exists() and scene.render.resolution_percentage == 100
 
 
@@ -200,8 +200,8 @@ def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     render = scene.render
     render.use_border, render.use_crop_to_border = True, False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.5, 1.0
-    path = tmp_path / "figures.json"
-    assert bpy.ops.mrpnn.compare(json_path=str(path), **small(tmp_path, scale=100)) == {'FINISHED'}
+    path = tmp_path / "comparison" / "figures.json"
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, scale=100)) == {'FINISHED'}
     found = json.loads(path.read_text())
     assert found["resolution"] == [32, 32]
     assert abs(found["alpha_bias"]["value"]) < 0.03
