@@ -1,10 +1,10 @@
 """Seconds, points and memory of one render, beside this machine's own arithmetic.
 
-    python -m benchmarks.speed [--size 512] [--depth-samples 8] [--coverage 0.4]
+    python -m benchmarks.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
 
 Renders a procedural cloud that covers a given share of a square image and prints the stages, points a
-second, the largest memory on top of what the process held before, and the network's share of the
-single-precision matrix product's rate measured in the same run.
+second, the largest memory on top of what the process held before, and the share of the
+single-precision matrix product's rate, measured in the same run, at which the network runs, alone and with descriptors.
 """
 
 import argparse
@@ -12,16 +12,19 @@ import os
 import time
 
 import numpy as np
+import onnx
 
 from inference import Camera, Medium, Settings, Sun, render
+from inference.multiple import POINTS_A_TASK
+from inference.network import WEIGHTS, load_network
 from inference.report import process_peak_memory
 from training.seeded_volume import cube_volume
 from training.volumes import HELD_BACK, make_volume
 
 from .views import look_at
 
-# Multiplications and additions of MRPNN a point with one albedo: 2 per weight of its layers.
-FLOP_A_POINT = 2 * 46_700
+# Of runs of the network alone.
+RUNS = 50
 
 
 def cloud(resolution: int = 192):
@@ -53,18 +56,40 @@ def sgemm_rate() -> float:
     return 2 * 2048**3 / best
 
 
+def flop_a_point(name: str) -> int:
+    """Multiplications and additions of a network's matrix products a point."""
+    graph = onnx.load(WEIGHTS / f"{name}.onnx").graph
+    sizes = {weights.name: int(np.prod(weights.dims)) for weights in graph.initializer}
+    products = [node for node in graph.node if node.op_type in ("Gemm", "MatMul")]
+    return 2 * sum(sizes.get(name, 0) for node in products for name in node.input[:2])
+
+
+def network_seconds(name: str) -> float:
+    """A point, of the network alone on one core: the best of RUNS."""
+    session, random = load_network(name).session, np.random.default_rng(1)
+    shapes = {i.name: [POINTS_A_TASK if n == "N" else 1 if n == "A" else n for n in i.shape] for i in session.get_inputs()}
+    inputs = {i: random.random(shape, np.float32) for i, shape in shapes.items()}
+    best = np.inf
+    for _ in range(RUNS):
+        start = time.perf_counter()
+        session.run(None, inputs)
+        best = min(best, time.perf_counter() - start)
+    return best / POINTS_A_TASK
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--depth-samples", type=int, default=8)
     parser.add_argument("--coverage", type=float, default=0.4)
+    parser.add_argument("--model", default="mrpnn")
     arguments = parser.parse_args()
     medium = Medium(100.0, 1.0, 0.857)
     volume = cloud()
     camera = camera_covering(volume, medium, arguments.size, arguments.coverage)
     rate = sgemm_rate()
     before = process_peak_memory()
-    layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, Settings(arguments.depth_samples))
+    layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, Settings(arguments.depth_samples, model=arguments.model))
     report = layer.report
     points = report.counts["network points"]
     print(f"{arguments.size} x {arguments.size}, {arguments.depth_samples} depth samples, {os.cpu_count()} cores")
@@ -74,8 +99,11 @@ def main():
     print(f"points a second  {points / report.seconds['total']:9.0f} end to end")
     if before is not None:
         print(f"memory           {(report.peak_memory - before) / 2**20:9.0f} MiB more than before")
-    share = points * FLOP_A_POINT / report.seconds["network"] / rate
-    print(f"descriptors and network run at {share:.0%} of {rate / 1e9:.0f} Gflop/s, the matrix product's rate")
+    work, alone = flop_a_point(arguments.model), network_seconds(arguments.model)
+    share, one_core = points * work / report.seconds["network"] / rate, rate / os.cpu_count()
+    print(f"matrix product   {rate / 1e9:9.0f} Gflop/s")
+    print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us a point")
+    print(f"with descriptors {share:9.0%} of that")
 
 
 if __name__ == "__main__":

@@ -136,8 +136,12 @@ def _render(volumes, suns, camera, settings, work, report):
     for number, channels in enumerate(plan.channels if plan.volumes else []):
         share = 1.0 / len(plan.channels)
         start = number * share
+        diffused = None
+        if network is not None and network.needs_light:
+            with report.stage("fields"):
+                diffused = _diffuse(plan, channels, network, fields, work, report)
         samples = _march_camera_rays(
-            plan, channels, grids, camera, settings, network is not None and network.needs_light, work, report,
+            plan, channels, grids, camera, settings, diffused, work, report,
             start, start + share * MARCH_SHARE, single, alpha, depth,
         )
         if network is not None and samples is not None:
@@ -186,8 +190,30 @@ def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
     return near, far
 
 
+def _field(plan, network, fields, v, sigma_t, work, report) -> MultipleField:
+    """The field of one volume, made once."""
+    if v not in fields:
+        work.check()
+        fields[v] = MultipleField(network, *plan.volumes[v])
+        report.warnings += fields[v].warnings(sigma_t)
+    work.check()
+    return fields[v]
+
+
+def _diffuse(plan, channels, network, fields, work, report):
+    """DiffusedLight of each volume in which multiple scattering is predicted, else None."""
+    diffused = []
+    for v, needed in enumerate(plan.multiple):
+        light, sigma_t = None, float(channels.sigma_t[v])
+        if needed and sigma_t > 0.0 and distinct_albedos(plan.volumes[v][1], channels.indices):
+            field = _field(plan, network, fields, v, sigma_t, work, report)
+            light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.pool.map)
+        diffused.append(light)
+    return diffused
+
+
 def _march_camera_rays(
-    plan, channels, grids, camera, settings, with_light, work, report, start, end, single, alpha, depth
+    plan, channels, grids, camera, settings, diffused, work, report, start, end, single, alpha, depth
 ):
     """Fill single, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
@@ -210,7 +236,7 @@ def _march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            offsets[rays], settings.depth_samples, with_light,
+            offsets[rays], settings.depth_samples, diffused,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
@@ -231,7 +257,7 @@ def _march_camera_rays(
             light.append(segment.sample_light)
     columns = (np.concatenate(column) for column in zip(*parts))
     samples = DepthSamples(origins, directions, offsets, settings.depth_samples, *columns)
-    if with_light:
+    if diffused is not None:
         samples.light = RayLight(np.concatenate([part.values for part in light]))
     report.count("points", len(samples.pixel))
     return samples
@@ -255,18 +281,14 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
         message = f"multiple scattering of {volume.name}"
         work.progress(first, message)
         with report.stage("fields"):
-            if v not in fields:
-                work.check()
-                fields[v] = MultipleField(network, volume, medium)
-                report.warnings += fields[v].warnings(sigma_t)
-            work.check()
-            bounds = [fields[v].bounds(samples.positions(points)) for points in tasks]
+            field = _field(plan, network, fields, v, sigma_t, work, report)
+            bounds = [field.bounds(samples.positions(points)) for points in tasks]
             low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
-            fields[v].light(sigma_t, sun.direction, low, high, work.pool.map)
+            field.light(sigma_t, sun.direction, low, high, work.pool.map)
             work.check()
         values = [value for value, _ in albedos]
 
-        def task(points, field=fields[v], v=v, l=l):
+        def task(points, field=field, v=v, l=l):
             directions = samples.directions[samples.pixel[points]]
             light = samples.light.of(points, v, l) if samples.light else None
             return points, field.predict(samples.positions(points), directions, values, samples.jitter(points), light)

@@ -10,6 +10,7 @@ from typing import List, Optional
 
 import numpy as np
 
+from .diffusion import DiffusedLight
 from .grid import Grid
 from .ray_light import REACH, RayLight, ray_light
 
@@ -80,15 +81,17 @@ class _Steps:
 
 
 def march(
-    grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int, with_light: bool = False
+    grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int,
+    diffused: Optional[List[Optional[DiffusedLight]]] = None,
 ) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
-    grids; offsets: (R,) in [0, 1), of each ray's strata; with_light: whether to give `sample_light`.
+    grids; offsets: (R,) in [0, 1), of each ray's strata; diffused: of each volume, for `sample_light`, or None where
+    that is not wanted; a volume's is None where nothing is predicted in it.
     """
-    steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, REACH if with_light else BEHIND)
+    steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, BEHIND if diffused is None else REACH)
     count = steps.count
     total = sigma.sum(axis=0)
     step_tau = total * steps.dt
@@ -104,6 +107,10 @@ def march(
     single = _single(sigma, shadows, total, before, steps.dt)
     ray, step, inside = _sample_depths(opacity, total * steps.dt, offsets, depth_samples)
     fraction = sigma[:, ray, step] / np.maximum(total[ray, step], np.float32(1e-30))
+    light = None
+    if diffused is not None:
+        fluence = _fluence(diffused, len(grids[0].sun_depths), sigma, origins, directions, near, steps.dt)
+        light = ray_light(sigma, shadows, fluence, steps.dt, ray, step, inside)
     return RaySegment(
         alpha,
         depth,
@@ -112,17 +119,18 @@ def march(
         sample_distance=near[ray] + (step + inside) * steps.dt[ray, 0],
         sample_weight=alpha[ray] / depth_samples,
         sample_fraction=fraction.T,
-        sample_light=ray_light(sigma, shadows, steps.dt, ray, step, inside) if with_light else None,
+        sample_light=light,
     )
 
 
-def light_at(grid: Grid, sigma_t: float, positions, directions) -> RayLight:
+def light_at(grid: Grid, sigma_t: float, positions, directions, diffused: DiffusedLight) -> RayLight:
     """What a network sees along rays that begin at world positions (N, 3), in one grid with its extinction set."""
     _, far = grid.interval(positions, directions)
     near, nothing = np.zeros(len(positions)), np.zeros(len(positions), int)
     steps, sigma = _cut([grid], [sigma_t], positions, directions, near, np.maximum(far, 1e-6 * grid.voxel), REACH)
     shadows = _shadows([grid], np.ones(sigma.shape[1:], bool), steps, may_be_outside=True)
-    return ray_light(sigma, shadows, steps.dt, np.arange(len(positions)), nothing, np.zeros(len(positions)))
+    fluence = _fluence([diffused], len(grid.sun_depths), sigma, positions, directions, near, steps.dt)
+    return ray_light(sigma, shadows, fluence, steps.dt, np.arange(len(positions)), nothing, np.zeros(len(positions)))
 
 
 def _cut(grids, sigma_t, origins, directions, near, far, behind: float):
@@ -183,6 +191,23 @@ def _shadows(grids, filled, steps: _Steps, may_be_outside: bool = False) -> np.n
             tr = grid.sample_sun_tr(position, l, may_be_outside=may_be_outside or volumes > 1)
             shadows[v, l, ray, edge] = -np.log(np.maximum(tr, np.exp(-OPAQUE)))
     return shadows
+
+
+def _fluence(diffused, suns: int, sigma, origins, directions, near, dt) -> np.ndarray:
+    """(V, L, R, S) fluence of each sun at the middle of each filled step, 0 where nothing is predicted."""
+    volumes, rays, count = sigma.shape
+    fluence = np.zeros((volumes, suns, rays, count), np.float32)
+    for v, light in enumerate(diffused):
+        if light is None:
+            continue
+        ray, step = np.nonzero(sigma[v])
+        first = ((origins + near[:, None] * directions) @ light.linear.T + light.offset).astype(np.float32)
+        slope = (directions @ light.linear.T).astype(np.float32)
+        distance = (step + np.float32(0.5)).astype(np.float32) * dt[ray, 0]
+        cells = light.cells(first[ray] + distance[:, None] * slope[ray])
+        for l, values in enumerate(light.fluences):
+            fluence[v, l, ray, step] = values.reshape(-1).take(cells)
+    return fluence
 
 
 def _single(sigma, shadows, total, before, dt):

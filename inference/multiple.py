@@ -70,17 +70,25 @@ class MultipleField:
 
         direction: (3,) in the world; mapper: `map`, or an executor's.
         """
-        peak = self.peak_sigma_hat(sigma_t)
-        used = float(np.clip(peak, *self.system.sigma_hat_range))
-        self.used = used / peak
-        self.scale = np.float32(min(peak / used, 1.0))
-        sigma_hat = sigma_t * self.cube.edge * used / peak
+        self.used = self._used(sigma_t)
+        self.scale = np.float32(min(1.0 / self.used, 1.0))
+        sigma_hat = sigma_t * self.cube.edge * self.used
         self.field.light(sigma_hat, self.cube.directions(direction), low, high, mapper)
+
+    def diffused_light(self, sigma_t: float, directions, mapper=map):
+        """What camera rays look up for systems that need light; directions: (3,) each, in the world, of all suns."""
+        sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
+        return self.field.diffused_light(sigma_hat, [self.cube.directions(d) for d in directions], mapper)
+
+    def _used(self, sigma_t: float) -> float:
+        """The optical density that the system is asked for, over the true one."""
+        peak = self.peak_sigma_hat(sigma_t)
+        return float(np.clip(peak, *self.system.sigma_hat_range)) / peak
 
     def predict(self, positions, directions, albedos, jitter=None, light=None) -> np.ndarray:
         """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
 
-        jitter: (N, 3) in [-1/2, 1/2), by which the points' lookups are moved, in cells. light: float32 (N, 5)
+        jitter: (N, 3) in [-1/2, 1/2), by which the points' lookups are moved, in cells. light: float32 (N, COLUMNS)
         as RayLight gives it, for systems that need it.
         """
         x, omega = self.cube.positions(positions), self.cube.directions(directions)
@@ -115,11 +123,12 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
             continue
         field.light(float(sigma_t), sun.direction, *field.bounds(positions))
         grid.set_extinction(float(sigma_t))
+        diffused = field.diffused_light(float(sigma_t), [sun.direction]) if system.needs_light else None
         for i in range(0, len(positions), POINTS_A_TASK):
             span = slice(i, i + POINTS_A_TASK)
             light = None
             if system.needs_light:
-                seen = light_at(grid, float(sigma_t), positions[span], directions[span])
+                seen = light_at(grid, float(sigma_t), positions[span], directions[span], diffused)
                 light = seen.of(slice(None), 0, 0)
             radiance = field.predict(positions[span], directions[span], [a for a, _ in albedos], light=light)
             for (_, channels), row in zip(albedos, radiance):

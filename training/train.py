@@ -40,6 +40,7 @@ RADIANCE_EPS = 3e-3
 AVERAGING = 0.999
 #: Of a row's albedos, how many are used each time it is drawn.
 ALBEDOS_A_STEP = 2
+BFLOAT16 = bool(torch.cpu.get_capabilities().get("amx_bf16") or torch.cpu.get_capabilities().get("avx512_bf16"))
 #: Rows from which a network that standardises its inputs takes their means and deviations.
 CALIBRATION_ROWS = 100_000
 
@@ -64,8 +65,11 @@ def load(files, columns):
 
 
 def predict(net, data, rows, albedo):
-    """Radiance (A, N), float32, of some rows for albedos (A, N); in training, layers multiply in bfloat16."""
-    with torch.autocast("cpu", torch.bfloat16, enabled=net.training):
+    """Radiance (A, N), float32, of some rows for albedos (A, N).
+
+    In training, layers multiply in bfloat16 where the processor can; elsewhere that would be slower, not faster.
+    """
+    with torch.autocast("cpu", torch.bfloat16, enabled=net.training and BFLOAT16):
         return net(*net.inputs(data, rows), albedo)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from inference.ray_light import SCALES, TAU_AHEAD_MOST, TAU_SUN_MOST
+from inference.ray_light import DIFFUSED_SCALES, SCALES, TAU_AHEAD_MOST, TAU_SUN_MOST
 from inference.stencil import LAYER_POINTS, POINTS
 
 WIDTH = 192
@@ -20,7 +20,10 @@ AHEAD_SCALES = (1.0, 0.334, 0.1)
 LOG_RADIANCE_MOST = 4.0
 # Added to logarithms of layers' mean densities and of the light ahead.
 POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
-RAY_INPUTS = 2 + len(SCALES)
+#: Places at which the diffused light is read.
+PROBES = 4
+AHEAD = len(SCALES) + len(DIFFUSED_SCALES)
+RAY_INPUTS = 2 + AHEAD + PROBES
 
 
 def log_phase(cosine, g):
@@ -32,19 +35,21 @@ class RayMRPNN(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1.
 
     Reads density and scaled transmittance at A.2's stencil, the optical depths towards the sun and
-    ahead along the camera ray, and the single-scattered light from ahead. Feature P is left out: it follows from
-    the angle to the sun and the anisotropy. The output is a power series in the albedo with weights >= 0, so that
-    one evaluation serves all albedos and the radiance is never negative and never falls with albedo.
+    ahead along the camera ray, the light from ahead, and the fluence in the diffusion approximation. Feature P is left
+    out: it follows from the angle to the sun and the anisotropy. The output is a power series in the albedo with
+    weights >= 0, so that one evaluation serves all albedos and the radiance is never negative and never falls with
+    albedo.
     """
 
     name = "mrpnn"
     kind = "ray"
-    columns = ("features", "tau_sun", "tau_ahead", "ahead", "anisotropy", "gamma")
+    columns = ("features", "tau_sun", "tau_ahead", "ahead", "diffused", "fluence", "anisotropy", "gamma")
     ranges = {}
 
     def __init__(self, width: int = WIDTH, hidden: int = HIDDEN_LAYERS):
         super().__init__()
-        auxiliary = len(LAYER_POINTS) + len(SUN_SCALES) + 1 + 2 * len(SCALES) + 1 + len(AHEAD_SCALES)
+        auxiliary = len(LAYER_POINTS) + len(SUN_SCALES) + 1 + 2 * AHEAD + 1 + len(AHEAD_SCALES)
+        auxiliary += 2 * PROBES
         angles = 8
         inputs = 2 * POINTS + auxiliary + angles
         # Inputs are standardised with the training data's mean and deviation.
@@ -69,9 +74,10 @@ class RayMRPNN(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of the training data: stencil (N, 2 POINTS), ray (N, 5), anisotropy (N,), gamma (N,)."""
+        """Of some rows of the training data: stencil (N, 2 POINTS), ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
         stencil = data["features"][rows].float().flatten(1)
-        ray = [data["tau_sun"][rows, None], data["tau_ahead"][rows, None], data["ahead"][rows]]
+        ray = [data["tau_sun"][rows, None], data["tau_ahead"][rows, None]]
+        ray += [data[key][rows] for key in ("ahead", "diffused", "fluence")]
         return stencil, torch.cat(ray, dim=1), data["anisotropy"][rows], data["gamma"][rows]
 
     @torch.no_grad()
@@ -88,7 +94,7 @@ class RayMRPNN(nn.Module):
             pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
         tau_sun = ray[:, :1].clamp(0.0, TAU_SUN_MOST)
         tau_ahead = ray[:, 1:2].clamp(0.0, TAU_AHEAD_MOST)
-        ahead = ray[:, 2:].clamp(min=0.0)
+        ahead, log_fluence = ray[:, 2:-PROBES].clamp(min=0.0), ray[:, -PROBES:]
         cosine, g = torch.cos(gamma), anisotropy
         angles = torch.stack(
             [
@@ -99,7 +105,7 @@ class RayMRPNN(nn.Module):
         )
         x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
         x += [ahead, torch.log(ahead + AHEAD_LEAST), torch.log1p(tau_ahead)]
-        x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES)]
+        x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), log_fluence, torch.exp(log_fluence)]
         return torch.cat(x, dim=1), angles
 
     def weights(self, stencil, ray, anisotropy, gamma):
@@ -157,12 +163,13 @@ class RayMRPNN(nn.Module):
 
         pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
         pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
-        tau_sun, tau_ahead, ahead = g.split("ray", [1, 1, len(SCALES)], axis=1)
+        tau_sun, tau_ahead, ahead, log_fluence = g.split("ray", [1, 1, AHEAD, PROBES], axis=1)
         tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(TAU_SUN_MOST))
         tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(TAU_AHEAD_MOST))
         ahead = g.relu(ahead)
         x = ["stencil", pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
         x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]
+        x += [log_fluence, g.op("Exp", log_fluence)]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
         cosine, size = g.op("Cos", gamma), g.op("Abs", anisotropy)
         square = g.op("Mul", anisotropy, anisotropy)

@@ -1,0 +1,151 @@
+"""Fluence in the diffusion approximation: what light does far from where it enters.
+
+A coarse solution of  -div(D grad phi) = source  in the working cube, for albedo 1 and the reduced extinction
+s = sigma_hat (1 - G), for which scattering is as if isotropic. D = 1 / (3 s + THIN): in empty space light crosses a
+good part of the cube. The source is what the sun's beam, of irradiance 1, loses to scattering. At the cube's
+faces light leaves and none comes in (Marshak's condition). Not an answer but a hint to the network, which knows
+what surrounds a point only in outline.
+"""
+
+from dataclasses import dataclass
+from typing import List
+
+import numpy as np
+
+from .transmittance import sun_optical_depth
+
+#: Level of the density pyramid on which the equation is solved, and its cells along the cube's edge.
+LEVEL, CELLS = 3, 32
+THIN = 2.0
+TOLERANCE, MOST_ITERATIONS = 1e-3, 400
+#: Added to the fluence before its logarithm.
+LEAST = 1e-6
+
+
+def diffusion_equation(density, tau, reduced: float):
+    """Coefficients of the 7-point equation on CELLS^3 cells.
+
+    density: (32, 32, 32) of the level; tau: its optical depth towards the sun for extinction 1; reduced: s.
+    Returns diagonal (32, 32, 32), couplings (3, 32, 32, 32) of each cell to the next along each axis,
+    and the right-hand side, float64.
+    """
+    h = 1.0 / CELLS
+    extinction = reduced * density.astype(np.float64)
+    spread = 1.0 / (3.0 * extinction + THIN)
+    # The mean over a cell of what the beam loses, exact for a beam along an axis.
+    half = 0.5 * h * extinction
+    beam = reduced * tau
+    source = h * (np.exp(-np.maximum(beam - half, 0.0)) - np.exp(-(beam + half)))
+    diagonal, couplings = np.zeros_like(spread), np.zeros((3, *spread.shape))
+    for axis in range(3):
+        d = np.moveaxis(spread, axis, 0)
+        coupling = np.moveaxis(couplings[axis], axis, 0)
+        total = np.moveaxis(diagonal, axis, 0)
+        # Harmonic means, so that the flux through a face is that through both half cells.
+        coupling[:-1] = 2.0 * d[1:] * d[:-1] / (d[1:] + d[:-1])
+        total += coupling
+        total[1:] += coupling[:-1]
+        for side in (0, -1):
+            total[side] += 0.5 * h / (1.0 + h / (4.0 * d[side]))
+    return diagonal, couplings, source
+
+
+def _apply(diagonal, couplings, x):
+    y = diagonal * x
+    for axis in range(3):
+        c, u, v = (np.moveaxis(a, axis, 0) for a in (couplings[axis], x, y))
+        v[:-1] -= c[:-1] * u[1:]
+        v[1:] -= c[:-1] * u[:-1]
+    return y
+
+
+def solve(diagonal, couplings, source):
+    """Conjugate gradients with the diagonal as preconditioner; float64 (32, 32, 32), >= 0."""
+    x = np.zeros_like(source)
+    residual = source.copy()
+    z = residual / diagonal
+    p, rz = z.copy(), float(np.vdot(residual, z))
+    enough = rz * TOLERANCE**2
+    for _ in range(MOST_ITERATIONS):
+        if rz <= enough:
+            break
+        ap = _apply(diagonal, couplings, p)
+        step = rz / float(np.vdot(p, ap))
+        x += step * p
+        residual -= step * ap
+        z = residual / diagonal
+        rz, before = float(np.vdot(residual, z)), rz
+        p = z + (rz / before) * p
+    return np.maximum(x, 0.0)
+
+
+def log_fluence(density, sun, reduced: float) -> np.ndarray:
+    """log(phi + LEAST), float32 (34, 34, 34): the cells and one more of the same beyond each face.
+
+    density: float32 (32, 32, 32), level 3 of the pyramid; sun: (3,) unit vector; reduced: sigma_hat (1 - G).
+    """
+    tau = sun_optical_depth(density, sun, 1.0 / CELLS).astype(np.float64)
+    fluence = solve(*diffusion_equation(density, tau, reduced))
+    return np.pad(np.log(fluence + LEAST), 1, mode="edge").astype(np.float32)
+
+
+def probe_points(positions, omega, sun):
+    """Where a point's diffusion is read: there, a cell ahead and behind on its ray, and a cell towards the sun.
+
+    positions, omega: (N, 3) in the cube's frame; sun: (3,). Returns continuous indices into what
+    `log_fluence` gives, float32 (N, 4, 3).
+    """
+    h = 1.0 / CELLS
+    offsets = np.stack([np.zeros_like(omega), h * omega, -h * omega, np.broadcast_to(h * sun, omega.shape)], axis=1)
+    index = (positions[:, None] + offsets + 0.5) * CELLS + 0.5
+    return np.clip(index, 0.0, CELLS + 1 - 1e-3).astype(np.float32)
+
+
+def read_fluence(field, positions, omega, sun) -> np.ndarray:
+    """The field's logarithms at the points of `probe_points`: float32 (N, 4), trilinear."""
+    index = probe_points(positions, omega, sun)
+    cell = index.astype(np.int32)
+    fraction = index - cell
+    n = field.shape[0]
+    base = (cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]
+    flat = field.reshape(-1)
+    total = np.zeros(base.shape, np.float32)
+    for i in (0, 1):
+        for j in (0, 1):
+            for k in (0, 1):
+                weight = np.prod(np.abs(np.float32(1.0) - np.array([i, j, k], np.float32) - fraction), axis=-1)
+                total += weight * flat.take(base + (i * n + j) * n + k)
+    return total
+
+
+def finer(field) -> np.ndarray:
+    """The fluence float32 (64, 64, 64), for looking up the nearest cell, from what `log_fluence` gives."""
+    for axis in range(3):
+        f = np.moveaxis(field, axis, 0)
+        halves = np.stack([0.25 * f[:-2] + 0.75 * f[1:-1], 0.75 * f[1:-1] + 0.25 * f[2:]], axis=1)
+        field = np.moveaxis(halves.reshape(-1, *f.shape[1:]), 0, axis)
+    return np.exp(field)
+
+
+@dataclass
+class DiffusedLight:
+    """The fluence of each sun in one volume, for camera rays to look up on their way.
+
+    linear: (3, 3) and offset: (3,), indices from world positions. fluences: a (64, 64, 64) of `finer` for each sun.
+    """
+
+    linear: np.ndarray
+    offset: np.ndarray
+    fluences: List[np.ndarray]
+
+    @classmethod
+    def in_cube(cls, cube, fluences):
+        """In the working cube of a volume."""
+        cells = 2 * CELLS
+        linear = cube.rotation.T * (cells / cube.edge)
+        return cls(linear, 0.5 * cells - linear @ cube.centre, fluences)
+
+    def cells(self, index) -> np.ndarray:
+        """Flat offsets (N,) into the fluences of indices float32 (N, 3)."""
+        cell = np.clip(index, 0.0, 2 * CELLS - 1).astype(np.int32)
+        return (cell[:, 0] * (2 * CELLS) + cell[:, 1]) * (2 * CELLS) + cell[:, 2]
