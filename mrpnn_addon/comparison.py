@@ -132,13 +132,14 @@ def _finite(value):
 
 
 def halves(passes: Dict[Job, Pass]):
-    """The reference's two halves (H, W, 4), or None: means of its passes of even and of odd seeds."""
+    """The reference's two halves, float64 (H, W, 4), or None: the samples of its passes of even and of odd seeds."""
     found = []
     for half in range(2):
-        images = [done.image for job, done in passes.items() if job.method == REFERENCE and job.seed % 2 == half]
-        if not images:
+        jobs = [job for job in passes if job.method == REFERENCE and job.seed % 2 == half]
+        if not jobs:
             return None
-        found.append(np.mean(images, axis=0, dtype=np.float64))
+        total = sum(job.samples * passes[job].image.astype(np.float64) for job in jobs)
+        found.append(total / sum(job.samples for job in jobs))
     return tuple(found)
 
 

@@ -8,8 +8,9 @@ from .pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
 
 # Cycles' sample counts: each four times the last.
 STEP = 4
-# Samples a pixel in each pass of the reference, at most.
-PASS_SAMPLES = 16
+# Samples a pixel in the reference's first passes; each half's next so many passes have STEP times as many, so that
+# a reference of any size is a few dozen images, the first of them soon there.
+PASS_SAMPLES, PASSES_A_SIZE = 16, 8
 
 
 @dataclass
@@ -31,11 +32,16 @@ class Request:
 
 
     def reference_jobs(self) -> list:
-        """Passes of both halves: even seeds are one half, odd seeds the other."""
-        if self.given:
-            return []
-        size = min(self.samples, PASS_SAMPLES)
-        return [Job(REFERENCE, size, seed) for seed in range(2 * -(-self.samples // size))]
+        """Passes of both halves: even seeds are one half, odd seeds the other.
+
+        The same whatever their number, so that a larger reference continues a smaller one.
+        """
+        jobs, half = [], 0
+        while half < self.samples and not self.given:
+            size = min(PASS_SAMPLES * STEP ** (len(jobs) // (2 * PASSES_A_SIZE)), self.samples - half)
+            jobs += [Job(REFERENCE, size, len(jobs) + number) for number in range(2)]
+            half += size
+        return jobs
 
     def ladder_jobs(self) -> list:
         """Cycles as candidate, cheapest first."""
@@ -79,15 +85,18 @@ def next_job(request: Request, done: Dict[Job, Pass], failed=(), spent: float = 
 
 def remaining_seconds(request: Request, done: Dict[Job, Pass], failed=(), spent: float = 0.0) -> float:
     """What Cycles will still take, as far as can be told."""
-    expected = sum(expected_seconds(job, done) for job in request.cycles_jobs()
-                   if job not in done and job not in failed)
+    missing = [job for job in request.cycles_jobs() if job not in done and job not in failed]
+    start, each = _cost(done)
+    expected = start * len(missing) + each * sum(job.samples for job in missing)
     return min(expected, max(request.seconds - spent, 0.0)) if request.seconds else expected
 
 
 def expected_seconds(job: Job, done: Dict[Job, Pass]) -> float:
     """Of a Cycles job, from those that are done; 0 where there are none."""
-    known = [(other.samples, made.seconds) for other, made in done.items() if other.by_cycles]
-    if not known:
-        return 0.0
-    start, each = cost(*zip(*known))
+    start, each = _cost(done)
     return start + each * job.samples
+
+
+def _cost(done: Dict[Job, Pass]):
+    known = [(job.samples, made.seconds) for job, made in done.items() if job.by_cycles]
+    return cost(*zip(*known)) if known else (0.0, 0.0)

@@ -32,7 +32,7 @@ SECONDS_A_LOOK = 0.02
 class Options:
     """samples, seconds, ladder, denoised: as in Request. all_models: every network, not the scene's alone.
     models: names of more of them. depths: of the judged network. bounces: of Cycles. scale: per cent of the resolution.
-    reference_path: an .exr, or "". folder: of the report, as Blender writes paths. step_rate: of Cycles' ray marching.
+    reference_path: an .exr, or "". folder: of the report, as Blender writes paths.
     """
 
     samples: int = 32
@@ -46,7 +46,6 @@ class Options:
     scale: int = 25
     reference_path: str = ""
     folder: str = REPORT_FOLDER
-    step_rate: float = 1.0
 
 
 class ComparisonRun:
@@ -67,7 +66,7 @@ class ComparisonRun:
             self.description = replace(read_scene(depsgraph), crop=True)
             process = CyclesProcess(
                 context.scene, volumes_and_suns(depsgraph), options.bounces,
-                context.scene.world if self.description.environment else None, options.step_rate)
+                context.scene.world if self.description.environment else None)
         self.request = Request(layers, options.samples, options.ladder if self.given is None else 0, options.denoised,
                                options.seconds, self.given is not None)
         key = scene_key(self.description, options.bounces, bpy.app.version_string)

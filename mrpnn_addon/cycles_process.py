@@ -31,11 +31,11 @@ class CyclesProcess:
     process starts with the first pass and checks Cycles against a homogeneous box before it.
     """
 
-    def __init__(self, scene, objects, bounces: int, world=None, step_rate: float = 1.0):
+    def __init__(self, scene, objects, bounces: int, world=None):
         self._folder = tempfile.TemporaryDirectory(prefix="mrpnn-")
         self._process, self._asked, self._checked = None, None, False
         try:
-            with view_scene(scene, objects, 1, bounces, world, step_rate) as view, box_scene(self._folder.name) as box:
+            with view_scene(scene, objects, 1, bounces, world) as view, box_scene(self._folder.name) as box:
                 self._view, self._box = view.name, box.name
                 bpy.data.libraries.write(str(self._path("scene.blend")), {view, box}, path_remap='ABSOLUTE')
         except BaseException:

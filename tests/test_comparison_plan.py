@@ -32,8 +32,9 @@ def test_everything_is_made_once_where_there_is_no_limit(plan, kept):
     order, _, _ = run(plan, kept, plan.Request(layers, samples=40, largest=20))
     assert len(order) == len(set(order)) and order[:2] == list(layers)
     references = [job for job in order if job.method == kept.REFERENCE]
-    # Halves of 3 passes of 16, seeds all different.
-    assert len(references) == 6 and {job.seed for job in references} == set(range(6))
+    # Halves of 16 + 16 + 8, seeds all different.
+    assert [job.samples for job in references[::2]] == [job.samples for job in references[1::2]] == [16, 16, 8]
+    assert {job.seed for job in references} == set(range(6))
     for method in (kept.CYCLES, kept.DENOISED):
         assert [job.samples for job in order if job.method == method] == [1, 4, 16]
 
@@ -53,6 +54,14 @@ def test_the_least_is_made_whatever_the_budget(plan, kept):
     order, _, _ = run(plan, kept, plan.Request((kept.Job("mrpnn", 8),), seconds=1e-3))
     assert [(job.method, job.samples) for job in order] == [
         ("mrpnn", 8), (kept.REFERENCE, 16), (kept.REFERENCE, 16), (kept.CYCLES, 1), (kept.DENOISED, 1)]
+
+
+def test_a_larger_reference_continues_a_smaller_one_and_is_few_images(plan):
+    small, large = (plan.Request((), samples=samples).reference_jobs() for samples in (80, 65536))
+    assert large[: len(small)] == small and len(large) < 150
+    for half in range(2):
+        assert sum(job.samples for job in large if job.seed % 2 == half) == 65536
+    assert len({job.seed for job in large}) == len(large)
 
 
 def test_a_given_reference_needs_no_cycles_and_failures_are_not_tried_again(plan, kept):
