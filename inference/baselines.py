@@ -32,6 +32,9 @@ class _Baseline:
     def light(self, sigma_hat, sun, low, high, mapper=map):
         self.sun = sun
 
+    def diffused_light(self, sigma_hat, suns, mapper=map):
+        """None: baselines read none."""
+
 
 class SingleScattering(_Baseline):
     """No multiple scattering at all."""
