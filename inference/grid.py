@@ -5,13 +5,8 @@ import numpy as np
 from .cube import active_bounds
 from .rays import box_interval
 from .scene import Volume
-from .transmittance import sun_optical_depth
-from .trilinear import interpolate, locate, occupied_cells, pad_with_zeros, sample_padded
-
-# Optical depth of a voxel above which shadows integrate the first voxel on its own, and
-# in how many steps.
-THIN_VOXEL = 0.25
-LOCAL_STEPS = 3
+from .sun_depth import SunDepth
+from .trilinear import interpolate, locate, occupied_cells, pad_with_zeros
 
 
 class Grid:
@@ -31,15 +26,14 @@ class Grid:
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
         self.offset = index_from_world[:3, 3] - low
-        self.voxel = float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).min())
+        sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0)
+        self.voxel, self.longest = float(sizes.min()), float(sizes.max())
         self.sun_directions, self.sun_depths = [], []
 
-    def add_sun(self, direction: np.ndarray):
-        """Prepare the optical depth towards a sun; direction: (3,) unit vector in the world."""
-        index_direction = self.linear @ direction
-        depth = sun_optical_depth(self.density, index_direction)
-        self.sun_directions.append(index_direction)
-        self.sun_depths.append(depth)
+    def add_sun(self, direction: np.ndarray, check=lambda: None):
+        """Prepare the optical depth towards a sun; direction: (3,) unit vector in the world; check: asked often."""
+        self.sun_directions.append(self.linear @ direction)
+        self.sun_depths.append(SunDepth(self.density, self.sun_directions[-1], check))
 
     def index(self, world: np.ndarray) -> np.ndarray:
         """World positions (N, 3) as continuous indices, float64."""
@@ -58,41 +52,23 @@ class Grid:
         return density
 
     def thickness(self, sigma_t: float) -> float:
-        """Largest optical depth of one voxel."""
-        return float(self.density.max()) * sigma_t * self.voxel
+        """Largest optical depth of one voxel, along its longest edge."""
+        return float(self.density.max()) * sigma_t * self.longest
 
     def set_extinction(self, sigma_t: float):
-        """Turn the suns' optical depths into transmittance for one extinction."""
-        self.sigma_t = np.float32(sigma_t)
-        self.sun_tr = [np.exp(depth * -self.sigma_t) for depth in self.sun_depths]
-        # Where a voxel is thick, the way through the first one is integrated on its own.
-        self.local_steps = 0 if self.thickness(sigma_t) < THIN_VOXEL else LOCAL_STEPS
+        """Choose the extinction per unit density of what follows."""
+        self.sigma_t = sigma_t
 
-    def sample_sun_tr(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
-        """Transmittance (N,) from continuous indices float32 (N, 3) to a sun.
+    def sun_depth(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
+        """Optical depth (N,) from continuous indices float32 (N, 3) to a sun.
 
-        Transmittance is interpolated, not optical depth: across a shadow's edge the
-        exponential of a mean depth would be too dark. Points outside are moved towards the
-        sun onto the support; where that misses it the transmittance is 1.
+        Points outside are moved towards the sun onto the support; where that misses it the depth is 0.
         """
-        direction = self.sun_directions[sun]
         if may_be_outside:
+            direction = self.sun_directions[sun]
             near, far = box_interval(index, direction[None], *self.box)
             meets = far > np.maximum(near, 0.0)
             index = index + np.where(meets, np.maximum(near, 0.0), 0.0)[:, None] * direction
             index = index.astype(np.float32)
-        tau = np.zeros(len(index), np.float32)
-        if self.local_steps:
-            # To the next slice across the sun's main axis, by the midpoint rule.
-            step = 1.0 / (np.abs(direction).max() * self.local_steps)
-            move = (direction * step).astype(np.float32)
-            index = index + np.float32(0.5) * move
-            for _ in range(self.local_steps):
-                tau += self.sample_density(index)
-                index = index + move
-            index -= np.float32(0.5) * move
-            tau *= self.sigma_t * np.float32(step)
-        # Beyond the support the field holds no cells: the rim, at most one voxel off, stands in.
-        last = np.array(self.density.shape, np.float32) - 3
-        tr = np.exp(-tau) * sample_padded(self.sun_tr[sun], np.clip(index, np.float32(-1.0), last))
-        return np.where(meets, tr, np.float32(1.0)) if may_be_outside else tr
+        depth = self.sun_depths[sun](index, self.sigma_t)
+        return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth

@@ -6,7 +6,7 @@ from typing import Optional
 import numpy as np
 
 from .grid import Grid
-from .march import march, steps_a_voxel
+from .march import march, step_count
 from .multiple import POINTS_A_TASK, MultipleField
 from .network import load_network
 from .phase import henyey_greenstein
@@ -14,11 +14,13 @@ from .plan import Plan, distinct_albedos, make_plan
 from .ray_light import RayLight
 from .rays import camera_rays
 from .report import Report, process_peak_memory
-from .scene import Camera, Settings
+from .scene import Camera, SceneError, Settings
 from .work import Work
 
 # Rays a marching task are chosen to hold about this many steps.
 STEPS_A_TASK = 600_000
+# Steps of one ray beyond which a task's memory would no longer be small.
+MOST_STEPS = 1 << 18
 # Share of the progress bar that marching takes.
 MARCH_SHARE = 0.4
 
@@ -172,7 +174,7 @@ def _prepare_grids(plan: Plan, work: Work):
         grid = Grid(volume)
         for sun in plan.suns:
             work.check()
-            grid.add_sun(sun.direction)
+            grid.add_sun(sun.direction, work.check)
         grids.append(grid)
     return grids
 
@@ -207,7 +209,7 @@ def _diffuse(plan, channels, network, fields, work, report):
         light, sigma_t = None, float(channels.sigma_t[v])
         if needed and sigma_t > 0.0 and distinct_albedos(plan.volumes[v][1], channels.indices):
             field = _field(plan, network, fields, v, sigma_t, work, report)
-            light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.pool.map)
+            light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.each)
         diffused.append(light)
     return diffused
 
@@ -227,8 +229,12 @@ def _march_camera_rays(
 
     for grid, sigma_t in zip(grids, channels.sigma_t):
         grid.set_extinction(float(sigma_t))
-    voxel = min(grid.voxel for grid in grids)
-    longest = (far[hit] - near[hit]).max() * steps_a_voxel(grids, channels.sigma_t) / voxel
+    longest = step_count(grids, channels.sigma_t, directions[hit], near[hit], far[hit])
+    if longest > MOST_STEPS:
+        raise SceneError(
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
+            "another; render volumes of so different sizes in view layers of their own"
+        )
     size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
     tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
     suns = np.array([sun.direction for sun in plan.suns]).reshape(-1, 3)
@@ -284,7 +290,7 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
             field = _field(plan, network, fields, v, sigma_t, work, report)
             bounds = [field.bounds(samples.positions(points)) for points in tasks]
             low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
-            field.light(sigma_t, sun.direction, low, high, work.pool.map)
+            field.light(sigma_t, sun.direction, low, high, work.each)
             work.check()
         values = [value for value, _ in albedos]
 

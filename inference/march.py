@@ -19,6 +19,9 @@ STEPS_A_VOXEL = (2, 8)
 STEPS_A_BLOCK = 32
 # Optical depth beyond which a ray is not followed for single scattering: 1 part in 10^6 of it goes on.
 BEHIND = 14.0
+# Optical depth of a step above which the part of a ray that light reaches is cut again, at most so many times.
+STIFF = 2.0
+REFINEMENTS = 3
 # Optical depth that counts as no light at all.
 OPAQUE = np.float32(60.0)
 # Rays fainter than this are not sampled in depth.
@@ -60,6 +63,15 @@ def mean_transmittance(start, end):
     return np.exp(-np.minimum(start, end)) * np.where(small, 1.0 - 0.5 * x, -np.expm1(-safe) / safe)
 
 
+def step_count(grids: List[Grid], sigma_t, directions, near, far) -> int:
+    """Steps that the longest of some rays is cut into, counted in voxels of the grid that needs most."""
+    crossed = max(
+        (np.linalg.norm(directions @ grid.linear.T, axis=1) * (far - near)).max()
+        for grid, extinction in zip(grids, sigma_t) if extinction > 0.0
+    )
+    return max(int(np.ceil(crossed * steps_a_voxel(grids, sigma_t))), 1)
+
+
 class _Steps:
     """Rays cut into steps: continuous indices into each grid, and the step's length."""
 
@@ -91,7 +103,13 @@ def march(
     grids; offsets: (R,) in [0, 1), of each ray's strata; diffused: of each volume, for `sample_light`, or None where
     that is not wanted; a volume's is None where nothing is predicted in it.
     """
-    steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, BEHIND if diffused is None else REACH)
+    behind = BEHIND if diffused is None else REACH
+    steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, behind)
+    for _ in range(REFINEMENTS):
+        if (sigma.sum(axis=0) * steps.dt).max() < STIFF:
+            break
+        near, far = _lit_part(sigma.sum(axis=0) * steps.dt, near, far, behind)
+        steps, sigma = _cut(grids, sigma_t, origins, directions, near, far, behind, steps.count)
     count = steps.count
     total = sigma.sum(axis=0)
     step_tau = total * steps.dt
@@ -133,10 +151,20 @@ def light_at(grid: Grid, sigma_t: float, positions, directions, diffused: Diffus
     return ray_light(sigma, shadows, fluence, steps.dt, np.arange(len(positions)), nothing, np.zeros(len(positions)))
 
 
-def _cut(grids, sigma_t, origins, directions, near, far, behind: float):
-    """Rays cut into steps, and the extinction (V, R, S) in them up to the optical depth `behind`."""
-    voxel = min(grid.voxel for grid in grids)
-    count = max(int(np.ceil((far - near).max() * steps_a_voxel(grids, sigma_t) / voxel)), 1)
+def _lit_part(step_tau, near, far, behind: float):
+    """Where rays begin to be dimmed and where they are opaque, or else end: distances (R,) and (R,)."""
+    count = step_tau.shape[1]
+    dt = (far - near) / count
+    filled, opaque = step_tau > 0.0, np.cumsum(step_tau, axis=1, dtype=np.float64) > behind
+    # A step's middle may miss what begins behind it.
+    first = np.where(filled.any(axis=1), np.maximum(filled.argmax(axis=1) - 1, 0), 0)
+    last = np.where(opaque.any(axis=1), opaque.argmax(axis=1) + 1, count)
+    return near + first * dt, np.where(last < count, near + last * dt, far)
+
+
+def _cut(grids, sigma_t, origins, directions, near, far, behind: float, count: int = None):
+    """Rays cut into `count` steps, and the extinction (V, R, S) in them up to the optical depth `behind`."""
+    count = count or step_count(grids, sigma_t, directions, near, far)
     steps = _Steps(grids, origins, directions, near, far, count)
     return steps, _extinction(grids, sigma_t, steps, behind)
 
@@ -188,8 +216,7 @@ def _shadows(grids, filled, steps: _Steps, may_be_outside: bool = False) -> np.n
     for v, grid in enumerate(grids):
         position = steps.points(v, ray, edge.astype(np.float32))
         for l in range(suns):
-            tr = grid.sample_sun_tr(position, l, may_be_outside=may_be_outside or volumes > 1)
-            shadows[v, l, ray, edge] = -np.log(np.maximum(tr, np.exp(-OPAQUE)))
+            shadows[v, l, ray, edge] = grid.sun_depth(position, l, may_be_outside=may_be_outside or volumes > 1)
     return shadows
 
 
@@ -217,7 +244,7 @@ def _single(sigma, shadows, total, before, dt):
     filled = total > 0.0
     # Integral over a step of exp(-tau to the camera - tau to the sun).
     for l in range(suns):
-        shadow = np.minimum(shadows[:, l].sum(axis=0), OPAQUE) if volumes > 1 else shadows[0, l]
+        shadow = shadows[:, l].sum(axis=0) if volumes > 1 else shadows[0, l]
         light = before * filled * mean_transmittance(shadow[:, :-1], shadow[:, 1:] + total * dt) * dt
         for v in range(volumes):
             single[:, v, l] = (sigma[v] * light).sum(axis=1)

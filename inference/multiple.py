@@ -7,7 +7,7 @@ from .grid import Grid
 from .march import light_at
 from .network import load_network
 from .phase import henyey_greenstein
-from .plan import distinct_albedos
+from .plan import distinct_albedos, in_range
 from .scene import Medium, Volume
 
 # Points a network call.
@@ -113,6 +113,7 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
     if not len(positions):
         return result
     system = load_network(model)
+    volume, medium = in_range(volume, medium)
     field = MultipleField(system, volume, medium)
     grid = Grid(volume)
     grid.add_sun(sun.direction)

@@ -91,8 +91,8 @@ class Network:
 def load_network(name: str):
     """A registered system, or the network in inference/weights/NAME.onnx.
 
-    Raises SceneError where the name is unknown, the file is damaged, its
-    points do not belong to it, or onnxruntime is missing.
+    Raises SceneError where the name is unknown, the file is damaged or not the one that its checksum
+    promises, its points do not belong to it, it refers to other files, or onnxruntime is missing.
     """
     if name in _systems:
         return _systems[name]()
@@ -104,7 +104,7 @@ def load_network(name: str):
         )
     if name not in available_models():
         raise SceneError(f"there is no network called {name!r}; available: {available}")
-    content = (WEIGHTS / f"{name}.onnx").read_bytes()
+    content = _read_weights(name)
     try:
         import onnxruntime
     except ImportError as error:
@@ -120,8 +120,29 @@ def load_network(name: str):
         points = FIELDS[kind].read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
         configuration = json.loads(metadata["configuration"])
         promised = metadata["points_sha256"]
+        network = Network(session, FIELDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name)
+        for low, high in (network.anisotropy_range, network.sigma_hat_range, network.albedo_range):
+            if not low <= high:
+                raise ValueError(f"its range from {low} to {high} is empty")
     except Exception as error:  # onnxruntime raises types of its own, all meaning an unusable file
         raise SceneError(f"the weights of {name!r} cannot be read ({error}); reinstall the extension") from error
     if points.digest != promised:
         raise SceneError(f"the weights of {name!r} and their {kind} do not belong together; reinstall the extension")
-    return Network(session, FIELDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name)
+    return network
+
+
+def _read_weights(name: str) -> bytes:
+    """A weights file that is what its checksum, NAME.sha256 beside it, promises. Raises SceneError where not."""
+    try:
+        content = (WEIGHTS / f"{name}.onnx").read_bytes()
+        promised = (WEIGHTS / f"{name}.sha256").read_text().split()[0]
+    except (OSError, IndexError, UnicodeDecodeError) as error:
+        raise SceneError(f"the weights of {name!r} or their checksum cannot be read ({error}); "
+                         "reinstall the extension") from None
+    if hashlib.sha256(content).hexdigest() != promised:
+        raise SceneError(f"the weights of {name!r} cannot be read: they are not what their checksum promises; "
+                         "reinstall the extension")
+    # The key under which ONNX names a file that holds a tensor's values.
+    if b"location" in content:
+        raise SceneError(f"the weights of {name!r} lie partly outside their file, which is refused")
+    return content

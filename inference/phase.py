@@ -10,8 +10,10 @@ from .stencil import LAYER_MIPS, LAYER_POINTS, LEVEL0_CELLS, LOW_POINTS, Stencil
 
 def henyey_greenstein(cosine, anisotropy: float):
     """Phase function at the cosine between the directions before and after scattering, 1/sr."""
-    g = anisotropy
-    return (1.0 - g * g) / (4.0 * np.pi * (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
+    g = abs(anisotropy)
+    # 1 + g^2 - 2 g cosine, without the cancellation at the peak.
+    square = (1.0 - g) ** 2 + 2.0 * g * np.maximum(1.0 - np.copysign(1.0, anisotropy) * cosine, 0.0)
+    return (1.0 - g * g) / (4.0 * np.pi * square * np.sqrt(square))
 
 
 def cumulative_phase(cosine, half_angle, anisotropy: float):

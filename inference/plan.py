@@ -14,11 +14,18 @@ PARALLEL = 1e-6
 # Bytes that the fields of one volume need at the peak, whatever its resolution.
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
-VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 8
+VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 # Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
 PIXEL_BYTES, SAMPLE_BYTES = 200, 50
 # Bytes of a depth sample on top, for each volume and sun: the light along the ray.
 LIGHT_BYTES = 2 * 4 * COLUMNS
+
+# Grids whose largest density lies outside are scaled, and their extinction the other way round.
+USUAL_DENSITY = (2.0**-20, 2.0**20)
+# Optical densities beyond the largest give the same picture, those below the least none at all.
+SIGMA_HAT_LEAST, SIGMA_HAT_MOST = 1e-20, 1e12
+# Voxels are counted in 32 bits.
+MOST_VOXELS = 2**31 - 1
 
 
 @dataclass
@@ -64,6 +71,26 @@ def merge_parallel(suns: List[Sun]) -> List[Sun]:
     return merged
 
 
+def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
+    """The same picture from numbers that single precision holds.
+
+    Raises SceneError for a grid of more voxels than can be counted.
+    """
+    if np.prod([n + 3.0 for n in volume.density.shape]) > MOST_VOXELS:
+        raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
+    density, sigma_t, peak = volume.density, medium.sigma_t, float(volume.density.max())
+    if peak == 0.0:
+        return volume, medium
+    if not USUAL_DENSITY[0] < peak < USUAL_DENSITY[1]:
+        exponent = int(np.frexp(peak)[1])
+        density, sigma_t, peak = np.ldexp(density, -exponent), np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
+        volume = Volume(density, volume.world_from_index, volume.name)
+    size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
+    sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
+    sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)
+    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy)
+
+
 def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     """Decide what to render.
 
@@ -74,6 +101,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if not suns:
         raise SceneError("there is no sun: without light the image would be black")
     planned, left_out = [], []
+    volumes = [in_range(volume, medium) for volume, medium in volumes]
 
     kept = [(v, m) for v, m in volumes if np.any(m.sigma_t > 0.0) and v.density.max() > 0.0]
     for volume, medium in volumes:

@@ -50,7 +50,8 @@ def ray_light(sigma, shadows, fluence, dt, ray, step, inside) -> RayLight:
         through = sigma[v] * dt
         after = np.cumsum(through, axis=1)
         rest = (1.0 - inside) * through[ray, step]
-        at = after[ray, step] - rest
+        # Samples lie where light reaches; the limit keeps rounding in steep steps from growing below.
+        at = np.clip(after[ray, step] - rest, np.float32(0.0), np.float32(2.0 * REACH))
         ahead = np.minimum(after[ray, -1] - at, TAU_AHEAD_MOST)
         for l in range(suns):
             shadow = shadows[v, l]

@@ -9,6 +9,11 @@ from typing import Literal, Optional, Tuple
 
 import numpy as np
 
+# Cycles' own limit: the phase function degenerates at -1 and 1.
+ANISOTROPY_MOST = 0.999
+# Brighter light would not fit the image's single precision where the phase function peaks.
+IRRADIANCE_MOST = 1e30
+
 
 class SceneError(ValueError):
     """The scene cannot be rendered as described; the message says what to change."""
@@ -74,7 +79,7 @@ class Medium:
 
     sigma_t: extinction per unit density per world unit, scalar or RGB, >= 0.
     albedo: single-scattering albedo, scalar or RGB, in [0, 1].
-    anisotropy: mean cosine of the Henyey-Greenstein phase function, in (-1, 1).
+    anisotropy: mean cosine of the Henyey-Greenstein phase function, in [-0.999, 0.999].
 
     Raises SceneError outside these ranges.
     """
@@ -91,8 +96,9 @@ class Medium:
             raise SceneError(f"extinction must not be negative: {self.sigma_t.tolist()}")
         if np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0):
             raise SceneError(f"albedo must lie in [0, 1]: {self.albedo.tolist()}")
-        if not -1.0 < self.anisotropy < 1.0:
-            raise SceneError(f"anisotropy must lie strictly between -1 and 1, not {self.anisotropy:g}")
+        if not abs(self.anisotropy) <= ANISOTROPY_MOST:
+            raise SceneError(f"anisotropy must lie between -{ANISOTROPY_MOST} and {ANISOTROPY_MOST}, "
+                             f"not {self.anisotropy:g}")
 
 
 @dataclass
@@ -100,7 +106,7 @@ class Sun:
     """Parallel light.
 
     direction: (3,) world vector towards the sun; normalised here.
-    irradiance: W/m^2 on a surface that faces the sun, scalar or RGB, >= 0.
+    irradiance: W/m^2 on a surface that faces the sun, scalar or RGB, in [0, 1e30].
 
     Raises SceneError for a zero direction or negative irradiance.
     """
@@ -116,8 +122,8 @@ class Sun:
             raise SceneError(f"{self.name}: direction must be three finite numbers, not all zero")
         self.direction = direction / length
         self.irradiance = _rgb(self.irradiance, f"{self.name}: irradiance")
-        if np.any(self.irradiance < 0.0):
-            raise SceneError(f"{self.name}: irradiance must not be negative")
+        if np.any(self.irradiance < 0.0) or np.any(self.irradiance > IRRADIANCE_MOST):
+            raise SceneError(f"{self.name}: irradiance must not be negative or above {IRRADIANCE_MOST:g}")
 
 
 @dataclass
@@ -163,6 +169,8 @@ class Camera:
             raise SceneError(f"camera: orthographic scale {self.ortho_scale:g} must be positive")
         if self.longitude[0] == self.longitude[1] or self.latitude[0] == self.latitude[1]:
             raise SceneError(f"camera: longitudes {self.longitude} and latitudes {self.latitude} span nothing")
+        if not np.all(np.isfinite([*self.shift, *self.longitude, *self.latitude])):
+            raise SceneError("camera: shift, longitudes and latitudes must be finite")
         near, far = self.clip
         if not 0.0 <= near < far:
             raise SceneError(f"camera: clip range {near:g} to {far:g} is empty")
@@ -197,7 +205,9 @@ class Settings:
     memory_limit: int = 8 << 30
 
     def __post_init__(self):
-        if int(self.depth_samples) < 1:
-            raise SceneError(f"depth samples must be at least 1, not {self.depth_samples}")
-        if int(self.threads) < 0:
-            raise SceneError(f"threads must not be negative: {self.threads}")
+        for name, least, most in (("depth samples", 1, 4096), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
+            value = getattr(self, name.replace(" ", "_"))
+            if not least <= value <= most or value != int(value):
+                raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")
+        if not self.memory_limit > 0:
+            raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")

@@ -34,12 +34,25 @@ def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_len
     index units, d(index)/d(length); length is what `step_length` scales: world units for a
     direction that maps world to index. Returns float32 (nx, ny, nz).
     """
+    main = int(np.abs(index_direction).argmax())
+    depth = np.empty_like(density, dtype=np.float32)
+    out = np.moveaxis(depth, main, 0)
+    for index, columns, f_b, f_c in sweep(density, index_direction, step_length):
+        out[index] = _shift_back(columns, f_b, f_c)
+    return depth
+
+
+def sweep(density, index_direction, step_length: float = 1.0):
+    """Yield for each slice across the sun's main axis: its index, optical depths and two fractions.
+
+    Arguments as for `sun_optical_depth`. The depths, float32 (b + 1, c + 1), are those from the slice to the sun,
+    at places that lie by the fractions beyond b - 1 and c - 1: a column keeps to its own ray, whatever the slice.
+    The array is used again for the next slice.
+    """
     direction = np.asarray(index_direction, np.float64)
     main = int(np.abs(direction).argmax())
     b_axis, c_axis = (axis for axis in range(3) if axis != main)
     slices = np.moveaxis(density, main, 0)
-    depth = np.empty_like(density, dtype=np.float32)
-    out = np.moveaxis(depth, main, 0)
     count, nb, nc = slices.shape
     # Half a slice's path length: each slice gives to the points before and after it.
     half_step = np.float32(0.5 * step_length / abs(direction[main]))
@@ -62,6 +75,5 @@ def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_len
         half_slice = _shift_up(slices[index], f_b, f_c)
         half_slice *= half_step
         window += half_slice
-        out[index] = _shift_back(window, f_b, f_c)
+        yield index, window, f_b, f_c
         window += half_slice
-    return depth

@@ -5,6 +5,8 @@ import os
 
 from .scene import Cancelled, Settings
 
+SECONDS_A_LOOK = 0.1
+
 
 class Work:
     """Runs tasks on threads, in order of submission, with progress and cancellation."""
@@ -37,6 +39,15 @@ class Work:
             done += 1
             self.progress(start + (end - start) * done / len(tasks), message)
             yield result
+
+    def each(self, function, tasks):
+        """As the built-in map over a few tasks side by side; asks several times a second whether to stop."""
+        pending = [self.pool.submit(function, task) for task in tasks]
+        for future in pending:
+            while not concurrent.futures.wait([future], SECONDS_A_LOOK).done:
+                self.check()
+            self.check()
+            yield future.result()
 
     def close(self):
         self.pool.shutdown(cancel_futures=True)

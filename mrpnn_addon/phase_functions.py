@@ -8,19 +8,19 @@ import math
 
 import numpy as np
 
-# Cycles' own limit: the phase function degenerates at -1 and 1.
-MOST = 0.999
+from ..inference.scene import ANISOTROPY_MOST
+
 ANGLES = 20000
 
 
 def mean_cosine(kind: str, *parameters: float) -> float:
-    """Mean cosine of a phase function, within (-1, 1).
+    """Mean cosine of a phase function, within [-0.999, 0.999].
 
     HENYEY_GREENSTEIN: (g). RAYLEIGH: (). DRAINE: (g, alpha), Draine 2003, eq. 6. MIE: (diameter in
     micrometres), Jendersie and d'Eon 2023. FOURNIER_FORAND: (relative index of refraction, fraction
     scattered backwards), Fournier and Jonasz 1999.
     """
-    return float(np.clip(MEANS[kind](*parameters), -MOST, MOST))
+    return float(np.clip(MEANS[kind](*parameters), -ANISOTROPY_MOST, ANISOTROPY_MOST))
 
 
 def draine_mean(g: float, alpha: float) -> float:

@@ -77,7 +77,7 @@ def test_each_volume_is_seen_by_itself():
     grids = [prepared(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
     diffused = [slabs(), slabs((0.6, 0.0, 0.0))]
     origins, directions = np.array([[-2.0, 0.05, 0.1]]), np.array([[1.0, 0.0, 0.0]])
-    near, far = np.array([1.4]), np.array([3.2])
+    near, far = np.array([1.5 - 0.5 / CELLS]), np.array([3.1 + 0.5 / CELLS])
     both = march(grids, sigma_t, origins, directions, near, far, np.array([0.5]), 16, diffused)
     positions = origins + both.sample_distance[:, None] * directions
     for v in range(2):

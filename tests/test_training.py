@@ -170,5 +170,4 @@ def test_inputs_are_those_that_rendering_uses():
         fluence = read_fluence(reader.fluence, x, w, reader.sun)[0]
         # Training interpolates between a few reduced extinctions.
         np.testing.assert_allclose(fluence, rows["fluence"][row], atol=0.1)
-        # Rendering interpolates transmittance, training optical depth.
         np.testing.assert_allclose(light, expected, rtol=0.1, atol=0.02)

@@ -9,6 +9,7 @@ other inputs are those of the network's kind: "ray", "stencil" or "lattice".
 import argparse
 import base64
 import functools
+import hashlib
 import json
 import os
 
@@ -45,10 +46,14 @@ def export(net, configuration: dict) -> onnx.ModelProto:
 
 
 def save(model: onnx.ModelProto, path: str):
-    """Write the model through a temporary name."""
-    partial = f"{path}.partial"
-    onnx.save(model, partial)
-    os.replace(partial, path)
+    """Write the model, NAME.onnx, and its checksum, NAME.sha256, each through a temporary name."""
+    content = model.SerializeToString()
+    line = f"{hashlib.sha256(content).hexdigest()}  {os.path.basename(path)}\n"
+    for target, data in ((path, content), (os.path.splitext(path)[0] + ".sha256", line.encode())):
+        partial = f"{target}.partial"
+        with open(partial, "wb") as file:
+            file.write(data)
+        os.replace(partial, target)
 
 
 def main():

@@ -1,0 +1,115 @@
+"""Optical depth from any point of a grid towards one sun.
+
+Each slice keeps the columns of the sweep where they pass it, along the sun's own rays. A point's ray then
+meets a slice between four columns, and one linear interpolation is all that blurs a shadow's edge. Where voxels
+are optically thick that is too much, and the first slices are integrated instead.
+"""
+
+import numpy as np
+
+from .transmittance import sweep
+from .trilinear import interpolate, locate
+
+# Optical depth from slice to slice above which slices are integrated; how many, for each unit of it, and at most.
+THIN_SLICE = 0.35
+SLICES_A_DEPTH, SLICES_MOST = 2.0, 4
+# Optical depth from slice to slice above which everything is integrated, and that exactly; below, what seems lit.
+STEEP_SLICE, UNLIT = 4.0, 10.0
+# Optical depth beyond which a way is not followed.
+DARK = 30.0
+# Gauss's two places in an interval: exact for the cubic that the density is between planes of voxel centres.
+GAUSS = (np.float32(0.5 - 0.5 / np.sqrt(3.0)), np.float32(0.5 + 0.5 / np.sqrt(3.0)))
+
+
+class SunDepth:
+    """Of one padded density towards one sun, for an extinction of 1 per unit density and world unit.
+
+    padded: float32, from `pad_with_zeros`; direction: (3,) the sun's direction, d(index)/d(world unit). check:
+    called once a slice; what it raises ends the work.
+    """
+
+    def __init__(self, padded: np.ndarray, direction: np.ndarray, check=lambda: None):
+        self.padded, self.main = padded, int(np.abs(direction).argmax())
+        self.peak = float(padded.max())
+        self.others = [axis for axis in range(3) if axis != self.main]
+        self.step = 1 if direction[self.main] > 0.0 else -1
+        # From slice to slice: the way in indices, and its length in world units.
+        self.move = (direction / abs(direction[self.main])).astype(np.float32)
+        self.length = np.float32(1.0 / abs(direction[self.main]))
+        shape = [padded.shape[axis] + 1 for axis in self.others]
+        # A slice more at either end, where nothing is left to pass.
+        self.depths = np.zeros((padded.shape[self.main] + 2, *shape), np.float32)
+        self.fractions = np.zeros((len(self.depths), 2), np.float32)
+        for number, columns, *fractions in sweep(padded, direction):
+            check()
+            self.depths[number + 1], self.fractions[number + 1] = columns, fractions
+
+    def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
+        """Optical depth float32 (N,) at continuous indices float32 (N, 3) of the unpadded grid."""
+        sigma_t, thickest = np.float32(sigma_t), self.peak * sigma_t * float(self.length)
+        place = index + np.float32(1.0)
+        along = place[:, self.main]
+        slice_below = np.floor(along)
+        ahead = slice_below + np.float32(1.0) - along if self.step > 0 else along - slice_below
+        following = slice_below.astype(np.int32) + (1 if self.step > 0 else 0)
+        if thickest < STEEP_SLICE:
+            # Linear between the slices before and after.
+            after = self._on_slice(place, ahead, following)
+            before = self._on_slice(place, ahead - np.float32(1.0), following - self.step)
+            depth = (after + ahead * (before - after)) * sigma_t
+            left = np.flatnonzero((depth > 0.0) & (depth < UNLIT))
+            if thickest < THIN_SLICE or not len(left):
+                return depth
+        else:
+            depth, left = np.empty(len(place), np.float32), np.arange(len(place))
+        depth[left] = 0.0
+        slices = int(np.ceil(min(SLICES_A_DEPTH * thickest, SLICES_MOST)))
+        start, way = place[left], ahead[left]
+        for _ in range(slices):
+            depth[left] += self._through(start, way, thickest > STEEP_SLICE) * sigma_t
+            start = start + way[:, None] * self.move
+            inside = np.all((start > 0.0) & (start < np.array(self.padded.shape, np.float32) - 2), axis=1)
+            follow = inside & (depth[left] < DARK)
+            left, start = left[follow], start[follow]
+            way = np.ones(len(left), np.float32)
+        number = following[left] + self.step * (slices - 1)
+        depth[left] += self._on_slice(start, np.float32(0.0), number) * sigma_t
+        return depth
+
+    def _through(self, start, way, steep: bool):
+        """Integral of the density (N,) along the sun's rays from places (N, 3) to the next slice, `way` slices on.
+
+        steep: whether to cut the way at planes of voxel centres, between which the density is smooth.
+        """
+        cuts = [np.zeros_like(way), way]
+        for axis in self.others if steep else ():
+            slope = self.move[axis]
+            if slope != 0.0:
+                at = start[:, axis]
+                plane = np.floor(at) + np.float32(1.0) if slope > 0.0 else np.ceil(at) - np.float32(1.0)
+                cuts.append(np.minimum((plane - at) / slope, way))
+        cuts = np.sort(cuts, axis=0)
+        total = np.zeros_like(way)
+        for first, last in zip(cuts[:-1], cuts[1:]):
+            part = last - first
+            for share in GAUSS:
+                place = start + (first + share * part)[:, None] * self.move
+                total += interpolate(self.padded, *locate(self.padded, place - np.float32(1.0))) * part
+        return total * (np.float32(0.5) * self.length)
+
+    def _on_slice(self, place, ahead, number):
+        """Depth where rays from places (N, 3) meet slices number (N,), `ahead` slices on."""
+        base, parts = np.clip(number + 1, 0, len(self.depths) - 1), []
+        fractions = self.fractions[base]
+        for column, (axis, size) in enumerate(zip(self.others, self.depths.shape[1:])):
+            at = place[:, axis] + ahead * self.move[axis] + np.float32(1.0) - fractions[:, column]
+            at = np.clip(at, np.float32(0.0), np.float32(size - 1))
+            cell = np.minimum(at.astype(np.int32), size - 2)
+            parts.append(at - cell)
+            base = base * size + cell
+        flat, row = self.depths.reshape(-1), self.depths.shape[2]
+        u, v = parts
+        a, b = flat.take(base), flat.take(base + row)
+        a += v * (flat.take(base + 1) - a)
+        b += v * (flat.take(base + row + 1) - b)
+        return a + u * (b - a)
