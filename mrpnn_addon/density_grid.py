@@ -9,6 +9,7 @@ import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import load_openvdb
+from .vdb_trial import require_readable
 
 # 2 GiB as float32; the render needs several times its input.
 MAX_VOXELS = 1 << 29
@@ -104,6 +105,7 @@ def _open_grid(path, grid_name, where):
             f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
             "convert it to a fog volume"
         )
+    require_readable(path, grid_name, MAX_VOXELS, where)
     try:
         grid = load_openvdb().read(path, grid_name)
     except READ_ERRORS as error:

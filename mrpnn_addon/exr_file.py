@@ -5,13 +5,14 @@ writer for Python is present in every Blender, and OpenEXR's own package cannot 
 Blender program its C functions bind to those of Blender's other version of OpenEXR, which crashes.
 """
 
-import os
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from typing import Dict, Union
 
 import numpy as np
+
+from .whole_file import whole_file
 
 MAGIC = 20000630
 VERSION = 2
@@ -45,21 +46,12 @@ def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, 
         places.append(place)
         place += 8 + len(block)
 
-    # Beside the file, so that it can be renamed, under a name that no other process picks.
-    unfinished = f"{path}.{os.getpid()}.part"
-    with open(unfinished, "wb") as file:
-        try:
-            file.write(header)
-            file.write(struct.pack(f"<{len(places)}Q", *places))
-            for index, block in enumerate(blocks):
-                file.write(struct.pack("<ii", index * LINES_PER_BLOCK, len(block)))
-                file.write(block)
-            file.close()
-            os.replace(unfinished, path)
-        except BaseException:
-            file.close()
-            os.unlink(unfinished)
-            raise
+    with whole_file(path) as file:
+        file.write(header)
+        file.write(struct.pack(f"<{len(places)}Q", *places))
+        for index, block in enumerate(blocks):
+            file.write(struct.pack("<ii", index * LINES_PER_BLOCK, len(block)))
+            file.write(block)
 
 
 def _block(rows: np.ndarray) -> bytes:

@@ -9,6 +9,8 @@ import bpy
 from ..inference.scene import SceneError
 
 # "12", "1-10" and Blender's own "1..10"; frames may be negative.
+# Blender's own largest frame.
+MOST_FRAMES = 1 << 20
 _SPAN = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
 
 
@@ -26,6 +28,8 @@ def parse_frames(text: str) -> List[int]:
         last = first if match[2] is None else int(match[2])
         if last < first:
             raise SceneError(f"frames {part.strip()} run backwards; write {last}-{first}")
+        if last - first >= MOST_FRAMES:
+            raise SceneError(f"{part.strip()} are more than {MOST_FRAMES} frames")
         frames += range(first, last + 1)
     return list(dict.fromkeys(frames))
 

@@ -1,20 +1,15 @@
 """JSON files, complete or not at all."""
 
 import json
-import os
-from pathlib import Path
 
 from ..inference.scene import SceneError
+from .whole_file import whole_file
 
 
 def write_json(path: str, content) -> None:
     """Write `content` to `path`, which is replaced in one step. Raises SceneError where it cannot be written."""
-    target = Path(path)
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        unfinished.write_text(json.dumps(content, indent=1) + "\n")
-        os.replace(unfinished, target)
+        with whole_file(path) as file:
+            file.write((json.dumps(content, indent=1) + "\n").encode())
     except OSError as error:
-        if unfinished.exists():
-            unfinished.unlink()
-        raise SceneError(f"cannot write {path}: {error.strerror}") from None
+        raise SceneError(str(error)) from None

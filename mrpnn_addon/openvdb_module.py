@@ -28,7 +28,7 @@ def load_openvdb():
         except ModuleNotFoundError:
             pass
     for name in MODULE_NAMES:
-        spec = PathFinder.find_spec(name, _bundled_folders())
+        spec = PathFinder.find_spec(name, bundled_folders())
         if spec is not None:
             module = importlib.util.module_from_spec(spec)
             # Registered first: a compiled module must not be loaded twice in one process.
@@ -41,7 +41,8 @@ def load_openvdb():
     )
 
 
-def _bundled_folders() -> list:
+def bundled_folders() -> list:
+    """Folders that hold the module in Blenders whose search path lacks it."""
     library = Path(bpy.utils.system_resource('PYTHON') or "") / "lib"
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     return [str(library / version / "site-packages"), str(library / "site-packages")]

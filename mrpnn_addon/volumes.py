@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import grid_names, read_density_grid, unreadable
+from .density_grid import MAX_VOXELS, grid_names, read_density_grid, unreadable
 from .material import VolumeMaterial, first_material
 from .mesh_volume import fill
 from .shaded_grid import ShadedGrid, is_linear, refine, require_empty_background, shade
@@ -42,7 +42,10 @@ class VolumeReader:
             shaded, object_from_index, warnings = self.known[key]
         else:
             read = _read_volume_object if shown.object.type == 'VOLUME' else _read_mesh
-            shaded, object_from_index, warnings = read(shown, where)
+            try:
+                shaded, object_from_index, warnings = read(shown, where)
+            except MemoryError:
+                raise SceneError(f"{where}: the machine has not enough memory to read it; resample its grids") from None
             if not shaded.placed:
                 self.known[key] = shaded, object_from_index, []
         volume = Volume(shaded.density, shown.matrix @ object_from_index, name=shown.name)
@@ -140,6 +143,8 @@ def _aligned(path, names, shown, material):
     warnings = [warning for grid in read.values() for warning in grid.warnings]
     low = np.min(list(offsets.values()), axis=0)
     high = np.max([offsets[name] + grid.density.shape for name, grid in read.items()], axis=0)
+    if np.prod((high - low).astype(float)) > MAX_VOXELS:
+        material.refuse(f"its grids lie so far apart that the box around them has more than {MAX_VOXELS} voxels")
     object_from_index = first.copy()
     object_from_index[:3, 3] += first[:3, :3] @ low
     return {name: _placed(grid.density, offsets[name] - low, high - low) for name, grid in read.items()}, \

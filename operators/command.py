@@ -97,6 +97,8 @@ def main(arguments) -> int:
         return 0
     except (_UsageError, SceneError, OSError) as problem:
         error = str(problem)
+    except OverflowError as problem:  # Blender's properties hold 32 bits.
+        error = f"a number is too large ({problem})"
     except KeyboardInterrupt:
         error = "stopped"
     found.update(error=error, seconds=time.perf_counter() - start)

@@ -115,7 +115,7 @@ def _overridden(options):
     given = {name: getattr(options, name) for name in ("depth_samples", "seed", "threads", "model")
              if getattr(options, name) is not None}
     if options.memory_limit is not None:
-        given["memory_limit"] = int(options.memory_limit * 2**30)
+        given["memory_limit"] = options.memory_limit * 2**30
     before = scene.render.resolution_percentage, scene.camera
     try:
         if options.resolution_percentage is not None:

@@ -101,6 +101,9 @@ class MRPNN_OT_render(bpy.types.Operator):
         if not os.path.isabs(path):
             raise SceneError(f"the EXR file {path} lies beside the .blend file, which is not saved yet; "
                              "save it, or enter a full path")
+        # A scene from elsewhere brings its own path; it shall replace nothing but pictures.
+        if not path.lower().endswith(".exr"):
+            raise SceneError(f"the EXR file {path} must end in .exr")
         if not os.path.isdir(os.path.dirname(path)):
             raise SceneError(f"the folder of the EXR file does not exist: {os.path.dirname(path)}")
         return path

@@ -1,0 +1,178 @@
+"""Damaged .vdb files, and weights that are not the shipped ones: refused with a reason, Blender alive."""
+
+import hashlib
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import onnx
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import network
+from inference.scene import SceneError
+
+from . import blender_scenes
+
+CORPUS = pathlib.Path(__file__).parent / "corpus"
+
+
+@pytest.fixture
+def trial(addon):
+    return addon.mrpnn_addon.vdb_trial
+
+
+def refusal(addon):
+    with pytest.raises(addon.inference.SceneError) as caught:
+        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return str(caught.value)
+
+
+def lit(scene):
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene)
+
+
+def damaged(whole: bytes, number: int) -> bytes:
+    """The file with a few bits flipped or bytes replaced behind its header, or cut off, as the number says."""
+    random, changed = np.random.default_rng(number), bytearray(whole)
+    if number % 4 == 0:
+        return whole[: random.integers(len(whole) // 4, len(whole))]
+    for place in random.integers(700, len(whole) - 8, 1 + number % 3):
+        if number % 4 == 1:
+            changed[place] ^= 1 << random.integers(8)
+        else:
+            changed[place : place + 4] = (b"\xff\xff\xff\x7f", random.bytes(4), b"\0\0\0\0")[number % 3]
+    return bytes(changed)
+
+
+def test_a_damaged_tree_is_read_or_refused(addon, tmp_path):
+    """Whatever the trial lets pass, Blender's own process reads to an end."""
+    read = addon.mrpnn_addon.density_grid.read_density_grid
+    whole = pathlib.Path(blender_scenes.write_vdb(tmp_path, blender_scenes.blob(12))).read_bytes()
+    outcomes = []
+    for number in range(16):
+        path = tmp_path / f"damaged{number}.vdb"
+        path.write_bytes(damaged(whole, number))
+        try:
+            grid = read(str(path), "density", "Cloud")
+            assert grid.density.ndim == 3 and np.isfinite(grid.density).all() and grid.density.min() >= 0.0
+            outcomes.append("read")
+        except addon.inference.SceneError as error:
+            assert "\"Cloud\"" in str(error)
+            outcomes.append("refused")
+    assert set(outcomes) == {"read", "refused"}
+
+
+def test_files_that_kept_openvdb_busy_for_ever_end_the_trial_alone(addon, trial):
+    """Found by flipping bits; the trial's process is ended, this one goes on."""
+    for path in sorted(CORPUS.glob("*.vdb")):
+        ended = subprocess.run([sys.executable, "-I", trial.PROGRAM, path, "density", "1000000", "1", str(4 << 30),
+                                *addon.mrpnn_addon.openvdb_module.bundled_folders()], capture_output=True)
+        assert trial._died(ended.returncode), path.name
+
+
+def test_a_process_that_dies_over_a_grid_is_a_message(addon, scene, tmp_path, trial, monkeypatch):
+    path = blender_scenes.write_vdb(tmp_path, blender_scenes.blob())
+    blender_scenes.add_volume(scene, path)
+    lit(scene)
+    with monkeypatch.context() as short:
+        # No processor time at all: the system ends the process, as it does where a file takes too long.
+        short.setattr(trial, "SECONDS", 0)
+        assert f"\"Cloud\": grid \"density\" of {path} is damaged" in refusal(addon)
+    with monkeypatch.context() as small:
+        small.setattr(trial, "MEMORY", 1 << 20)
+        assert "is damaged" in refusal(addon)
+    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+
+
+def test_what_openvdb_itself_refuses_keeps_its_own_message(addon, scene, tmp_path):
+    whole = pathlib.Path(blender_scenes.write_vdb(tmp_path, blender_scenes.blob())).read_bytes()
+    path = tmp_path / "cut.vdb"
+    path.write_bytes(whole[: len(whole) - 2000])
+    blender_scenes.add_volume(scene, path)
+    lit(scene)
+    assert "\"Cloud\"" in refusal(addon)
+
+
+def test_grids_far_apart_are_not_put_into_one_box(addon, scene, tmp_path):
+    vdb = blender_scenes.openvdb()
+    grids = []
+    for name, low in (("density", (0, 0, 0)), ("heat", (100000, 100000, 100000))):
+        grid = vdb.FloatGrid()
+        grid.copyFromArray(np.ones((3, 3, 3), np.float32), ijk=low)
+        grid.name, grid.gridClass = name, "fog volume"
+        grids.append(grid)
+    path = str(tmp_path / "apart.vdb")
+    vdb.write(path, grids=grids)
+    cloud, node = blender_scenes.add_volume(scene, path)
+    tree = cloud.data.materials[0].node_tree
+    sum_of = tree.nodes.new("ShaderNodeMath")
+    sum_of.operation = 'ADD'
+    for socket, name in zip(sum_of.inputs, ("density", "heat")):
+        attribute = tree.nodes.new("ShaderNodeAttribute")
+        attribute.attribute_name = name
+        tree.links.new(attribute.outputs["Fac"], socket)
+    node.inputs["Density Attribute"].default_value = ""
+    tree.links.new(sum_of.outputs[0], node.inputs["Density"])
+    lit(scene)
+    assert "far apart" in refusal(addon)
+
+
+@pytest.fixture
+def weights(tmp_path, monkeypatch):
+    """The shipped network in a folder of its own."""
+    for path in network.WEIGHTS.glob("mrpnn.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(network, "WEIGHTS", tmp_path)
+    return tmp_path
+
+
+def sign(folder):
+    """Make the checksum that of the file."""
+    digest = hashlib.sha256((folder / "mrpnn.onnx").read_bytes()).hexdigest()
+    (folder / "mrpnn.sha256").write_text(f"{digest}  mrpnn.onnx\n")
+
+
+@pytest.mark.parametrize("place", [0, 100, 400_000, -1])
+def test_one_wrong_bit_in_the_weights_is_found(weights, place):
+    content = bytearray((weights / "mrpnn.onnx").read_bytes())
+    content[place] ^= 1
+    (weights / "mrpnn.onnx").write_bytes(content)
+    with pytest.raises(SceneError, match="'mrpnn' cannot be read.*checksum"):
+        network.load_network("mrpnn")
+
+
+def test_weights_without_a_checksum_are_refused(weights):
+    (weights / "mrpnn.sha256").unlink()
+    with pytest.raises(SceneError, match="checksum cannot be read"):
+        network.load_network("mrpnn")
+
+
+def test_weights_in_another_file_are_refused(weights):
+    model = onnx.load(weights / "mrpnn.onnx")
+    tensor = model.graph.initializer[0]
+    onnx.external_data_helper.set_external_data(tensor, location="../../outside.bin")
+    tensor.ClearField("raw_data")
+    (weights / "mrpnn.onnx").write_bytes(model.SerializeToString())
+    sign(weights)
+    with pytest.raises(SceneError, match="outside their file"):
+        network.load_network("mrpnn")
+
+
+@pytest.mark.parametrize("key, value", [
+    ("kind", "pickle"), ("points", "AAAA"), ("points", "%%"), ("configuration", "{"), ("configuration", "[]"),
+    ("configuration", "{\"anisotropy_range\": [1, -1], \"sigma_hat_range\": [1, 2]}"),
+    ("configuration", "{\"anisotropy_range\": [0, NaN], \"sigma_hat_range\": [1, 2]}"),
+])
+def test_metadata_that_make_no_sense_are_refused(weights, key, value):
+    model = onnx.load(weights / "mrpnn.onnx")
+    for entry in model.metadata_props:
+        if entry.key == key:
+            entry.value = value
+    (weights / "mrpnn.onnx").write_bytes(model.SerializeToString())
+    sign(weights)
+    with pytest.raises(SceneError, match="'mrpnn' cannot be read"):
+        network.load_network("mrpnn")
