@@ -1,0 +1,62 @@
+"""Extreme scenes and every stage, each against an independent result and within a bound.
+
+    python -m benchmarks.stability                 all of them; writes docs/stability.csv, its table and picture
+    python -m benchmarks.stability --quick         a part, writes nothing
+    python -m benchmarks.stability --only sun      groups by name; the others' figures stay as they were
+
+The exit status is 1 where a bound is violated, and each violation is printed.
+"""
+
+import argparse
+import pathlib
+import sys
+import warnings
+
+from . import densities, laws, lights, placements, refusals, stages
+from .case import Outcome, violations
+from .table import read_csv, write_csv, write_pictures, write_table
+
+DOCS = pathlib.Path(__file__).resolve().parents[2] / "docs"
+CASES = [case for part in (densities, placements, lights, stages, laws, refusals) for case in part.CASES]
+
+
+def measure(case) -> Outcome:
+    """The case's outcome; a warning of numpy's or an exception is none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            return case.measure()
+        except Exception as error:
+            print(f"{case.group}, {case.name}: {type(error).__name__}: {error}", file=sys.stderr)
+            return Outcome()
+
+
+def main(options=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--only", nargs="+", metavar="GROUP")
+    arguments = parser.parse_args(options)
+    chosen = [case for case in CASES if (case.quick or not arguments.quick)
+              and (not arguments.only or case.group in arguments.only)]
+    found = []
+    for case in chosen:
+        outcome = measure(case)
+        found.append((case, outcome))
+        print(f"{case.group}, {case.name}: "
+              + ", ".join(f"{name} {value:.2g}" for name, value in outcome.errors.items()), flush=True)
+    broken = [sentence for case, outcome in found for sentence in violations(case, outcome)]
+    if not arguments.quick:
+        before, measured = read_csv(DOCS / "stability.csv"), {id(case): outcome for case, outcome in found}
+        every = [(case, measured.get(id(case)) or Outcome(before.get((case.group, case.name), {}))) for case in CASES]
+        write_csv(DOCS / "stability.csv", every)
+        write_table(DOCS / "stability.md", every)
+    if not arguments.quick and not arguments.only:
+        write_pictures(DOCS / "images" / "stability.png", found)
+    print(f"{len(chosen)} cases, {len(broken)} violations")
+    for sentence in broken:
+        print(sentence)
+    return int(bool(broken))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

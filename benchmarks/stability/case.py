@@ -1,0 +1,62 @@
+"""A case, what may be wrong with it, and what every picture must be whatever the scene."""
+
+from dataclasses import dataclass, field
+from typing import Callable, Dict, Optional
+
+import numpy as np
+
+from inference import SceneError
+
+
+@dataclass(frozen=True)
+class Case:
+    """One extreme scene or stage.
+
+    against: what tells the truth. measure: gives an Outcome. bounds: the largest allowed value of each of its
+    quantities. quick: whether the quick run has it.
+    """
+
+    group: str
+    name: str
+    against: str
+    measure: Callable
+    bounds: Dict[str, float]
+    quick: bool = False
+
+
+@dataclass
+class Outcome:
+    """errors: by quantity. picture: float (H, W, 3) linear, or None."""
+
+    errors: Dict[str, float] = field(default_factory=dict)
+    picture: Optional[np.ndarray] = None
+
+
+def violations(case: Case, outcome: Outcome):
+    """Sentences about what is missing or beyond its bound; NaN is beyond every bound."""
+    found = [(quantity, outcome.errors.get(quantity, np.nan), bound) for quantity, bound in case.bounds.items()]
+    return [
+        f"{case.group}, {case.name}: {quantity} is {error:.3g}, at most {bound:g} is allowed"
+        for quantity, error, bound in found if not error <= bound
+    ]
+
+
+def unsound(layer) -> float:
+    """Number of pixels that no picture may hold: not finite, negative, or alpha outside 0 to 1."""
+    parts = np.concatenate([layer.rgb, layer.single, layer.multiple], axis=2)
+    bad = ~np.isfinite(parts).all(axis=2) | (parts < 0.0).any(axis=2)
+    bad |= ~((layer.alpha >= 0.0) & (layer.alpha <= 1.0)) | ~np.isfinite(layer.uncertainty)
+    bad |= ~np.isfinite(layer.depth) & (layer.alpha > 0.0)
+    return float(bad.sum())
+
+
+def refused(name: str, make, words: str, quick: bool = True) -> Case:
+    """A scene that must be refused with a message that holds some words."""
+    def measure():
+        try:
+            make()
+        except SceneError as error:
+            return Outcome({"accepted": float(words not in str(error))})
+        return Outcome({"accepted": 1.0})
+
+    return Case("refused", name, f"message: … {words} …", measure, {"accepted": 0.0}, quick)

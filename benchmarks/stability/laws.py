@@ -1,0 +1,158 @@
+"""What holds in every scene: renders with the shipped network against each other, and against the path tracer."""
+
+import functools
+
+import numpy as np
+
+from inference import Medium, Settings, Sun, predict_multiple, render
+from inference.error import relative_bias, relative_rmse
+from inference.multiple import FLUENCE_MOST
+from inference.network import register_system
+from inference.phase import henyey_greenstein
+
+from .case import Case, Outcome, unsound
+from .placements import CLOUD, scaled, shifted
+from .scenes import SUN, camera, moved, rotation
+
+VIEW = camera(pixels=12)
+MEDIUM = Medium(30.0, 0.95, 0.5)
+
+
+def draw(volume=CLOUD, medium=MEDIUM, suns=(SUN,), view=VIEW, samples=4, model="mrpnn", seed=0):
+    return render([(volume, medium)], list(suns), view, Settings(samples, model, seed))
+
+
+@functools.lru_cache
+def plain():
+    return draw()
+
+
+def same(other, factor=1.0):
+    """Largest difference to the plain render, relative to its mean."""
+    difference = np.abs(other.rgb.astype(np.float64) / factor - plain().rgb).max() / plain().rgb.mean()
+    return Outcome({"unsound": unsound(other), "largest": float(difference)}, other.rgb / other.rgb.max())
+
+
+def turned():
+    turn = rotation(1.1)
+    view = camera(pixels=12)
+    view.world_matrix[:3] = turn @ view.world_matrix[:3]
+    return same(draw(moved(CLOUD, turn), suns=(Sun(turn @ SUN.direction),), view=view))
+
+
+def resized(k: float):
+    volume, _, _ = scaled(k)
+    view = camera(k * VIEW.world_matrix[:3, 3], pixels=12)
+    return same(draw(volume, Medium(30.0 / k, 0.95, 0.5), view=view))
+
+
+def far_away():
+    volume, _, view = shifted(1e7)
+    view.resolution = (12, 12)
+    return same(draw(volume, view=view))
+
+
+def nearly_white():
+    """Albedo 1 - 1e-7 and 1."""
+    one, less = (draw(medium=Medium(30.0, a, 0.5)).rgb for a in (1.0, 1.0 - 1e-7))
+    return Outcome({"largest": float(np.abs(one - less).max() / one.mean())})
+
+
+def black():
+    layer = draw(medium=Medium(30.0, 0.0, 0.5))
+    return Outcome({"unsound": unsound(layer), "light": float(layer.rgb.max())})
+
+
+def bounded(**changed):
+    """No more than the largest fluence of a conservative medium, where the phase function peaks."""
+    def measure():
+        layer = draw(**changed)
+        medium = changed.get("medium", MEDIUM)
+        g = float(np.clip(abs(medium.anisotropy), 0.0, 0.95))
+        most = FLUENCE_MOST * henyey_greenstein(1.0, g)
+        told = bool(layer.report.warnings) or abs(medium.anisotropy) <= 0.95
+        return Outcome({"unsound": unsound(layer), "share of the most": float(layer.multiple.max() / most),
+                        "not told": float(not told)}, layer.rgb / max(layer.rgb.max(), 1e-30))
+    return measure
+
+
+def thin_slope():
+    """Multiple scattering at optical densities 1e-3 and 1e-5: linear."""
+    points, omega = np.zeros((1, 3)), [(0.0, 0.0, -1.0)]
+    a, b = (predict_multiple(CLOUD, Medium(s, 1.0, 0.5), SUN, points, omega)[0, 0] for s in (1e-3, 1e-5))
+    return Outcome({"ratio": float(abs(a / (100.0 * b) - 1.0))})
+
+
+def more_depths():
+    """Error against 512 depth samples falls at least as 1/N."""
+    truth = draw(samples=512).multiple
+    error = [np.sqrt(((draw(samples=n).multiple - truth) ** 2).mean()) for n in (4, 32)]
+    return Outcome({"32 over 4 samples": float(error[1] / error[0])})
+
+
+def furnace(anisotropy: float):
+    """Albedo 1 under an even sky of radiance 1 looks like the sky; here 14 suns are the sky."""
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    faces = [tuple(sign * (i == axis) for i in range(3)) for axis in range(3) for sign in (-1, 1)]
+    # Weights with which these 14 integrate polynomials of degree 5 over the sphere.
+    suns = [Sun(d, 4 * np.pi * 3 / 40) for d in corners] + [Sun(d, 4 * np.pi / 15) for d in faces]
+
+    def measure():
+        layer = draw(medium=Medium(30.0, 1.0, anisotropy), suns=suns)
+        seen = layer.alpha > 0.02
+        ratio = float(layer.rgb.mean(axis=2)[seen].sum() / layer.alpha[seen].sum())
+        return Outcome({"unsound": unsound(layer), "returned over received": ratio, "missing": 1.0 - ratio},
+                       layer.rgb / layer.rgb.max())
+    return measure
+
+
+def traced(**changed):
+    """The network's picture against two independent halves of the path tracer's, whose noise does not count."""
+    def measure():
+        from training.reference import PathTracer
+
+        register_system("64 paths", lambda: PathTracer(64))
+        layer = draw(**changed, samples=16)
+        a, b = (draw(**changed, samples=16, model="64 paths", seed=seed).rgb for seed in (1, 2))
+        seen = layer.alpha > 0.5 * layer.alpha.max()
+        return Outcome({"unsound": unsound(layer), "relative RMSE": relative_rmse(layer.rgb, a, b, seen).value,
+                        "bias": abs(relative_bias(layer.rgb, a, b, seen).value)}, layer.rgb / layer.rgb.max())
+    return measure
+
+
+SAME = {"unsound": 0.0, "largest": 1e-3}
+BOUNDED = {"unsound": 0.0, "share of the most": 1.0, "not told": 0.0}
+TRACED = {"unsound": 0.0, "relative RMSE": 0.4, "bias": 0.25}
+AHEAD, BEHIND = (Sun(sign * VIEW.world_matrix[:3, 2]) for sign in (-1.0, 1.0))
+
+CASES = [
+    Case("law", "linear in irradiance: 1e8", "itself", lambda: same(draw(suns=(Sun(SUN.direction, 1e8),)), 1e8),
+         {"unsound": 0.0, "largest": 1e-5}, True),
+    Case("law", "linear in irradiance: 1e-6", "itself", lambda: same(draw(suns=(Sun(SUN.direction, 1e-6),)), 1e-6),
+         {"unsound": 0.0, "largest": 1e-5}),
+    Case("law", "the whole scene turned", "itself", turned, SAME),
+    *(Case("law", f"the whole scene scaled by {k:g}", "itself", functools.partial(resized, k), SAME)
+      for k in (1e-6, 1e6)),
+    Case("law", "the whole scene moved by 1e7", "itself", far_away, SAME),
+    Case("law", "albedo 1 − 1e-7 is albedo 1", "itself", nearly_white, {"largest": 1e-4}),
+    Case("law", "albedo 0 is black", "closed form", black, {"unsound": 0.0, "light": 0.0}, True),
+    Case("law", "multiple scattering is linear in a thin medium", "closed form", thin_slope, {"ratio": 1e-3}),
+    Case("law", "more depth samples", "512 samples", more_depths, {"32 over 4 samples": 0.2}),
+    *(Case("law", f"white furnace, G = {g:g}", "closed form", furnace(g),
+           {"unsound": 0.0, "returned over received": 1.17, "missing": 0.17}) for g in (0.0, 0.5)),
+    *(Case("bounded", name, "conservative half-space", bounded(**changed), BOUNDED, quick)
+      for name, changed, quick in (
+          ("σ̂ = 1e-6", {"medium": Medium(1e-6, 1.0, 0.5)}, False),
+          ("σ̂ = 1e7", {"medium": Medium(1e7, 1.0, 0.5)}, True),
+          ("G = 0.999, sun in front", {"medium": Medium(30.0, 1.0, 0.999), "suns": (AHEAD,)}, False),
+          ("G = −0.999, sun behind", {"medium": Medium(30.0, 1.0, -0.999), "suns": (BEHIND,)}, False))),
+    *(Case("path tracer", name, "path tracer", traced(**changed), TRACED)
+      for name, changed in (
+          ("σ̂ = 0.01", {"medium": Medium(0.01, 1.0, 0.5)}),
+          ("σ̂ = 1000", {"medium": Medium(1000.0, 0.99, 0.5)}),
+          ("γ = 0", {"suns": (AHEAD,)}),
+          ("γ = π", {"suns": (BEHIND,)}),
+          ("albedo 0.1", {"medium": Medium(30.0, 0.1, 0.5)}),
+          ("G = −0.3", {"medium": Medium(30.0, 0.95, -0.3)}),
+          ("G = 0.95", {"medium": Medium(30.0, 0.95, 0.95)}))),
+]

@@ -1,0 +1,64 @@
+"""Small renders against double precision: shape and single scattering, which hold nothing learned."""
+
+import numpy as np
+
+from inference import Medium, Settings, render
+from inference.network import register_system
+from inference.phase import henyey_greenstein
+from inference.rays import camera_rays
+
+from .case import Case, Outcome, unsound
+from .exact import exact_view
+from .scenes import SUN, camera, placed
+
+BOUNDS = {"alpha": 2e-3, "single": 0.05, "bias": 0.02}
+# Views darker than this share of what lit fog would show are measured against that share.
+DARK = 0.01
+
+
+class SingleOnly:
+    """A system that predicts nothing: the render shows single scattering alone."""
+
+    name, checksum, needs_light = "single only", "", False
+    anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
+
+    def field(self, volume, cube, anisotropy):
+        return self
+
+    def light(self, sigma_hat, sun, low, high, mapper=map):
+        pass
+
+    def predict(self, positions, omega, albedos, jitter=None, light=None):
+        return np.zeros((len(albedos), len(positions)), np.float32)
+
+
+register_system("single only", SingleOnly)
+
+
+def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0.0, albedo=0.5, quick=False, **bounds):
+    """A case of one volume (or a density, which then fills a unit cube) in one view.
+
+    Quantities: alpha, the largest difference; single, the root mean square relative to the mean; bias of the sum. A
+    bound of None leaves one out.
+    """
+    volume = volume if hasattr(volume, "density") else placed(volume)
+    view = view or camera()
+
+    def measure():
+        layer = render([(volume, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, "single only"))
+        alpha, through = exact_view(volume, sigma_t, suns, view)
+        cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in suns]).T
+        phase = albedo * henyey_greenstein(cosine, anisotropy) * [sun.irradiance[0] for sun in suns]
+        truth = (through * phase).sum(axis=1)
+        lit = (alpha[:, None] * phase).sum(axis=1).mean()
+        single = layer.single[..., 0].ravel().astype(np.float64)
+        mean = max(truth.mean(), DARK * lit, 1e-30)
+        return Outcome(
+            {"unsound": unsound(layer), "alpha": float(np.abs(layer.alpha.ravel() - alpha).max()),
+             "single": float(np.sqrt(((single - truth) ** 2).mean()) / mean),
+             "bias": float(abs(single.mean() - truth.mean()) / mean)},
+            layer.single / max(layer.single.max(), 1e-30))
+
+    bounds = {"unsound": 0.0, **BOUNDS, **bounds}
+    return Case(group, name, "double precision", measure,
+                {quantity: bound for quantity, bound in bounds.items() if bound is not None}, quick)

@@ -1,0 +1,118 @@
+"""Each stage in the precision that renders use, against the same in double precision or a closed form."""
+
+import numpy as np
+
+from inference.cube import active_bounds, fit_cube, level0_density
+from inference.fields import density_pyramid
+from inference.grid import Grid
+from inference.march import mean_transmittance
+from inference.phase import cumulative_phase, henyey_greenstein
+from inference.ray_light import ray_light
+from inference.transmittance import sun_optical_depth
+
+from .case import Case, Outcome
+from .exact import ExactVolume
+from .scenes import SUN, blob, placed
+
+
+def shadows(density, sigma_t):
+    """Transmittance to the sun from random points of steep density, against exact integrals."""
+    def measure():
+        volume = placed(density)
+        grid, exact = Grid(volume), ExactVolume(volume, sigma_t)
+        grid.add_sun(SUN.direction)
+        grid.set_extinction(sigma_t)
+        index = np.random.default_rng(0).uniform(-1.0, np.array(density.shape), (2000, 3))
+        first, _ = active_bounds(density)
+        found = grid.sun_depth((index - first).astype(np.float32), 0, may_be_outside=True)
+        error = np.exp(-found) - np.exp(-exact.to_sun(index, SUN.direction))
+        return Outcome({"root mean square": float(np.sqrt((error**2).mean())), "mean": float(abs(error.mean()))})
+
+    return measure
+
+
+def sweep_precision():
+    """The sweep over 256 slices in single and in double precision."""
+    density = np.random.default_rng(1).random((256, 24, 24)).astype(np.float32) ** 8 * 100
+    direction = np.array([0.9, 0.3, -0.2])
+    single = sun_optical_depth(density, direction)
+    double = sun_optical_depth(density.astype(np.float64), direction)
+    return Outcome({"largest": float(np.abs(single - double).max() / double.max())})
+
+
+def step_means():
+    """Mean of exp(-tau) over a step, over 15 decades of its optical depth."""
+    x = np.concatenate([[0.0], 10.0 ** np.linspace(-8, 7, 400)])
+    single = mean_transmittance(np.zeros(len(x), np.float32), x.astype(np.float32)).astype(np.float64)
+    x = x.astype(np.float32).astype(np.longdouble)
+    exact = np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1), 1)
+    return Outcome({"largest": float(np.abs(single / exact - 1).max())})
+
+
+def light_ahead():
+    """Light along rays of 400 steps of up to two optical depths."""
+    random = np.random.default_rng(2)
+    sigma = random.random((1, 60, 400)) ** 6 * 2.0
+    shadow = np.cumsum(random.random((1, 1, 60, 401)) * 0.3, axis=3)
+    ray, step, inside = np.arange(60), random.integers(0, 20, 60), random.random(60)
+    fluence, dt = random.random((1, 1, 60, 400)), np.ones((60, 1))
+    double = ray_light(sigma, shadow, fluence, dt, ray, step, inside).values
+    single = ray_light(*(a.astype(np.float32) for a in (sigma, shadow, fluence, dt)), ray, step, inside)
+    error = np.abs(single.values - double) / np.maximum(np.abs(double), 1e-3)
+    return Outcome({"largest": float(error.max())})
+
+
+def peaks():
+    """The phase function at and beside its peak, in extended precision."""
+    worst = 0.0
+    for g in (-0.999, -0.3, 1e-12, 0.5, 0.95, 0.999):
+        angle = np.array([0.0, 1e-9, 1e-6, 1e-4, 1e-2, 1.0, 3.0, np.pi])
+        cosine = np.cos(angle)
+        wide, exact_g = cosine.astype(np.longdouble), np.longdouble(g)
+        exact = (1 - exact_g**2) / (4 * np.pi * (1 + exact_g**2 - 2 * exact_g * wide) ** np.longdouble(1.5))
+        worst = max(worst, float(np.abs(henyey_greenstein(cosine, g) / exact - 1).max()))
+    return Outcome({"largest": worst})
+
+
+def cones():
+    """The phase function's integral over cones around its axis, against its antiderivative."""
+    worst = 0.0
+    for g in (-0.999, -0.3, 0.5, 0.95, 0.999):
+        half = np.array([1e-3, 1e-2, 0.1, 1.0, 3.0])
+        exact = (1 - g * g) / (2 * g) * (1 / (1 - g) - 1 / np.sqrt(1 + g * g - 2 * g * np.cos(half)))
+        worst = max(worst, float(np.abs(cumulative_phase(1.0, half, g) - exact).max()))
+    return Outcome({"largest": worst})
+
+
+def mass():
+    """What the working frame's 256³ cells and their pyramid hold, against the voxels."""
+    volume = placed(np.exp(12.0 * np.random.default_rng(3).random((20, 14, 17))))
+    cube = fit_cube(volume)
+    cells = level0_density(volume, cube)
+    voxel = np.linalg.det(volume.world_from_index[:3, :3])
+    truth = volume.density.sum(dtype=np.float64) * voxel / cube.edge**3
+    top = float(density_pyramid(cells)[-1][0, 0, 0])
+    return Outcome({"cells": float(abs(cells.mean(dtype=np.float64) / truth - 1)), "pyramid": abs(top / truth - 1)})
+
+
+def half_floats():
+    """The viewport's picture is stored in half precision, the only place."""
+    values = np.float32(10.0) ** np.linspace(-4, 4.8, 1000, dtype=np.float32)
+    return Outcome({"largest": float(np.abs(values.astype(np.float16).astype(np.float32) / values - 1).max())})
+
+
+STEEP = np.zeros((16, 16, 16), np.float32)
+STEEP[4:12, 5:11, 6:13] = 1.0
+
+CASES = [
+    *(Case("stage", f"transmittance to the sun, {name}, σ̂ = {s:g}", "double precision", shadows(density, s),
+           {"root mean square": 0.08, "mean": 0.01}, quick=s == 1e3)
+      for name, density in (("lumpy", blob()), ("hard edges", STEEP)) for s in (1.0, 30.0, 1e3, 1e6)),
+    Case("stage", "optical depth over 256 slices", "double precision", sweep_precision, {"largest": 1e-5}, True),
+    Case("stage", "mean transmittance of a step", "extended precision", step_means, {"largest": 1e-4}, True),
+    Case("stage", "light along the camera ray", "double precision", light_ahead, {"largest": 1e-3}, True),
+    Case("stage", "peaks of the phase function", "extended precision", peaks, {"largest": 1e-8}, True),
+    Case("stage", "phase function over cones", "closed form", cones, {"largest": 1e-6}, True),
+    Case("stage", "mass in cells and pyramid", "closed form", mass, {"cells": 1e-4, "pyramid": 1e-4}),
+    Case("stage", "half precision in the viewport", "single precision", half_floats, {"largest": 1e-3}, True),
+]

@@ -1,0 +1,63 @@
+"""The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
+
+import csv
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+COLUMNS = ("group", "case", "against", "quantity", "error", "bound")
+
+
+def rows(found):
+    """(group, case, against, quantity, error, bound) of every bounded quantity."""
+    for case, outcome in found:
+        for quantity, bound in case.bounds.items():
+            yield case.group, case.name, case.against, quantity, outcome.errors.get(quantity, np.nan), bound
+
+
+def read_csv(path):
+    """Errors {(group, case): {quantity: error}} of an earlier run; nothing where there was none."""
+    errors = {}
+    if path.exists():
+        with open(path, newline="") as file:
+            for row in csv.DictReader(file):
+                errors.setdefault((row["group"], row["case"]), {})[row["quantity"]] = float(row["error"])
+    return errors
+
+
+def write_csv(path, found):
+    with open(path, "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([*row[:4], f"{row[4]:.3g}", f"{row[5]:g}"] for row in rows(found))
+
+
+def write_table(path, found):
+    """Replace what lies between the marks in the page."""
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
+    for group, name, against, quantity, error, bound in rows(found):
+        mark = "" if error <= bound else " **violated**"
+        lines.append(f"| {group} | {name} | {against} | {quantity} | {error:.2g}{mark} | {bound:g} |")
+    page = path.read_text()
+    before, rest = page.split(BEGIN)
+    path.write_text("\n".join([before + BEGIN, "", *lines, "", END]) + rest.split(END)[1])
+
+
+def write_pictures(path, found):
+    """A contact sheet of every case that has a picture, each scaled to its own brightest pixel."""
+    shown = [(case, outcome.picture) for case, outcome in found if outcome.picture is not None]
+    columns = 12
+    lines = -(-len(shown) // columns)
+    figure, axes = plt.subplots(lines, columns, figsize=(1.1 * columns, 1.35 * lines))
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, (case, picture) in zip(axes.flat, shown):
+        axis.imshow(np.clip(picture, 0.0, 1.0) ** (1 / 2.2), interpolation="nearest", vmin=0.0, vmax=1.0)
+        axis.set_title(case.name.replace(", ", ",\n", 1)[:44], fontsize=4)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
