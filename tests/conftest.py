@@ -57,3 +57,16 @@ def shared_volumes():
     if not folder.is_dir():
         pytest.skip("the folder ../shared/volumes is absent")
     return folder
+
+
+@pytest.fixture(scope="session")
+def zips():
+    """The built zips, one a platform."""
+    import build_extension
+    return build_extension.build()
+
+
+@pytest.fixture(scope="session")
+def linux_zip(zips):
+    (path,) = [path for path in zips if "linux_x64" in path.name]
+    return path

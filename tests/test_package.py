@@ -19,17 +19,6 @@ BLENDER_NEEDS = ("bpy", "numpy", "numpy.libs", "requests", "urllib3", "idna", "c
                  "zstandard", "Cython")
 
 
-@pytest.fixture(scope="module")
-def zips():
-    return build_extension.build()
-
-
-@pytest.fixture(scope="module")
-def linux_zip(zips):
-    (path,) = [path for path in zips if "linux_x64" in path.name]
-    return path
-
-
 def test_every_platform_gets_its_own_wheels_and_nothing_else_of_ours_is_shipped(zips):
     tags = {"linux_x64": "manylinux", "windows_x64": "win_amd64", "macos_arm64": "macosx"}
     assert len(zips) == len(tags)
