@@ -3,6 +3,7 @@
     layer = render([(volume, medium)], [sun], camera, Settings())
 """
 
+from .kept import Kept
 from .layer import Layer, render
 from .multiple import predict_multiple
 from .network import available_models
@@ -12,6 +13,7 @@ from .scene import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume
 __all__ = [
     "Camera",
     "Cancelled",
+    "Kept",
     "Layer",
     "Medium",
     "Report",

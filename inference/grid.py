@@ -30,10 +30,16 @@ class Grid:
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
         self.sun_directions, self.sun_depths = [], []
 
-    def add_sun(self, direction: np.ndarray, check=lambda: None):
-        """Prepare the optical depth towards a sun; direction: (3,) unit vector in the world; check: asked often."""
-        self.sun_directions.append(self.linear @ direction)
-        self.sun_depths.append(SunDepth(self.density, self.sun_directions[-1], check))
+    def add_sun(self, direction: np.ndarray, check=lambda: None, known=None):
+        """Prepare the optical depth towards a sun; direction: (3,) unit vector in the world.
+
+        check: asked often. known: optical depths that are there already, by the bytes of their direction in
+        index space.
+        """
+        index_direction = self.linear @ direction
+        depth = (known or {}).get(bytes(index_direction)) or SunDepth(self.density, index_direction, check)
+        self.sun_directions.append(index_direction)
+        self.sun_depths.append(depth)
 
     def index(self, world: np.ndarray) -> np.ndarray:
         """World positions (N, 3) as continuous indices, float64."""

@@ -1,14 +1,14 @@
 """Scene in, layer out: camera rays, single scattering, predicted multiple scattering, composed."""
 
+import contextlib
 from dataclasses import dataclass
 from typing import Optional
 
 import numpy as np
 
-from .grid import Grid
+from .kept import Kept
 from .march import march, step_count
 from .multiple import POINTS_A_TASK, MultipleField
-from .network import load_network
 from .phase import henyey_greenstein
 from .plan import Plan, distinct_albedos, make_plan
 from .ray_light import RayLight
@@ -93,12 +93,15 @@ def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
     return np.mod(shift + columns.ravel() * 0.7548776662466927 + rows.ravel() * 0.5698402909980532, 1.0)
 
 
-def render(volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None) -> Layer:
+def render(
+    volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None, kept: Kept = None
+) -> Layer:
     """Render volumes lit by suns.
 
     volumes: list of (Volume, Medium); suns: list of Sun. progress(fraction,
     message) is called on the calling thread; cancelled() -> bool is asked several times a
-    second. The same seed gives the same image for any number of threads.
+    second. kept: of renders before, for what has not changed since; its memory is held until it is dropped.
+    The same seed gives the same image for any number of threads.
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
     settings = settings or Settings()
@@ -106,7 +109,7 @@ def render(volumes, suns, camera: Camera, settings: Settings = None, progress=No
     work = Work(settings, progress, cancelled)
     try:
         with report.stage("total"):
-            layer = _render(volumes, suns, camera, settings, work, report)
+            layer = _render(volumes, suns, camera, settings, work, report, kept)
     finally:
         work.close()
     report.threads = work.threads
@@ -114,13 +117,14 @@ def render(volumes, suns, camera: Camera, settings: Settings = None, progress=No
     return layer
 
 
-def _render(volumes, suns, camera, settings, work, report):
+def _render(volumes, suns, camera, settings, work, report, kept):
+    kept = kept or Kept(any_view=False)
     plan = make_plan(volumes, suns, camera, settings)
     report.planned, report.left_out = plan.planned, plan.left_out
     network = None
     if any(plan.multiple):
         with report.stage("network loading"):
-            network = load_network(settings.model)
+            network = kept.network(settings.model)
         report.model, report.checksum = network.name, network.checksum
 
     x0, y0, x1, y1 = camera.window
@@ -133,24 +137,25 @@ def _render(volumes, suns, camera, settings, work, report):
     report.count("pixels", height * width)
 
     with report.stage("shadows"):
-        grids = _prepare_grids(plan, work)
+        grids = kept.grids([volume for volume, _ in plan.volumes], plan.suns, work)
     fields = {}
-    for number, channels in enumerate(plan.channels if plan.volumes else []):
-        share = 1.0 / len(plan.channels)
-        start = number * share
-        diffused = None
-        if network is not None and network.needs_light:
-            with report.stage("fields"):
-                diffused = _diffuse(plan, channels, network, fields, work, report)
-        samples = _march_camera_rays(
-            plan, channels, grids, camera, settings, diffused, work, report,
-            start, start + share * MARCH_SHARE, single, alpha, depth,
-        )
-        if network is not None and samples is not None:
-            _add_multiple(
-                plan, channels, network, fields, samples, work, report, start + share * MARCH_SHARE, start + share,
-                multiple, uncertainty,
+    with kept.predicting(work) if network else contextlib.nullcontext():
+        for number, channels in enumerate(plan.channels if plan.volumes else []):
+            share = 1.0 / len(plan.channels)
+            start = number * share
+            diffused = None
+            if network is not None and network.needs_light:
+                with report.stage("fields"):
+                    diffused = _diffuse(plan, channels, network, kept, fields, work, report)
+            samples = _march_camera_rays(
+                plan, channels, grids, camera, settings, diffused, work, report,
+                start, start + share * MARCH_SHARE, single, alpha, depth,
             )
+            if network is not None and samples is not None:
+                _add_multiple(
+                    plan, channels, network, kept, fields, samples, work, report, start + share * MARCH_SHARE,
+                    start + share, multiple, uncertainty,
+                )
 
     weight = np.maximum(alpha, 1e-30)
     shape = (height, width)
@@ -166,19 +171,6 @@ def _render(volumes, suns, camera, settings, work, report):
     )
 
 
-def _prepare_grids(plan: Plan, work: Work):
-    grids = []
-    for volume, _ in plan.volumes:
-        work.check()
-        work.progress(0.0, f"shadows of {volume.name}")
-        grid = Grid(volume)
-        for sun in plan.suns:
-            work.check()
-            grid.add_sun(sun.direction, work.check)
-        grids.append(grid)
-    return grids
-
-
 def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
     """Distances (P,) between which each ray meets any grid that attenuates; near > far on a miss."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
@@ -192,23 +184,23 @@ def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
     return near, far
 
 
-def _field(plan, network, fields, v, sigma_t, work, report) -> MultipleField:
+def _field(plan, network, kept, fields, v, sigma_t, work, report) -> MultipleField:
     """The field of one volume, made once."""
     if v not in fields:
         work.check()
-        fields[v] = MultipleField(network, *plan.volumes[v])
+        fields[v] = kept.field(network, plan.volumes, v)
         report.warnings += fields[v].warnings(sigma_t)
     work.check()
     return fields[v]
 
 
-def _diffuse(plan, channels, network, fields, work, report):
+def _diffuse(plan, channels, network, kept, fields, work, report):
     """DiffusedLight of each volume in which multiple scattering is predicted, else None."""
     diffused = []
     for v, needed in enumerate(plan.multiple):
         light, sigma_t = None, float(channels.sigma_t[v])
         if needed and sigma_t > 0.0 and distinct_albedos(plan.volumes[v][1], channels.indices):
-            field = _field(plan, network, fields, v, sigma_t, work, report)
+            field = _field(plan, network, kept, fields, v, sigma_t, work, report)
             light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.each)
         diffused.append(light)
     return diffused
@@ -269,7 +261,7 @@ def _march_camera_rays(
     return samples
 
 
-def _add_multiple(plan, channels, network, fields, samples, work, report, start, end, multiple, uncertainty):
+def _add_multiple(plan, channels, network, kept, fields, samples, work, report, start, end, multiple, uncertainty):
     """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty."""
     # What each sample adds to the mean of the three channels.
     parts = np.zeros(len(samples.pixel), np.float32)
@@ -287,9 +279,12 @@ def _add_multiple(plan, channels, network, fields, samples, work, report, start,
         message = f"multiple scattering of {volume.name}"
         work.progress(first, message)
         with report.stage("fields"):
-            field = _field(plan, network, fields, v, sigma_t, work, report)
-            bounds = [field.bounds(samples.positions(points)) for points in tasks]
-            low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+            field = _field(plan, network, kept, fields, v, sigma_t, work, report)
+            if kept.any_view:
+                low, high = field.extent()
+            else:
+                bounds = [field.bounds(samples.positions(points)) for points in tasks]
+                low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
             field.light(sigma_t, sun.direction, low, high, work.each)
             work.check()
         values = [value for value, _ in albedos]

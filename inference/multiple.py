@@ -32,6 +32,7 @@ class MultipleField:
         self.cube = fit_cube(volume)
         self.anisotropy = float(np.clip(medium.anisotropy, *system.anisotropy_range))
         self.field = system.field(volume, self.cube, self.anisotropy)
+        self.built = None
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         self.most = np.float32(FLUENCE_MOST * peak)
 
@@ -65,15 +66,27 @@ class MultipleField:
         points = self.cube.positions(positions)
         return points.min(axis=0), points.max(axis=0)
 
+    def extent(self):
+        """As `bounds`, of all points at which the density is above 0."""
+        ends = zip(self.cube.low - 1.0, self.cube.high * 1.0)
+        corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
+        matrix = self.volume.world_from_index
+        return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
+
     def light(self, sigma_t: float, direction: np.ndarray, low, high, mapper=map):
         """Prepare for one sun and the points between `low` and `high`, from `bounds`.
 
-        direction: (3,) in the world; mapper: `map`, or an executor's.
+        direction: (3,) in the world; mapper: `map`, or an executor's. Does nothing where the last call was the same.
         """
+        asked = (sigma_t, *direction, *low, *high)
+        if self.built == asked:
+            return
+        self.built = None
         self.used = self._used(sigma_t)
         self.scale = np.float32(min(1.0 / self.used, 1.0))
         sigma_hat = sigma_t * self.cube.edge * self.used
         self.field.light(sigma_hat, self.cube.directions(direction), low, high, mapper)
+        self.built = asked
 
     def diffused_light(self, sigma_t: float, directions, mapper=map):
         """What camera rays look up for systems that need light; directions: (3,) each, in the world, of all suns."""

@@ -129,10 +129,11 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if len(channels) == 1:
         left_out.append("two of three colour channels' rays and fields: extinction is grey")
 
-    multiple = [bool(np.any(m.albedo > 0.0)) and bool(merged) for _, m in kept]
+    multiple = [settings.multiple and bool(np.any(m.albedo > 0.0)) and bool(merged) for _, m in kept]
     for (volume, medium), needed in zip(kept, multiple):
         if not needed:
             reason = "its albedo is 0" if merged else "no sun shines"
+            reason = reason if settings.multiple else "the settings say so"
             left_out.append(f"{volume.name}: multiple scattering, {reason}")
             continue
         stages = len(distinct_albedos(medium, [0, 1, 2]))

@@ -196,6 +196,7 @@ class Settings:
     threads: worker threads, 0 for one a core; the image does not depend on it.
     memory_limit: bytes the render may use on top of its input; it is refused
         with a message where it would need more.
+    multiple: whether to predict multiple scattering; without, the layer is darker.
     """
 
     depth_samples: int = 8
@@ -203,6 +204,7 @@ class Settings:
     seed: int = 0
     threads: int = 0
     memory_limit: int = 8 << 30
+    multiple: bool = True
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 4096), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -9,6 +9,9 @@ from .fields import build_lattices, density_pyramid, padded_levels, unit_optical
 from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil
 
+# Suns and optical densities whose diffused light a field keeps.
+MOST_FLUENCES = 64
+
 
 class StencilField:
     """Density, transmittance and phase function at A.2's stencil, and the network that reads them.
@@ -41,8 +44,10 @@ class StencilField:
         depths = unit_optical_depths(self.padded, sun)
         built = sigma_hat, *low, *high
         earlier = self.lattices if built == self.built else None
-        self.built = built
+        # Until all of it is there, nothing is: building may be cancelled.
+        self.built = None
         self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper, earlier)
+        self.built = built
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
         """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as in `read_fields`."""
@@ -69,6 +74,8 @@ class RayField(StencilField):
         """As `diffusion.log_fluence`, solved once for each optical density and sun."""
         key = sigma_hat, *sun
         if key not in self.fluences:
+            if len(self.fluences) >= MOST_FLUENCES:
+                self.fluences.clear()
             self.fluences[key] = log_fluence(self.coarse, sun, sigma_hat * (1.0 - self.anisotropy))
         return self.fluences[key]
 

@@ -1,0 +1,83 @@
+"""What one render leaves for the next: found again by what it was made from, so never out of date."""
+
+import contextlib
+import copy
+import threading
+from typing import List
+
+import numpy as np
+
+from .grid import Grid
+from .multiple import MultipleField
+from .network import load_network
+from .scene import Medium, Sun, Volume
+from .work import Work
+
+SECONDS_A_LOOK = 0.05
+
+
+class Kept:
+    """The network, the grids with their optical depths towards suns, and the fields of the last render.
+
+    Renders on several threads may share one: each gets grids of its own, and predicts alone.
+    any_view: build fields for all of a volume, so that they serve from wherever it is looked at.
+    """
+
+    def __init__(self, any_view: bool = True):
+        self.any_view = any_view
+        self._lock = threading.Lock()
+        self._networks, self._grids, self._fields = {}, [], {}
+
+    def network(self, name: str):
+        """As `load_network`."""
+        if name not in self._networks:
+            self._networks = {name: load_network(name)}
+        return self._networks[name]
+
+    def grids(self, volumes: List[Volume], suns: List[Sun], work: Work) -> List[Grid]:
+        """A Grid of each volume with all suns, for the caller alone. Raises Cancelled."""
+        found = []
+        for volume in volumes:
+            work.check()
+            work.progress(0.0, f"shadows of {volume.name}")
+            known = next((grid for other, grid in self._grids if _same(other, volume)), None)
+            grid = copy.copy(known) if known else Grid(volume)
+            depths = {bytes(direction): depth for direction, depth in zip(grid.sun_directions, grid.sun_depths)}
+            grid.sun_directions, grid.sun_depths = [], []
+            for sun in suns:
+                work.check()
+                grid.add_sun(sun.direction, work.check, depths)
+            found.append((volume, grid))
+        self._grids = found
+        return [grid for _, grid in found]
+
+    @contextlib.contextmanager
+    def predicting(self, work: Work):
+        """Inside, no other thread uses the fields. Raises Cancelled while it waits for that."""
+        while not self._lock.acquire(timeout=SECONDS_A_LOOK):
+            work.check()
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def field(self, network, volumes, number: int) -> MultipleField:
+        """The field of one of a render's pairs of Volume and Medium."""
+        volume, medium = volumes[number]
+        self._fields = {n: field for n, field in self._fields.items()
+                        if n < len(volumes) and (n != number or _serves(field, network, volume, medium))}
+        if number not in self._fields:
+            self._fields[number] = MultipleField(network, volume, medium)
+        field = self._fields[number]
+        field.volume, field.medium = volume, medium
+        return field
+
+
+def _same(a: Volume, b: Volume) -> bool:
+    """Whether two volumes hold the same density in the same place."""
+    return a is b or (np.array_equal(a.world_from_index, b.world_from_index)
+                      and (a.density is b.density or np.array_equal(a.density, b.density)))
+
+
+def _serves(field: MultipleField, network, volume: Volume, medium: Medium) -> bool:
+    return (field.system is network and field.medium.anisotropy == medium.anisotropy and _same(field.volume, volume))
