@@ -8,6 +8,7 @@ import gpu
 import numpy as np
 
 from ..inference.scene import Cancelled, SceneError
+from . import viewport
 from .film import background, on_background
 from .last_render import remember_finished
 from .layer_frame import rgba
@@ -17,6 +18,7 @@ from .render_job import render_scene, stamp
 from .scene import read_scene
 from .viewport import Viewport, viewport_camera
 from .visibility import shown_objects
+from .volumes import VolumeReader
 
 
 class MRPNNRenderEngine(bpy.types.RenderEngine):
@@ -58,8 +60,10 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
                 isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
             # Selecting, and settings, which view_draw compares: the volumes are as they were.
             return
+        if not all(_leaves_volumes(update) for update in depsgraph.updates):
+            self._viewport.reader = VolumeReader()
         try:
-            self._viewport.describe(read_scene(depsgraph))
+            self._viewport.describe(read_scene(depsgraph, self._viewport.reader))
         except SceneError as error:
             self._viewport.describe(None, str(error))
 
@@ -144,6 +148,15 @@ class _Progress:
         self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
 
 
+def _leaves_volumes(update) -> bool:
+    """Whether what has changed cannot have changed the voxels of a volume, only where it is and what lights it."""
+    if isinstance(update.id, (bpy.types.Scene, bpy.types.World, bpy.types.Light, bpy.types.Camera)):
+        return True
+    if not isinstance(update.id, bpy.types.Object):
+        return False
+    return update.id.type in ('LIGHT', 'CAMERA') or not (update.is_updated_geometry or update.is_updated_shading)
+
+
 def _shows_volumes(depsgraph) -> bool:
     return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
 
@@ -171,6 +184,7 @@ def register():
 
 
 def unregister():
+    viewport.unregister()
     for panel in _panels():
         panel.COMPAT_ENGINES.discard(MRPNNRenderEngine.bl_idname)
     bpy.utils.unregister_class(MRPNNRenderEngine)

@@ -1,19 +1,15 @@
 """Rendered shading: pictures of the viewport that get finer while nothing changes."""
 
-import threading
-from dataclasses import replace
-
 import bpy
 import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
-from .. import inference
-from ..inference.scene import Camera, Cancelled, SceneError, Settings
-from .layer_frame import rgba
+from ..inference import Kept
+from ..inference.scene import Camera, Settings
+from .preview import Prepared, Preview
+from .volumes import VolumeReader
 
-# (pixels of the region along a pixel of the picture, depth samples) of each picture but the last.
-ROUGH = ((8, 1), (3, 1))
 SECONDS_A_LOOK = 0.05
 
 
@@ -38,48 +34,14 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
         shift=(centre[0] / 2.0, centre[1] / 2.0 * height / width), clip=(near, clip_end))
 
 
-class Preview:
-    """Renders one view on a thread of its own, coarse to fine.
+class Viewport:
+    """What one viewport shows; owned by the engine that draws it.
 
-    picture: the latest, float32 (H, W, 4) with rows from the bottom, or None; number: of pictures so
-    far. message: what went wrong, or "". done: whether the last one is there.
+    reader: of volumes; what it has read is good until a volume's data or material changes.
     """
 
-    def __init__(self, description, camera: Camera, settings: Settings):
-        self.picture, self.number, self.message, self.done = None, 0, "", False
-        self._stop = threading.Event()
-        threading.Thread(target=self._run, args=(description, camera, settings), name="mrpnn preview",
-                         daemon=True).start()
-
-    def stop(self):
-        """Ask it to end; no picture comes afterwards."""
-        self._stop.set()
-
-    @property
-    def stopped(self) -> bool:
-        return self._stop.is_set()
-
-    def _run(self, description, camera, settings):
-        try:
-            for divisor, samples in (*ROUGH, (1, settings.depth_samples)):
-                size = tuple(max(pixels // divisor, 1) for pixels in camera.resolution)
-                layer = inference.render(
-                    description.volumes, description.suns, replace(camera, resolution=size),
-                    replace(settings, depth_samples=samples), cancelled=self._stop.is_set)
-                if self.stopped:
-                    return
-                self.picture, self.number = np.ascontiguousarray(rgba(layer)[::-1]), self.number + 1
-            self.done = True
-        except Cancelled:
-            pass
-        except SceneError as error:
-            self.message, self.done = str(error), True
-
-
-class Viewport:
-    """What one viewport shows; owned by the engine that draws it."""
-
     def __init__(self):
+        self.reader, self._prepared = VolumeReader(), Prepared(Kept())
         self.description, self.message = None, ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
 
@@ -97,8 +59,8 @@ class Viewport:
         if self.description is None or view == self._view:
             return
         self.close()
-        self._view, self._preview = view, Preview(self.description, camera, settings)
-        bpy.app.timers.register(_redraw_when_new(self._preview), first_interval=SECONDS_A_LOOK)
+        self._view, self._preview = view, Preview(self.description, camera, settings, self._prepared)
+        _watch(self._preview)
 
     def draw(self, size) -> None:
         """Draw the latest picture over the region; the one before until there is one."""
@@ -124,24 +86,41 @@ class Viewport:
             self._preview = None
 
 
-def _redraw_when_new(preview: Preview):
-    """A timer that redraws viewports for each new picture, and ends with the preview.
+# Previews at work, and how many pictures of each the windows have been told of.
+_watched = {}
 
-    The thread must not do it: Blender frees engines while threads run.
+
+def _watch(preview: Preview) -> None:
+    """Redraw viewports for each new picture until the preview ends.
+
+    By a timer: its thread must not do it, since Blender frees engines while threads run.
     """
-    shown = 0
+    _watched[preview] = 0
+    if not bpy.app.timers.is_registered(_redraw):
+        bpy.app.timers.register(_redraw, first_interval=SECONDS_A_LOOK)
 
-    def look():
-        nonlocal shown
-        if preview.stopped:
-            return None
-        # Read before `number`: else the last picture could come between.
-        done = preview.done
-        if preview.number > shown or done:
-            shown = preview.number
-            for window in bpy.context.window_manager.windows:
-                for area in window.screen.areas:
-                    if area.type == 'VIEW_3D':
-                        area.tag_redraw()
-        return None if done else SECONDS_A_LOOK
-    return look
+
+def _redraw():
+    new = False
+    for preview, shown in list(_watched.items()):
+        # `done` is read before `number`: else the last picture could come between.
+        done = preview.done or preview.stopped
+        if not preview.stopped and (preview.number > shown or done):
+            _watched[preview], new = preview.number, True
+        if done:
+            del _watched[preview]
+    if new:
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == 'VIEW_3D':
+                    area.tag_redraw()
+    return SECONDS_A_LOOK if _watched else None
+
+
+def unregister():
+    """Stop what is at work."""
+    for preview in _watched:
+        preview.stop()
+    _watched.clear()
+    if bpy.app.timers.is_registered(_redraw):
+        bpy.app.timers.unregister(_redraw)
