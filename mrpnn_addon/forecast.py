@@ -10,7 +10,7 @@ from .camera import read_camera
 from .last_render import last_render
 from .lights import read_suns
 from .material import shows_volume
-from .visibility import shown_objects
+from .visibility import shown_objects, why_unseen
 from .world import expected_lights
 
 # Two cores of a desktop of 2020: a point that the network predicts, a pixel's ray, the fields of a
@@ -40,7 +40,7 @@ def forecast(depsgraph) -> Forecast:
         camera, warnings = read_camera(depsgraph)
         covered, volumes, lights = np.zeros(camera.resolution[::-1], bool), 0, []
         for shown in shown_objects(depsgraph):
-            if shows_volume(shown.object) and shown.object.visible_camera:
+            if shows_volume(shown.object) and not why_unseen(shown, depsgraph.view_layer):
                 volumes += 1
                 _cover(covered, camera, shown)
             elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':

@@ -7,7 +7,7 @@ from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
 from .camera import read_camera
 from .lights import read_suns
 from .material import SURFACES, shows_volume
-from .visibility import require_evaluated, shown_objects
+from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
 from .volumes import VolumeReader, outside_sequence, overlap_warnings
 from .world import read_world
 
@@ -19,7 +19,7 @@ class SceneDescription:
     view_layer: its name.
     frame: the scene's frame number.
     environment: whether `suns` hold the World's light.
-    warnings: what is left out or approximated, naming each object.
+    warnings: what is left out or approximated, naming each object. unseen: which volumes, and why.
     """
 
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
@@ -30,10 +30,13 @@ class SceneDescription:
     frame: int = 0
     environment: bool = False
     warnings: List[str] = field(default_factory=list)
+    unseen: List[str] = field(default_factory=list)
 
 
-def read_scene(depsgraph) -> SceneDescription:
+def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     """Read everything that a render needs; bpy is not needed afterwards.
+
+    reader: that has read volumes of this scene before, none of which has changed since.
 
     Raises SceneError, saying what to add or change, where the scene cannot be rendered.
     """
@@ -44,14 +47,17 @@ def read_scene(depsgraph) -> SceneDescription:
         camera=camera, crop=scene.render.use_crop_to_border,
         view_layer=depsgraph.view_layer.name, frame=scene.frame_current, warnings=warnings,
     )
-    reader = VolumeReader()
+    reader = reader or VolumeReader()
+    description.warnings += _view_layer_warnings(depsgraph.view_layer)
     for shown in shown_objects(depsgraph):
-        _add(description, shown, reader)
+        _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings([volume for volume, _ in description.volumes])
     lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
     description.environment = bool(lights)
     description.suns += lights
     description.warnings += warnings
+    if not description.volumes and description.unseen:
+        raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
     if not description.volumes:
         raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
                          "closed mesh a material with a volume and no surface")
@@ -60,10 +66,10 @@ def read_scene(depsgraph) -> SceneDescription:
     return description
 
 
-def _add(description: SceneDescription, shown, reader: VolumeReader) -> None:
+def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
     kind = shown.object.type
     if shows_volume(shown.object):
-        _add_volume(description, shown, reader)
+        _add_volume(description, shown, reader, view_layer)
     elif kind == 'LIGHT' and shown.object.data.type == 'SUN':
         # Cycles' ray visibility of a lamp: without it the sun lights surfaces only.
         if not shown.object.visible_volume_scatter:
@@ -79,14 +85,27 @@ def _add(description: SceneDescription, shown, reader: VolumeReader) -> None:
         description.warnings.append(f"{kind.lower()} object \"{shown.name}\" is a surface and not rendered")
 
 
-def _add_volume(description: SceneDescription, shown, reader: VolumeReader) -> None:
-    where = f"volume \"{shown.name}\""
-    if not shown.object.visible_camera:
-        description.warnings.append(f"{where} is hidden from the camera and left out")
-        return
-    if shown.object.type == 'VOLUME' and outside_sequence(shown.object):
-        description.warnings.append(f"{where} has no file for frame {description.frame} and is left out")
+def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
+    where, unseen = f"volume \"{shown.name}\"", why_unseen(shown, view_layer)
+    if not unseen and shown.object.type == 'VOLUME' and outside_sequence(shown.object):
+        unseen = f"has no file for frame {description.frame}"
+    if unseen:
+        description.unseen.append(f"{where} {unseen}")
+        description.warnings.append(f"{where} {unseen} and is left out")
         return
     volume, medium, warnings = reader.read(shown)
     description.volumes.append((volume, medium))
-    description.warnings += warnings
+    description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
+
+
+def _view_layer_warnings(view_layer) -> List[str]:
+    """What a view layer asks for and does not get."""
+    where, found = f"view layer \"{view_layer.name}\"", []
+    if view_layer.material_override is not None:
+        found.append(f"{where} overrides materials; volumes keep their own")
+    # Later than Blender 4.2.
+    if getattr(view_layer, "world_override", None) is not None:
+        found.append(f"{where} overrides the World; the scene's own is rendered")
+    if not view_layer.use_volumes:
+        found.append(f"{where} filters volumes out; they are rendered")
+    return found

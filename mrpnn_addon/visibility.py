@@ -1,7 +1,7 @@
 """Which objects a render shows, instances included."""
 
 from dataclasses import dataclass
-from typing import Iterator, Optional
+from typing import Iterator, List, Optional
 
 import numpy as np
 
@@ -44,6 +44,21 @@ def shown_objects(depsgraph) -> Iterator[Shown]:
                 continue
         if instance.show_self:
             yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+
+
+def why_unseen(shown: Shown, view_layer) -> str:
+    """Why the camera does not see a volume that is in the scene, or ""."""
+    if shown.source.holdout_get(view_layer=view_layer):
+        return "is a holdout"
+    if shown.source.indirect_only_get(view_layer=view_layer):
+        return "is in a collection that gives indirect light only"
+    return "" if shown.object.visible_camera else "is hidden from the camera"
+
+
+def ignored_visibility(shown: Shown) -> List[str]:
+    """Switches of Cycles' ray visibility, set for a volume, that change nothing here."""
+    rays = (("shadow", shown.object.visible_shadow), ("volume scatter", shown.object.visible_volume_scatter))
+    return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
 
 
 def render_visible(view_layer) -> set:

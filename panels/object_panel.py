@@ -30,7 +30,7 @@ class MRPNN_PT_object(bpy.types.Panel):
         layout.prop(shown, "visible_camera", text="Visible to Camera")
         check = last_check()
         if check is None:
-            layout.label(text="Check Scene in the render properties tells more", icon='INFO')
+            draw_text(context, layout, "Check Scene in the render properties tells more", 'INFO')
             return
         column = layout.column()
         column.active = not check.outdated(context.scene)
