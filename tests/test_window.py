@@ -1,7 +1,7 @@
 """The extension in Blender's real window: buttons, F12, Esc, the preview, the panels.
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
-Screenshots are left in build/window; docs/images holds those of Blender 5.2.
+Screenshots are left in build/window, from where docs/images takes its own.
 """
 
 import os
