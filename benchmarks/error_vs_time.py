@@ -3,8 +3,9 @@
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 64] [--only WORDS] [--table]
 
 Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept
-under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was. With other weights or
---again cases are measured anew against Cycles' images as they are; --table only writes the page anew.
+under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
+--samples continue the references that are there. With other weights or --again cases are measured anew against
+Cycles' images as they are; --table only writes the page anew, from what the present weights were measured on.
 """
 
 import argparse
@@ -45,7 +46,9 @@ def main(arguments=None) -> int:
                 results[case.name] = {"case": asdict(case), "state": state, **measured(case, options)}
                 replace(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
-    known = [results[case.name] for case in cases if case.name in results]
+    # What another network was measured on says nothing of this one.
+    known = [results[case.name] for case in cases
+             if case.name in results and results[case.name]["state"][0] == weights()]
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
