@@ -19,7 +19,7 @@ def equal(result, method: str, clock: str = "cpu_seconds"):
 def times_as_long(result, method: str, per_frame: bool, error: float = None):
     """Cycles' processor seconds to the layer's error, or another, over the layer's; None where none can be told."""
     judged = result["judged"]
-    error = error or judged["rmse"]["value"] or judged["rmse"]["high"]
+    error = judged["rmse"]["value"] if error is None else error
     rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
              for one in result["rungs"] if one["method"] == method]
     if not error or not rungs:
@@ -50,12 +50,13 @@ def page(results, wanted: int) -> str:
         "# Error against run time\n",
         f"Made by `python -m benchmarks.error_vs_time`; {len(results)} of {wanted} scenes measured. Figures by image "
         "stand in [error-vs-time.csv](error-vs-time.csv).\n",
-        f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, {results[0]['judged']['samples']} "
-        f"depth samples) and by Cycles {results[0]['cycles']} in a process of its own: {results[0]['bounces']} bounces, "
-        "no clamping. Errors are relative RMSE by split references, over the pixels of alpha above 0.02. Seconds are "
-        "processor seconds of all threads, which other work on the machine does not change; the CSV has wall "
-        "clock too. *First* counts fields, shadows and loading of the network, which further frames of the same volume "
-        "and sun do not pay again; *frame* does not. At this few pixels *first* is nearly all of it.\n",
+        f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
+        f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "
+        f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
+        "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
+        "changes little; the CSV has wall clock too. *First* counts fields, shadows and loading of the network, which "
+        "further frames of the same volume and sun do not pay again; *frame* does not. At this few pixels *first* is "
+        "nearly all of it.\n",
     ]
     if main:
         parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main),
@@ -66,25 +67,27 @@ def page(results, wanted: int) -> str:
 
 
 def headline(main) -> str:
-    """Geometric means over the scenes whose error the reference can tell from 0."""
+    """Geometric means over the scenes whose error the reference can tell from 0; by the intervals' ends, over all."""
     rows = []
     for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
         for per_frame in (False, True):
             ratios = [(times_as_long(r, method, per_frame),
                        times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"])) for r in main]
-            found = [pair for pair in ratios if pair[0]]
-            if found:
-                by_error, by_high = zip(*found)
+            by_error, by_high = ([value for value in column if value] for column in zip(*ratios))
+            if by_error:
                 mean, least = geometric_mean(by_error), geometric_mean(by_high)
                 reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
                 rows.append([method, "frame" if per_frame else "first", f"{mean:.3g}", f"{min(by_error):.3g}",
-                             f"{max(by_error):.3g}", f"{least:.3g}", str(len(found)), f"{wanted}: {reached}"])
+                             f"{max(by_error):.3g}", f"{least:.3g}",
+                             f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
     head = ["against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends", "scenes",
             "aim reached"]
     return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
-            "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. The "
-            "references' noise leaves the errors uncertain: were each as large as the upper end of its 95 % interval, "
-            "the mean would be that of the last but two columns.\n\n" + table(head, rows))
+            "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. "
+            "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
+            "scenes, is what it would be were each error as large as its 95 % interval allows. An aim counts as "
+            "reached where that mean reaches it, and as missed where even the first falls short.\n\n"
+            + table(head, rows))
 
 
 def scenes(main, model: str) -> str:
@@ -95,9 +98,11 @@ def scenes(main, model: str) -> str:
                f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}"]
         for method in (CYCLES, DENOISED):
             one = equal(result, method)
-            first, frame = (times_as_long(result, method, per_frame) for per_frame in (False, True))
+            error = judged["rmse"]["value"] or judged["rmse"]["high"]
+            first, frame = (times_as_long(result, method, per_frame, error) for per_frame in (False, True))
+            how = one["needed"]["how"] if judged["rmse"]["value"] else "to the upper end"
             row.append("n/a" if first is None else
-                       f"{one['needed']['value']:.3g} s ({one['needed']['how']}): {first:.3g} / {frame:.3g} ×")
+                       f"{first * judged['cpu_seconds']:.3g} s ({how}): {first:.3g} / {frame:.3g} ×")
             row.append("n/a" if one is None else f"{one['error']['value']:.3f} ({one['error']['how']})")
         for method in ("single-scattering", "multi-octave"):
             found = rung(result, method)
@@ -107,7 +112,8 @@ def scenes(main, model: str) -> str:
     head = ["scene", f"{model}: error", "bias", "seconds, first / frame", "Cycles to this error: times first / frame",
             "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single only",
             "multi-octave", "reference"]
-    return ("n/a: the reference cannot tell the error from 0. *Too noisy*: its noise moves the error by more than 10 %; "
+    return ("Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
+            "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "
             "how many times the samples a good one has.\n\n" + table(head, rows))
 
 

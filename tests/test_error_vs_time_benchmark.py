@@ -40,7 +40,7 @@ def test_ratios_follow_from_noise_and_cost():
 
 
 @pytest.mark.parametrize("error, spread, said", [(0.05, 0.1, "300: yes"), (0.1, 0.1, "300: no"),
-                                                 (0.07, 2.0, "300: not certain")])
+                                                 (0.07, 2.0, "300: not certain"), (0.07, 0.0, "300: yes")])
 def test_an_aim_counts_as_reached_where_the_upper_ends_reach_it(error, spread, said):
     assert said in headline([result(error, spread)]).splitlines()[4]
 
