@@ -170,4 +170,6 @@ def test_inputs_are_those_that_rendering_uses():
         fluence = read_fluence(reader.fluence, x, w, reader.sun)[0]
         # Training interpolates between a few reduced extinctions.
         np.testing.assert_allclose(fluence, rows["fluence"][row], atol=0.1)
-        np.testing.assert_allclose(light, expected, rtol=0.1, atol=0.02)
+        # Towards the sun training interpolates the optical depth, rendering integrates it where voxels are thick.
+        assert np.exp(-light[0]) == pytest.approx(np.exp(-expected[0]), abs=0.05)
+        np.testing.assert_allclose(light[1:], expected[1:], rtol=0.1, atol=0.02)
