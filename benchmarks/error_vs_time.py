@@ -13,7 +13,6 @@ import atexit
 import csv
 import io
 import json
-import os
 import sys
 import time
 from dataclasses import asdict
@@ -23,6 +22,7 @@ import bpy
 
 from . import error_vs_time_cases, error_vs_time_page, error_vs_time_plots
 from .extension import ROOT, load_extension
+from .page import replace
 
 DOCS = ROOT / "docs"
 DEPTH_SAMPLES = 8
@@ -103,12 +103,6 @@ def csv_text(results) -> str:
             writer.writerow({name: f"{value:.5g}" if isinstance(value, float) else value
                              for name, value in row.items()})
     return text.getvalue()
-
-
-def replace(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    partial.write_text(text)
-    os.replace(partial, path)
 
 
 def parse(arguments):

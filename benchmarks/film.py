@@ -17,8 +17,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
-from PIL import Image
 
 from . import demo_scene, pictures
 from .demo import pixels

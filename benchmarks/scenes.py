@@ -20,6 +20,7 @@ import numpy as np
 
 from . import demo_scene, pictures, scene_features
 from .extension import ROOT, load_extension
+from .page import replace
 
 PAGE = ROOT / "docs" / "scenes.md"
 IMAGES = ROOT / "docs" / "images" / "scenes"
@@ -150,12 +151,6 @@ def page(results) -> str:
             said = said.replace(str(ROOT) + os.sep, "")
             lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {said} |")
     return "\n".join(lines) + "\n"
-
-
-def replace(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    partial.write_text(text)
-    os.replace(partial, path)
 
 
 def parse(arguments):

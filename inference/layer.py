@@ -10,7 +10,7 @@ from .kept import Kept
 from .march import march, step_count
 from .multiple import POINTS_A_TASK, MultipleField
 from .phase import henyey_greenstein
-from .plan import Plan, distinct_albedos, make_plan
+from .plan import distinct_albedos, make_plan
 from .ray_light import RayLight
 from .rays import camera_rays
 from .report import Report, process_peak_memory

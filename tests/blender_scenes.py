@@ -77,6 +77,11 @@ def add_volume(scene, path, name="Cloud", shader="ShaderNodeVolumePrincipled", *
     data = bpy.data.volumes.new(name)
     data.filepath = str(path)
     added = add_object(scene, name, data)
+    return added, add_fog(data, name, shader, **inputs)
+
+
+def add_fog(data, name, shader, **inputs):
+    """A material of one volume shader on a volume's or mesh's data; gives the shader node."""
     material = bpy.data.materials.new(f"{name} fog")
     material.use_nodes = True
     tree = material.node_tree
@@ -84,10 +89,9 @@ def add_volume(scene, path, name="Cloud", shader="ShaderNodeVolumePrincipled", *
     node = tree.nodes.new(shader)
     for socket, value in inputs.items():
         node.inputs[socket.replace("_", " ")].default_value = value
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(node.outputs["Volume"], output.inputs["Volume"])
+    tree.links.new(node.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
     data.materials.append(material)
-    return added, node
+    return node
 
 
 def add_sun(scene, name="Sun", strength=1.0, colour=(1.0, 1.0, 1.0), rotation=(0.6, 0.3, 0.2)):

@@ -25,16 +25,7 @@ def add_mesh(scene, make, name="Fog", shader="ShaderNodeVolumePrincipled", **inp
     shape.to_mesh(mesh)
     shape.free()
     shown = blender_scenes.add_object(scene, name, mesh)
-    material = bpy.data.materials.new(f"{name} fog")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    node = tree.nodes.new(shader)
-    for socket, value in inputs.items():
-        node.inputs[socket.replace("_", " ")].default_value = value
-    tree.links.new(node.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
-    mesh.materials.append(material)
-    return shown, node
+    return shown, blender_scenes.add_fog(mesh, name, shader, **inputs)
 
 
 def cube(shape):

@@ -1,7 +1,8 @@
 """The extension in Blender's real window: buttons, F12, Esc, the preview, the panels.
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
-Screenshots are left in build/window, from where docs/images takes its own.
+Screenshots are left in build/window, from where docs/images takes its own. Those Blenders see the folder `work` of
+BLENDER_ROOTS as /mnt/work: the tools' convention, the same on every machine.
 """
 
 import os
