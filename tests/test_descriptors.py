@@ -6,8 +6,9 @@ import pytest
 from inference.descriptors import describe, stencil_points
 from inference.fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
 from inference.phase import PhaseFeatures, henyey_greenstein
-from inference.stencil import LAYER_POINTS, LOW_POINTS, make_stencil
+from inference.stencil import LAYER_POINTS, LOW_POINTS
 from training.descriptors import describe_points
+from training.stencil import load_stencil
 
 SUN = np.array([0.36, -0.48, 0.8])
 SIGMA_HAT = 150.0
@@ -15,7 +16,7 @@ SIGMA_HAT = 150.0
 
 @pytest.fixture(scope="module")
 def stencil():
-    return make_stencil()
+    return load_stencil()
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,11 @@ import torch
 
 from inference import network, sun_lattice
 from inference.scene import SceneError
-from inference.stencil import Stencil, make_stencil
+from inference.stencil import Stencil
 from training.export import export, save
 from training.networks import NETWORKS
 from training.networks.mrpnn import RAY_INPUTS
+from training.stencil import load_stencil
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS = 77
@@ -80,11 +81,11 @@ def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
     weights_folder(tmp_path, monkeypatch, export(make_net("mrpnn-narrow"), CONFIGURATION))
     loaded = network.load_network("test")
     assert loaded.anisotropy_range == (-0.3, 0.95) and loaded.albedo_range == (0.0, 1.0)
-    assert loaded.points.digest == make_stencil().digest
+    assert loaded.points.digest == load_stencil().digest
 
 
 def test_points_that_do_not_belong_are_refused(tmp_path, monkeypatch):
-    stencil, lattice = make_stencil(), sun_lattice.make_sun_lattice()
+    stencil, lattice = load_stencil(), sun_lattice.make_sun_lattice()
     moved = {
         "mrpnn-paper": Stencil(stencil.low * 1.01, stencil.high),
         "rpnn": sun_lattice.SunLattice(lattice.points * 1.01),

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from inference.phase import PhaseFeatures
-from inference.stencil import LOW_POINTS, make_stencil
+from inference.stencil import LOW_POINTS
 from inference.sun_lattice import LEVELS, POINTS
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
+from training.stencil import load_stencil
 
 COUNT = 9
 
@@ -112,7 +113,7 @@ def test_inputs_add_the_phase_functions_feature():
     features, anisotropy, gamma = MRPNN.inputs(data, rows)
     assert features.shape == (3, 6, 192) and features.dtype == torch.float32
     torch.testing.assert_close(features[:2], data["features"][rows].float().transpose(0, 1))
-    stencil = make_stencil()
+    stencil = load_stencil()
     for column, row in enumerate(rows.tolist()):
         assert anisotropy[column] == data["anisotropy"][row] and gamma[column] == data["gamma"][row]
         expected = PhaseFeatures(stencil, float(data["anisotropy"][row]))(data["gamma"][row : row + 1].numpy())

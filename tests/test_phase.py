@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from inference.phase import PhaseFeatures, cone_half_angles, cumulative_phase, henyey_greenstein
-from inference.stencil import LOW_POINTS, frames, make_stencil
+from inference.stencil import LOW_POINTS, frames
+from training.stencil import load_stencil
 
 GS = (-0.3, 0.0, 0.5, 0.857, 0.95)
 
@@ -45,7 +46,7 @@ def test_cone_of_a_cell():
 @pytest.mark.parametrize("g", [0.0, 0.857])
 def test_features_against_directions_in_space(g):
     """P of every point from world directions, without the table's use of the stencil's frame."""
-    stencil = make_stencil()
+    stencil = load_stencil()
     table = PhaseFeatures(stencil, g)
     random = np.random.default_rng(5)
     omega, sun = random.normal(size=(2, 3))

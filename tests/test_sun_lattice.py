@@ -10,7 +10,6 @@ from inference import Medium, network
 from inference.cube import fit_cube, level0_density
 from inference.fields import density_pyramid, padded_levels, unit_optical_depths
 from inference.multiple import MultipleField
-from inference.stencil import make_stencil
 from inference.sun_lattice import (
     FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
 )
@@ -20,6 +19,7 @@ from training.export import export, save
 from training.networks import RPNN
 from training.path_tracer import sample_scattering_points
 from training.seeded_volume import seeded_volume
+from training.stencil import load_stencil
 from training.targets import unit_vectors
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -109,7 +109,7 @@ def test_a_full_cube_is_seen_as_such():
 def data():
     """Rows as training.targets writes them: a procedural volume, two anisotropies, two suns."""
     volume, random = seeded_volume(SEED)
-    cube, stencil, count = fit_cube(volume), make_stencil(), 60
+    cube, stencil, count = fit_cube(volume), load_stencil(), 60
     omega, suns = unit_vectors(random, count), unit_vectors(random, 2).repeat(count // 2, axis=0)
     sigma = np.exp(random.uniform(0.0, 6.0, count))
     positions, valid = sample_scattering_points(volume.density, sigma, omega, seed=1)

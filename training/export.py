@@ -17,10 +17,10 @@ import numpy as np
 import onnx
 import torch
 
-from inference.stencil import make_stencil
 from inference.sun_lattice import make_sun_lattice
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
+from training.stencil import load_stencil
 
 
 @functools.cache
@@ -30,7 +30,7 @@ def points_metadata(kind: str) -> dict:
         geometry = make_sun_lattice()
         points = geometry.points
     else:
-        geometry = make_stencil()
+        geometry = load_stencil()
         points = np.concatenate([geometry.low.ravel(), geometry.high])
     encoded = base64.b64encode(points.astype("<f4").tobytes()).decode()
     return {"kind": kind, "points": encoded, "points_sha256": geometry.digest}

@@ -19,13 +19,13 @@ import numpy as np
 from inference.cube import fit_cube, level0_density
 from inference.diffusion import CELLS, LEVEL
 from inference.fields import density_pyramid, padded_levels, unit_optical_depths
-from inference.stencil import make_stencil
 from inference.transmittance import sun_optical_depth
 from training.descriptors import describe_points
 from training.diffusion import describe_diffusion, log_fluences, place_in_reduced
 from training.path_tracer import sample_scattering_points, trace_points
 from training.ray_features import describe_rays
 from training.seeded_volume import seeded_volume
+from training.stencil import load_stencil
 from training.transport import prepare
 
 SIGMA_HAT_RANGE = (1.0, 2000.0)
@@ -72,7 +72,7 @@ def draw_albedos(random, count: int) -> np.ndarray:
 
 def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
     """Descriptors and targets of one volume: a dict of arrays with one row a (point, sun)."""
-    stencil = make_stencil_once()
+    stencil = load_stencil()
     volume, random = seeded_volume(seed)
     density = volume.density
     n = density.shape[0]
@@ -136,15 +136,6 @@ def fields_from_cells(cube, n: int) -> np.ndarray:
     linear = cube.rotation.T * (CELLS / cube.edge)
     corner = linear @ (np.full(3, -0.5) - cube.centre) + 0.5 * CELLS + 0.5
     return np.concatenate([linear / n, corner[:, None]], axis=1)
-
-
-_stencil = None
-
-
-def make_stencil_once():
-    global _stencil
-    _stencil = _stencil or make_stencil()
-    return _stencil
 
 
 def parse_range(text: str) -> range:

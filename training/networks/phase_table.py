@@ -5,7 +5,8 @@ import math
 import torch
 
 from inference.phase import PhaseFeatures
-from inference.stencil import POINTS, make_stencil
+from inference.stencil import POINTS
+from training.stencil import load_stencil
 
 
 class PhaseTable:
@@ -17,8 +18,7 @@ class PhaseTable:
 
     def _slot(self, anisotropy: float) -> int:
         if anisotropy not in self._slots:
-            self._stencil = make_stencil() if not self._slots else self._stencil
-            table = torch.from_numpy(PhaseFeatures(self._stencil, anisotropy).table)
+            table = torch.from_numpy(PhaseFeatures(load_stencil(), anisotropy).table)
             self._tables = torch.cat([self._tables, table[None].to(self._tables.device)])
             self._slots[anisotropy] = len(self._slots)
         return self._slots[anisotropy]
