@@ -120,7 +120,7 @@ def _resample_sheared(active, index_from_cube, origin):
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
     for i in range(LEVEL0_CELLS):
         points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
-        index = points.reshape(-1, 3) @ index_from_cube.T + origin
+        index = index_from_cube @ points.reshape(-1, 3).T + origin[:, None]
         fine = sample_trilinear(active, index.astype(np.float32))
         cells[i] = fine.reshape(2, LEVEL0_CELLS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
     return cells

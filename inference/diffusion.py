@@ -146,6 +146,6 @@ class DiffusedLight:
         return cls(linear, 0.5 * cells - linear @ cube.centre, fluences)
 
     def cells(self, index) -> np.ndarray:
-        """Flat offsets (N,) into the fluences of indices float32 (N, 3)."""
-        cell = np.clip(index, 0.0, 2 * CELLS - 1).astype(np.int32)
-        return (cell[:, 0] * (2 * CELLS) + cell[:, 1]) * (2 * CELLS) + cell[:, 2]
+        """Flat offsets (N,) into the fluences of indices float32 (3, N)."""
+        x, y, z = np.clip(index, np.float32(0.0), np.float32(2 * CELLS - 1)).astype(np.int32)
+        return (x * np.intp(2 * CELLS) + y) * np.intp(2 * CELLS) + z

@@ -3,10 +3,11 @@
 import numpy as np
 
 from .cube import active_bounds
+from .occupancy import Occupancy
 from .rays import box_interval
 from .scene import Volume
 from .sun_depth import SunDepth
-from .trilinear import interpolate, locate, occupied_cells, pad_with_zeros
+from .trilinear import pad_with_zeros, sample_padded
 
 
 class Grid:
@@ -21,7 +22,7 @@ class Grid:
         low, high = active_bounds(volume.density)
         active = volume.density[tuple(slice(l, h) for l, h in zip(low, high))]
         self.density = pad_with_zeros(active)
-        self.occupied = occupied_cells(self.density)
+        self.occupancy = Occupancy(self.density)
         self.box = np.full(3, -1.0), np.array(active.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
@@ -50,12 +51,8 @@ class Grid:
         return box_interval(self.index(origins), directions @ self.linear.T, *self.box)
 
     def sample_density(self, index: np.ndarray) -> np.ndarray:
-        """Density (N,) at continuous indices float32 (N, 3); empty cells cost one look."""
-        base, fraction = locate(self.density, index)
-        filled = np.flatnonzero(self.occupied.reshape(-1).take(base))
-        density = np.zeros(len(index), np.float32)
-        density[filled] = interpolate(self.density, base[filled], fraction[filled])
-        return density
+        """Density (N,) at continuous indices float32 (3, N)."""
+        return sample_padded(self.density, index)
 
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel, along its longest edge."""
@@ -66,15 +63,15 @@ class Grid:
         self.sigma_t = sigma_t
 
     def sun_depth(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
-        """Optical depth (N,) from continuous indices float32 (N, 3) to a sun.
+        """Optical depth (N,) from continuous indices float32 (3, N) to a sun.
 
         Points outside are moved towards the sun onto the support; where that misses it the depth is 0.
         """
         if may_be_outside:
             direction = self.sun_directions[sun]
-            near, far = box_interval(index, direction[None], *self.box)
+            near, far = box_interval(index.T, direction[None], *self.box)
             meets = far > np.maximum(near, 0.0)
-            index = index + np.where(meets, np.maximum(near, 0.0), 0.0)[:, None] * direction
+            index = index + np.where(meets, np.maximum(near, 0.0), 0.0) * direction[:, None]
             index = index.astype(np.float32)
         depth = self.sun_depths[sun](index, self.sigma_t)
         return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth

@@ -7,11 +7,12 @@ from typing import Optional
 import numpy as np
 
 from .kept import Kept
-from .march import march, step_count
+from .march import march
 from .multiple import POINTS_A_TASK, MultipleField
 from .phase import henyey_greenstein
 from .plan import distinct_albedos, make_plan
 from .ray_light import RayLight
+from .ray_steps import step_counts
 from .rays import camera_rays
 from .report import Report, process_peak_memory
 from .scene import Camera, SceneError, Settings
@@ -221,7 +222,7 @@ def _march_camera_rays(
 
     for grid, sigma_t in zip(grids, channels.sigma_t):
         grid.set_extinction(float(sigma_t))
-    longest = step_count(grids, channels.sigma_t, directions[hit], near[hit], far[hit])
+    longest = step_counts(grids, channels.sigma_t, directions[hit], near[hit], far[hit]).max()
     if longest > MOST_STEPS:
         raise SceneError(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "

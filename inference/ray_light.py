@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .ray_steps import sums_within
+
 # Extinction is scaled by these for the light ahead: forward scattering reaches further than extinction lets light.
 SCALES = (1.0, 0.578, 0.334)
 # The same for the diffused light ahead, which scatters on in every direction.
@@ -36,39 +38,43 @@ class RayLight:
         return self.values[points, volume, sun]
 
 
-def ray_light(sigma, shadows, fluence, dt, ray, step, inside) -> RayLight:
+def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside) -> RayLight:
     """Light at points of marched rays.
 
-    sigma: float32 (V, R, S) extinction in each step; shadows: (V, L, R, S + 1) optical depth towards
-    each sun at the steps' ends, where a step holds density; fluence: (V, L, R, S) of each sun in each step; dt: (R, 1) steps' length; ray, step: int (M,)
-    of each point, and inside: (M,) in [0, 1], how far into its step it lies.
+    blocks: `ray_steps.Blocks`, P of them; sigma: (V, P, S) extinction in each step; shadows: (V, L, P, S + 1) optical
+    depth towards each sun at the steps' ends, where a step holds density; fluence: (V, L, P, S) of each sun in each
+    step; dt: (P, 1) steps' length; block, step: int (M,) of each point, and inside: (M,) in [0, 1], how far into its
+    step it lies.
     """
     volumes, suns = shadows.shape[:2]
-    values = np.empty((len(ray), volumes, suns, COLUMNS), np.float32)
-    inside = inside.astype(np.float32)
+    values = np.empty((len(block), volumes, suns, COLUMNS), np.float32)
+    inside = inside.astype(sigma.dtype)
     for v in range(volumes):
         through = sigma[v] * dt
-        after = np.cumsum(through, axis=1)
-        rest = (1.0 - inside) * through[ray, step]
+        within = sums_within(through)
+        before = blocks.before(within[:, -1]).astype(sigma.dtype)[:, None] + (within - through)
+        rest = (1 - inside) * through[block, step]
         # Samples lie where light reaches; the limit keeps rounding in steep steps from growing below.
-        at = np.clip(after[ray, step] - rest, np.float32(0.0), np.float32(2.0 * REACH))
-        ahead = np.minimum(after[ray, -1] - at, TAU_AHEAD_MOST)
+        at = np.clip(before[block, step] + through[block, step] - rest, 0.0, 2.0 * REACH)
+        whole = blocks.sums(within[:, -1])
+        ahead = np.minimum(whole[blocks.ray[block]] - at, TAU_AHEAD_MOST)
         for l in range(suns):
             shadow = shadows[v, l]
-            start, end = shadow[ray, step], shadow[ray, step + 1]
+            start, end = shadow[block, step], shadow[block, step + 1]
             values[:, v, l, 0] = np.minimum(start + inside * (end - start), TAU_SUN_MOST)
             values[:, v, l, 1] = ahead
             middle = 0.5 * (shadow[:, :-1] + shadow[:, 1:])
             single = [(a, np.exp(-a * middle)) for a in SCALES]
             for i, (a, light) in enumerate(single + [(a, fluence[v, l]) for a in DIFFUSED_SCALES], start=2):
-                values[:, v, l, i] = _gather(a, light, through, after, ray, step, rest, at)
+                values[:, v, l, i] = _gather(a, light, through, before, blocks, block, step, rest, at)
     return RayLight(values)
 
 
-def _gather(a, light, through, after, ray, step, rest, at):
-    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (R, S), constant in each step."""
-    # What each whole step gives where the ray begins; then all steps behind each.
-    given = light * np.exp(-a * (after - through)) * -np.expm1(-a * through)
-    behind = np.zeros_like(given)
-    behind[:, :-1] = np.cumsum(given[:, :0:-1], axis=1)[:, ::-1]
-    return behind[ray, step] * np.exp(a * at) + light[ray, step] * -np.expm1(-a * rest)
+def _gather(a, light, through, before, blocks, block, step, rest, at):
+    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (P, S), constant in each step."""
+    # What each whole step gives where the ray begins; then all steps behind each, in its block and in those behind.
+    given = light * np.exp(-a * before) * -np.expm1(-a * through)
+    behind = np.zeros((given.shape[0], given.shape[1] + 1), given.dtype)
+    behind[:, :-1] = sums_within(given[:, ::-1])[:, ::-1]
+    ahead = behind[block, step + 1] + blocks.behind(behind[:, 0])[block]
+    return ahead * np.exp(a * at) + light[block, step] * -np.expm1(-a * rest)

@@ -8,7 +8,7 @@ are optically thick that is too much, and the first slices are integrated instea
 import numpy as np
 
 from .transmittance import sweep
-from .trilinear import interpolate, locate
+from .trilinear import between, sample_padded
 
 # Optical depth from slice to slice above which slices are integrated; how many, for each unit of it, and at most.
 THIN_SLICE = 0.35
@@ -45,10 +45,10 @@ class SunDepth:
             self.depths[number + 1], self.fractions[number + 1] = columns, fractions
 
     def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
-        """Optical depth float32 (N,) at continuous indices float32 (N, 3) of the unpadded grid."""
+        """Optical depth float32 (N,) at continuous indices float32 (3, N) of the unpadded grid."""
         sigma_t, thickest = np.float32(sigma_t), self.peak * sigma_t * float(self.length)
         place = index + np.float32(1.0)
-        along = place[:, self.main]
+        along = place[self.main]
         slice_below = np.floor(along)
         ahead = slice_below + np.float32(1.0) - along if self.step > 0 else along - slice_below
         following = slice_below.astype(np.int32) + (1 if self.step > 0 else 0)
@@ -56,28 +56,30 @@ class SunDepth:
             # Linear between the slices before and after.
             after = self._on_slice(place, ahead, following)
             before = self._on_slice(place, ahead - np.float32(1.0), following - self.step)
-            depth = (after + ahead * (before - after)) * sigma_t
+            depth = between(after, before, ahead)
+            depth *= sigma_t
             left = np.flatnonzero((depth > 0.0) & (depth < UNLIT))
             if thickest < THIN_SLICE or not len(left):
                 return depth
         else:
-            depth, left = np.empty(len(place), np.float32), np.arange(len(place))
+            depth, left = np.empty(len(along), np.float32), np.arange(len(along))
         depth[left] = 0.0
         slices = int(np.ceil(min(SLICES_A_DEPTH * thickest, SLICES_MOST)))
-        start, way = place[left], ahead[left]
+        start, way = place[:, left], ahead[left]
+        highest = np.array(self.padded.shape, np.float32)[:, None] - 2
         for _ in range(slices):
             depth[left] += self._through(start, way, thickest > STEEP_SLICE) * sigma_t
-            start = start + way[:, None] * self.move
-            inside = np.all((start > 0.0) & (start < np.array(self.padded.shape, np.float32) - 2), axis=1)
+            start = start + way * self.move[:, None]
+            inside = np.all((start > 0.0) & (start < highest), axis=0)
             follow = inside & (depth[left] < DARK)
-            left, start = left[follow], start[follow]
+            left, start = left[follow], start[:, follow]
             way = np.ones(len(left), np.float32)
         number = following[left] + self.step * (slices - 1)
         depth[left] += self._on_slice(start, np.float32(0.0), number) * sigma_t
         return depth
 
     def _through(self, start, way, steep: bool):
-        """Integral of the density (N,) along the sun's rays from places (N, 3) to the next slice, `way` slices on.
+        """Integral of the density (N,) along the sun's rays from places (3, N) to the next slice, `way` slices on.
 
         steep: whether to cut the way at planes of voxel centres, between which the density is smooth.
         """
@@ -85,7 +87,7 @@ class SunDepth:
         for axis in self.others if steep else ():
             slope = self.move[axis]
             if slope != 0.0:
-                at = start[:, axis]
+                at = start[axis]
                 plane = np.floor(at) + np.float32(1.0) if slope > 0.0 else np.ceil(at) - np.float32(1.0)
                 cuts.append(np.minimum((plane - at) / slope, way))
         cuts = np.sort(cuts, axis=0)
@@ -93,23 +95,23 @@ class SunDepth:
         for first, last in zip(cuts[:-1], cuts[1:]):
             part = last - first
             for share in GAUSS:
-                place = start + (first + share * part)[:, None] * self.move
-                total += interpolate(self.padded, *locate(self.padded, place - np.float32(1.0))) * part
+                place = start + (first + share * part) * self.move[:, None]
+                total += sample_padded(self.padded, place - np.float32(1.0)) * part
         return total * (np.float32(0.5) * self.length)
 
     def _on_slice(self, place, ahead, number):
-        """Depth where rays from places (N, 3) meet slices number (N,), `ahead` slices on."""
-        base, parts = np.clip(number + 1, 0, len(self.depths) - 1), []
-        fractions = self.fractions[base]
+        """Depth (N,) where rays from places (3, N) meet slices number (N,), `ahead` slices on."""
+        number = np.clip(number + 1, 0, len(self.depths) - 1)
+        base, parts = number, []
         for column, (axis, size) in enumerate(zip(self.others, self.depths.shape[1:])):
-            at = place[:, axis] + ahead * self.move[axis] + np.float32(1.0) - fractions[:, column]
-            at = np.clip(at, np.float32(0.0), np.float32(size - 1))
+            at = ahead * self.move[axis] + place[axis]
+            at += np.float32(1.0) - self.fractions[:, column].take(number)
+            np.clip(at, np.float32(0.0), np.float32(size - 1), out=at)
             cell = np.minimum(at.astype(np.int32), size - 2)
-            parts.append(at - cell)
-            base = base * size + cell
+            parts.append(np.subtract(at, cell, out=at))
+            base = base * np.intp(size) + cell
         flat, row = self.depths.reshape(-1), self.depths.shape[2]
         u, v = parts
-        a, b = flat.take(base), flat.take(base + row)
-        a += v * (flat.take(base + 1) - a)
-        b += v * (flat.take(base + row + 1) - b)
-        return a + u * (b - a)
+        a = between(flat.take(base), flat[1:].take(base), v)
+        b = between(flat[row:].take(base), flat[row + 1 :].take(base), v)
+        return between(a, b, u)

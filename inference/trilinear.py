@@ -8,48 +8,38 @@ def pad_with_zeros(grid: np.ndarray) -> np.ndarray:
     return np.pad(grid, (1, 2))
 
 
-def locate(padded: np.ndarray, index: np.ndarray):
-    """Flat offsets (N,) of the cells that hold continuous indices (N, 3), and fractions (N, 3) in them."""
-    shape = np.array(padded.shape)
-    # Indices beyond the padding are clamped onto it, where all is 0.
-    position = np.clip(index + np.float32(1.0), np.float32(0.0), (shape - 2).astype(np.float32))
-    cell = position.astype(np.int32)
-    fraction = position - cell
-    return (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2], fraction
-
-
-def interpolate(padded: np.ndarray, base: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Trilinear interpolation in located cells: float32 (N,)."""
-    flat = padded.reshape(-1)
-    step_y, step_x = padded.shape[2], padded.shape[1] * padded.shape[2]
-    fx, fy, fz = fraction[:, 0], fraction[:, 1], fraction[:, 2]
-
-    def edge(offset):
-        a = flat.take(base + offset)
-        return a + fz * (flat.take(base + (offset + 1)) - a)
-
-    y0 = edge(0)
-    y0 = y0 + fy * (edge(step_y) - y0)
-    y1 = edge(step_x)
-    y1 = y1 + fy * (edge(step_x + step_y) - y1)
-    return y0 + fx * (y1 - y0)
-
-
 def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Interpolate at continuous indices of the unpadded grid; 0 from one cell beyond it.
 
-    padded: float32 from `pad_with_zeros`; index: float32 (N, 3). Returns float32 (N,).
+    padded: float32 from `pad_with_zeros`; index: float32 (3, N), a row an axis. Returns float32 (N,).
     """
-    return interpolate(padded, *locate(padded, index))
+    base, fractions = 0, []
+    for at, size in zip(index, padded.shape):
+        # Indices beyond the padding are clamped onto it, where all is 0.
+        position = at + np.float32(1.0)
+        np.clip(position, np.float32(0.0), np.float32(size - 2), out=position)
+        cell = position.astype(np.int32)
+        fractions.append(np.subtract(position, cell, out=position))
+        base = base * np.intp(size) + cell
+    fx, fy, fz = fractions
+    flat = padded.reshape(-1)
+    step_y, step_x = padded.shape[2], padded.shape[1] * padded.shape[2]
+
+    def edge(offset):
+        low, high = flat[offset:].take(base), flat[offset + 1 :].take(base)
+        return between(low, high, fz)
+
+    y0 = between(edge(0), edge(step_y), fy)
+    y1 = between(edge(step_x), edge(step_x + step_y), fy)
+    return between(y0, y1, fx)
 
 
-def occupied_cells(padded: np.ndarray) -> np.ndarray:
-    """bool, the padded grid's shape: whether a cell has a corner above 0."""
-    filled = padded > 0.0
-    for axis in range(3):
-        ahead = np.roll(filled, -1, axis)
-        filled = filled | ahead
-    return filled
+def between(low, high, fraction):
+    """low + fraction * (high - low), in the place of `high`."""
+    high -= low
+    high *= fraction
+    high += low
+    return high
 
 
 def sample_trilinear(grid: np.ndarray, index: np.ndarray) -> np.ndarray:

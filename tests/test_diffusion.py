@@ -91,5 +91,5 @@ def test_positions_in_the_world_find_their_cells():
     light = diffusion.DiffusedLight.in_cube(cube, [])
     world = cube.centre + np.random.default_rng(4).uniform(-0.5, 0.5, (100, 3)) * cube.edge @ cube.rotation.T
     cell = np.floor((cube.positions(world) + 0.5) * 2 * CELLS).astype(int)
-    found = light.cells((world @ light.linear.T + light.offset).astype(np.float32))
+    found = light.cells((world @ light.linear.T + light.offset).T.astype(np.float32))
     np.testing.assert_array_equal(found, np.ravel_multi_index(cell.T, (2 * CELLS,) * 3))

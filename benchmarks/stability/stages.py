@@ -8,6 +8,7 @@ from inference.grid import Grid
 from inference.march import mean_transmittance
 from inference.phase import cumulative_phase, henyey_greenstein
 from inference.ray_light import ray_light
+from inference.ray_steps import Blocks
 from inference.transmittance import sun_optical_depth
 
 from .case import Case, Outcome
@@ -24,7 +25,7 @@ def shadows(density, sigma_t):
         grid.set_extinction(sigma_t)
         index = np.random.default_rng(0).uniform(-1.0, np.array(density.shape), (2000, 3))
         first, _ = active_bounds(density)
-        found = grid.sun_depth((index - first).astype(np.float32), 0, may_be_outside=True)
+        found = grid.sun_depth((index - first).T.astype(np.float32), 0, may_be_outside=True)
         error = np.exp(-found) - np.exp(-exact.to_sun(index, SUN.direction))
         return Outcome({"root mean square": float(np.sqrt((error**2).mean())), "mean": float(abs(error.mean()))})
 
@@ -52,12 +53,14 @@ def step_means():
 def light_ahead():
     """Light along rays of 400 steps of up to two optical depths."""
     random = np.random.default_rng(2)
-    sigma = random.random((1, 60, 400)) ** 6 * 2.0
-    shadow = np.cumsum(random.random((1, 1, 60, 401)) * 0.3, axis=3)
-    ray, step, inside = np.arange(60), random.integers(0, 20, 60), random.random(60)
-    fluence, dt = random.random((1, 1, 60, 400)), np.ones((60, 1))
-    double = ray_light(sigma, shadow, fluence, dt, ray, step, inside).values
-    single = ray_light(*(a.astype(np.float32) for a in (sigma, shadow, fluence, dt)), ray, step, inside)
+    blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(np.arange(50), 60))
+    sigma = random.random((1, 3000, 8)) ** 6 * 2.0
+    depth = np.cumsum(random.random((60, 401)) * 0.3, axis=1)
+    shadow = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]
+    block, step, inside = 50 * np.arange(60) + random.integers(0, 3, 60), random.integers(0, 8, 60), random.random(60)
+    fluence, dt = random.random((1, 1, 3000, 8)), np.ones((3000, 1))
+    double = ray_light(blocks, sigma, shadow, fluence, dt, block, step, inside).values
+    single = ray_light(blocks, *(a.astype(np.float32) for a in (sigma, shadow, fluence, dt)), block, step, inside)
     error = np.abs(single.values - double) / np.maximum(np.abs(double), 1e-3)
     return Outcome({"largest": float(error.max())})
 

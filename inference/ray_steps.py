@@ -1,0 +1,131 @@
+"""Camera rays cut into steps, and the blocks of steps that may hold anything.
+
+Most of a box around a cloud is empty. Steps are therefore kept in blocks of a few, and only those blocks of a
+ray that lie near density: arrays (P, STEPS), all rays' blocks one after another. A ray's steps depend on that
+ray alone, so that an image does not depend on which rays are marched together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .occupancy import REACH
+
+# Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
+STEPS_A_VOXEL = (2, 8)
+# Of a ray: what only grazes a corner is seen as sharply as the rest.
+LEAST_STEPS = 32
+# Of a block: no end of it lies further from its middle than occupancy tells.
+STEPS = 2 * REACH * STEPS_A_VOXEL[0]
+
+
+def voxel_thickness(grids, sigma_t) -> float:
+    """Largest optical depth of a voxel, as if the densest voxels of all grids overlapped."""
+    return sum(grid.thickness(s) for grid, s in zip(grids, sigma_t))
+
+
+def steps_a_voxel(grids, sigma_t) -> int:
+    """Two steps for each optical depth that a voxel may hold, within bounds."""
+    return int(np.clip(np.ceil(2 * voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL))
+
+
+def step_thickness(grids, sigma_t) -> float:
+    """Largest optical depth of a step."""
+    return voxel_thickness(grids, sigma_t) / steps_a_voxel(grids, sigma_t)
+
+
+def step_counts(grids, sigma_t, directions, near, far) -> np.ndarray:
+    """Steps (R,) that each ray is cut into between near and far, by the grid that needs most."""
+    crossed = [
+        np.linalg.norm(directions @ grid.linear.T, axis=1) * (far - near)
+        for grid, extinction in zip(grids, sigma_t) if extinction > 0.0
+    ]
+    return np.maximum(np.ceil(np.max(crossed, axis=0) * steps_a_voxel(grids, sigma_t)).astype(int), LEAST_STEPS)
+
+
+class RaySteps:
+    """Rays cut into steps: their lengths, and places on them as continuous indices into each grid.
+
+    near, far, count: (R,), between which and into how many steps each ray is cut. dt: (R,) float32 length of each
+    ray's steps.
+    """
+
+    def __init__(self, frames, origins, directions, near, far, count):
+        """frames: with `linear` (3, 3) and `offset` (3,), indices from world positions."""
+        self.near, self.far, self.count = near, far, count
+        self.dt = ((far - near) / count).astype(np.float32)
+        # Indices at the start of each ray in double precision; from there on in single.
+        start = origins + near[:, None] * directions
+        self.first = [(f.linear @ start.T + f.offset[:, None]).astype(np.float32) for f in frames]
+        self.slope = [(f.linear @ directions.T).astype(np.float32) for f in frames]
+
+    def index(self, v: int, ray, step):
+        """float32 (3, N) at pairs of ray and step, (N,), or (3, N * K) at steps (N, K)."""
+        along = step.astype(np.float32) * self.dt[ray].reshape(-1, *[1] * (step.ndim - 1))
+        shape = (3, len(ray)) + (1,) * (step.ndim - 1)
+        places = along * self.slope[v].take(ray, axis=1).reshape(shape)
+        places += self.first[v].take(ray, axis=1).reshape(shape)
+        return places.reshape(3, -1)
+
+
+@dataclass
+class Blocks:
+    """Some blocks of some rays, in the order of the rays and front to back.
+
+    rays: how many rays there are; ray, number: (P,), of each block its ray and its place on it.
+    """
+
+    rays: int
+    ray: np.ndarray
+    number: np.ndarray
+
+    def __post_init__(self):
+        first = np.searchsorted(self.ray, np.arange(self.rays))
+        self.rank = np.arange(len(self.ray)) - first[self.ray]
+
+    def steps(self, edges: bool = False) -> np.ndarray:
+        """int (P, STEPS) number of each step on its ray, or (P, STEPS + 1) of the edges between them."""
+        return self.number[:, None] * STEPS + np.arange(STEPS + edges)
+
+    def where(self, chosen) -> "Blocks":
+        return Blocks(self.rays, self.ray[chosen], self.number[chosen])
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """float64 (R,) of values (P,)."""
+        return np.bincount(self.ray, values, self.rays)
+
+    def before(self, values: np.ndarray) -> np.ndarray:
+        """float64 (P,): sums of values (P,) over the blocks before each on its ray."""
+        return self._running(values, self.rank)
+
+    def behind(self, values: np.ndarray) -> np.ndarray:
+        """float64 (P,): sums of values (P,) over the blocks behind each on its ray."""
+        last = np.bincount(self.ray, minlength=self.rays)[self.ray] - 1
+        return self._running(values, last - self.rank)
+
+    def _running(self, values, place):
+        # A row a ray: sums of one ray never meet another's, however large.
+        table = np.zeros((self.rays, place.max(initial=-1) + 2))
+        table[self.ray, place + 1] = values
+        np.cumsum(table, axis=1, out=table)
+        return table[self.ray, place]
+
+
+def blocks_near_density(grids, steps: RaySteps, always_first: bool) -> Blocks:
+    """Blocks that may hold density of any grid. always_first: of every ray at least the first."""
+    counts = -(-steps.count // STEPS)
+    ray = np.repeat(np.arange(len(counts)), counts)
+    number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
+    near = (number == 0) & always_first
+    middle = number * STEPS + 0.5 * STEPS
+    for v, grid in enumerate(grids):
+        near |= grid.occupancy.near(steps.index(v, ray, middle))
+    return Blocks(len(counts), ray[near], number[near])
+
+
+def sums_within(values: np.ndarray) -> np.ndarray:
+    """Running sums of values (P, STEPS) along each block."""
+    sums = values.copy()
+    for k in range(1, values.shape[1]):
+        sums[:, k] += sums[:, k - 1]
+    return sums
