@@ -6,6 +6,7 @@ from typing import Optional
 
 import numpy as np
 
+from .depth_samples import DepthSamples
 from .kept import Kept
 from .march import march
 from .multiple import POINTS_A_TASK, MultipleField
@@ -50,38 +51,7 @@ class Layer:
     report: Optional[Report] = None
 
 
-@dataclass
-class DepthSamples:
-    """Points along camera rays at which multiple scattering is wanted, ray after ray.
-
-    origins, directions: float64 (P, 3), the rays of all pixels; offsets: (P,), of their strata;
-    count: samples a ray. pixel: int32 (M,), ascending; distance, weight: (M,); fraction:
-    float32 (M, V), each volume's share of the extinction. light: for systems that need it, or None.
-    """
-
-    origins: np.ndarray
-    directions: np.ndarray
-    offsets: np.ndarray
-    count: int
-    pixel: np.ndarray
-    distance: np.ndarray
-    weight: np.ndarray
-    fraction: np.ndarray
-    light: Optional[RayLight] = None
-
-    def positions(self, samples) -> np.ndarray:
-        """World positions (N, 3) of some samples."""
-        pixel = self.pixel[samples]
-        return self.origins[pixel] + self.distance[samples, None] * self.directions[pixel]
-
-    def jitter(self, samples) -> np.ndarray:
-        """(N, 3) in [-1/2, 1/2): along a ray a rank-1 lattice in three dimensions, shifted by pixel."""
-        along = (samples % self.count)[:, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
-        # Large odd factors turn a pixel's offset into three that have nothing in common.
-        return np.mod(along + self.offsets[self.pixel[samples], None] * [1571.0, 5717.0, 9371.0], 1.0) - 0.5
-
-
-def stratum_offsets(camera: Camera, seed: int) -> np.ndarray:
+def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
     """(N,) offsets in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
 
     Neighbouring pixels get offsets far apart, so that what error is left has no
@@ -212,7 +182,7 @@ def _march_camera_rays(
 ):
     """Fill single, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
-    offsets = stratum_offsets(camera, settings.seed)
+    offsets = lookup_offsets(camera, settings.seed)
     near, far = _ray_intervals(grids, channels.sigma_t, origins, directions, clip_near, clip_far)
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
@@ -235,7 +205,7 @@ def _march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            offsets[rays], settings.depth_samples, diffused,
+            settings.depth_samples, diffused,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
@@ -255,7 +225,7 @@ def _march_camera_rays(
             parts.append((pixel, segment.sample_distance, segment.sample_weight, segment.sample_fraction))
             light.append(segment.sample_light)
     columns = (np.concatenate(column) for column in zip(*parts))
-    samples = DepthSamples(origins, directions, offsets, settings.depth_samples, *columns)
+    samples = DepthSamples(origins, directions, offsets, *columns)
     if diffused is not None:
         samples.light = RayLight(np.concatenate([part.values for part in light]))
     report.count("points", len(samples.pixel))
@@ -305,17 +275,5 @@ def _add_multiple(plan, channels, network, kept, fields, samples, work, report, 
                         multiple[pixel[0] : pixel[0] + len(added), c] += added * sun.irradiance[c]
                     parts[points] += weight * row * value * sun.irradiance[members].sum() / 3.0
         report.count("network points", len(inside))
-    uncertainty[samples.pixel[:: samples.count]] += standard_error(parts.reshape(-1, samples.count))
-
-
-def standard_error(parts: np.ndarray) -> np.ndarray:
-    """(R,) standard error of the sums of stratified samples (R, N), from the steps between neighbouring strata.
-
-    A sample lies evenly distributed in its stratum, across which the function rises by about
-    x_(k+1) - x_k; a value even in such an interval has the variance of its square / 12. One sample
-    tells nothing: then the sum itself.
-    """
-    count = parts.shape[1]
-    if count == 1:
-        return np.abs(parts[:, 0])
-    return np.sqrt((np.diff(parts, axis=1) ** 2).sum(axis=1) * count / (12 * (count - 1)))
+    pixels, errors = samples.standard_error(parts)
+    uncertainty[pixels] += errors

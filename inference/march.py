@@ -9,6 +9,7 @@ from typing import List, Optional
 
 import numpy as np
 
+from .depth_samples import sample_opacities
 from .diffusion import DiffusedLight
 from .grid import Grid
 from .ray_light import REACH, RayLight, ray_light
@@ -23,8 +24,6 @@ STIFF = 2.0
 REFINEMENTS = 3
 # Optical depth that counts as no light at all.
 OPAQUE = np.float32(60.0)
-# Rays fainter than this are not sampled in depth.
-FAINTEST_ALPHA = 1e-4
 
 @dataclass
 class RaySegment:
@@ -88,15 +87,15 @@ class _Medium:
 
 
 def march(
-    grids: List[Grid], sigma_t, origins, directions, near, far, offsets, depth_samples: int,
+    grids: List[Grid], sigma_t, origins, directions, near, far, depth_samples: int,
     diffused: Optional[List[Optional[DiffusedLight]]] = None,
 ) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
-    grids; offsets: (R,) in [0, 1), of each ray's strata; diffused: of each volume, for `sample_light`, or None where
-    that is not wanted; a volume's is None where nothing is predicted in it.
+    grids; depth_samples: of an opaque ray; diffused: of each volume, for `sample_light`, or None where that is not
+    wanted; a volume's is None where nothing is predicted in it.
     """
     behind = BEHIND if diffused is None else REACH
     medium = _cut(grids, sigma_t, origins, directions, near, far, behind)
@@ -110,7 +109,7 @@ def march(
 
     shadows = _shadows(grids, medium, total > 0.0)
     single = _single(medium, shadows, transmitted)
-    block, step, inside = _sample_depths(medium, alpha, offsets, depth_samples)
+    block, step, inside, weight = _sample_depths(medium, alpha, depth_samples)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     light = None
@@ -124,7 +123,7 @@ def march(
         single,
         sample_ray=ray,
         sample_distance=steps.near[ray] + (blocks.number[block] * STEPS + step + inside) * steps.dt[ray],
-        sample_weight=alpha[ray] / depth_samples,
+        sample_weight=weight,
         sample_fraction=fraction.T,
         sample_light=light,
     )
@@ -176,22 +175,21 @@ def _extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) 
     return sigma
 
 
-def _sample_depths(medium: _Medium, alpha, offsets, depth_samples: int):
-    """Depths stratified in the rays' opacity: block, step and place within the step, (M,) each."""
+def _sample_depths(medium: _Medium, alpha, most: int):
+    """Depths at Gauss's places in the rays' opacity: block, step, place within the step and weight, (M,) each."""
     blocks = medium.blocks
-    sampled = np.flatnonzero(alpha > FAINTEST_ALPHA)
-    u = (np.arange(depth_samples) + offsets[sampled, None]) / depth_samples * alpha[sampled, None]
+    ray, opacity, weight = sample_opacities(alpha, most)
     # One search in all rays at once: the n-th ray's opacities lie in [2n, 2n + 1].
     starts = 2.0 * blocks.ray - np.expm1(-medium.before)
-    block = np.searchsorted(starts, (u + 2.0 * sampled[:, None]).ravel(), side="right") - 1
+    block = np.searchsorted(starts, opacity + 2.0 * ray, side="right") - 1
     # Invert the exponential, then find the step within the block.
-    wanted = -np.log1p(-np.minimum(u.ravel(), 1.0 - 1e-12)) - medium.before[block]
+    wanted = -np.log1p(-np.minimum(opacity, 1.0 - 1e-12)) - medium.before[block]
     step = (medium.within[block] <= wanted[:, None]).sum(axis=1)
     last = STEPS - 1 - (medium.tau[:, ::-1] > 0.0).argmax(axis=1)
     step = np.minimum(step, last[block])
     tau = medium.tau[block, step]
     inside = (wanted - (medium.within[block, step] - tau)) / np.maximum(tau, np.float32(1e-30))
-    return block, step, np.clip(inside, 0.0, 1.0)
+    return block, step, np.clip(inside, 0.0, 1.0), weight
 
 
 def _shadows(grids, medium: _Medium, filled, may_be_outside: bool = False) -> np.ndarray:

@@ -190,16 +190,16 @@ class Camera:
 class Settings:
     """How to render.
 
-    depth_samples: network evaluations along each camera ray that meets the medium.
+    depth_samples: network evaluations along a camera ray that the medium hides, up to 512; fainter rays get fewer.
     model: name of the network (a file in inference/weights).
-    seed: of the stratification offsets; the same seed gives the same image.
+    seed: of the lookups' offsets; the same seed gives the same image.
     threads: worker threads, 0 for one a core; the image does not depend on it.
     memory_limit: bytes the render may use on top of its input; it is refused
         with a message where it would need more.
     multiple: whether to predict multiple scattering; without, the layer is darker.
     """
 
-    depth_samples: int = 8
+    depth_samples: int = 4
     model: str = "mrpnn"
     seed: int = 0
     threads: int = 0
@@ -207,7 +207,7 @@ class Settings:
     multiple: bool = True
 
     def __post_init__(self):
-        for name, least, most in (("depth samples", 1, 4096), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
+        for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
                 raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")

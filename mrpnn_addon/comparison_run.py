@@ -24,7 +24,7 @@ from .scene import read_scene
 
 REPORT_FOLDER = "//mrpnn-comparison"
 # Depth samples of the judged network's ladder besides the scene's own.
-DEPTHS = (1, 2, 8, 32)
+DEPTHS = (1, 2, 4, 16)
 SECONDS_A_LOOK = 0.02
 
 

@@ -15,7 +15,7 @@ VERSION = 1
 RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
 
 # Depth samples of each preset.
-PRESETS = {'PREVIEW': 2, 'DRAFT': 8, 'FINAL': 32}
+PRESETS = {'PREVIEW': 1, 'DRAFT': 4, 'FINAL': 16}
 _PRESET_ITEMS = [
     ('PREVIEW', "Preview", "Fastest; single scattering and shape are final already"),
     ('DRAFT', "Draft", "Little error left from the choice of depths"),
@@ -65,7 +65,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         name="Network", items=model_items, default=_model_number(Settings.model),
         description="Network that predicts multiple scattering")
     seed: IntProperty(
-        name="Seed", default=0, min=0, description="Of the depths' random offsets; the same seed gives the same image")
+        name="Seed", default=0, min=0, description="Of the lookups' random offsets; the same seed gives the same image")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
     memory_limit: IntProperty(

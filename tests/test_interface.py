@@ -19,9 +19,9 @@ def cloud(scene, tmp_path):
 
 def test_presets_set_the_samples_and_samples_tell_the_preset(scene):
     settings = scene.mrpnn
-    assert (settings.preset, settings.depth_samples) == ('DRAFT', 8)
+    assert (settings.preset, settings.depth_samples) == ('DRAFT', 4)
     settings.preset = 'FINAL'
-    assert settings.depth_samples == 32
+    assert settings.depth_samples == 16
     settings.depth_samples = 5
     assert settings.preset == 'CUSTOM'
     settings.preset = 'CUSTOM'

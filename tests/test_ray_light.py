@@ -61,7 +61,7 @@ def test_marched_samples_see_what_their_points_see():
     origins = np.concatenate([random.uniform(-0.4, 0.4, (40, 2)), np.full((40, 1), 2.0)], axis=1)
     directions = np.tile([0.0, 0.0, -1.0], (40, 1))
     near, far = grid.interval(origins, directions)
-    segment = march([grid], [sigma_t], origins, directions, near, far, random.random(40), 4, [slabs()])
+    segment = march([grid], [sigma_t], origins, directions, near, far, 4, [slabs()])
     ray = segment.sample_ray
     positions = origins[ray] + segment.sample_distance[:, None] * directions[ray]
     marched = segment.sample_light.of(slice(None), 0, 0)
@@ -78,7 +78,7 @@ def test_each_volume_is_seen_by_itself():
     diffused = [slabs(), slabs((0.6, 0.0, 0.0))]
     origins, directions = np.array([[-2.0, 0.05, 0.1]]), np.array([[1.0, 0.0, 0.0]])
     near, far = np.array([1.5 - 0.5 / CELLS]), np.array([3.1 + 0.5 / CELLS])
-    both = march(grids, sigma_t, origins, directions, near, far, np.array([0.5]), 16, diffused)
+    both = march(grids, sigma_t, origins, directions, near, far, 16, diffused)
     positions = origins + both.sample_distance[:, None] * directions
     for v in range(2):
         inside = both.sample_fraction[:, v] > 0.0
@@ -91,4 +91,4 @@ def test_without_need_nothing_is_kept():
     grid = prepared(box(), (0.0, 0.0, 1.0), 1.0)
     origins, directions = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]])
     near, far = grid.interval(origins, directions)
-    assert march([grid], [1.0], origins, directions, near, far, np.zeros(1), 4).sample_light is None
+    assert march([grid], [1.0], origins, directions, near, far, 4).sample_light is None
