@@ -1,7 +1,7 @@
 """Scene in, layer out: camera rays, single scattering, predicted multiple scattering, composed."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Optional
 
 import numpy as np
@@ -100,11 +100,8 @@ def _render(volumes, suns, camera, settings, work, report, kept):
 
     x0, y0, x1, y1 = camera.window
     height, width = y1 - y0, x1 - x0
-    single = np.zeros((height * width, 3))
-    multiple = np.zeros((height * width, 3))
-    uncertainty = np.zeros(height * width)
-    alpha = np.zeros(height * width)
-    depth = np.zeros(height * width)
+    single, multiple = np.zeros((2, height * width, 3), np.float32)
+    uncertainty, alpha, depth = np.zeros((3, height * width), np.float32)
     report.count("pixels", height * width)
 
     with report.stage("shadows"):
@@ -112,32 +109,37 @@ def _render(volumes, suns, camera, settings, work, report, kept):
     fields = {}
     with kept.predicting(work) if network else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
-            share = 1.0 / len(plan.channels)
-            start = number * share
             diffused = None
             if network is not None and network.needs_light:
                 with report.stage("fields"):
                     diffused = _diffuse(plan, channels, network, kept, fields, work, report)
-            samples = _march_camera_rays(
-                plan, channels, grids, camera, settings, diffused, work, report,
-                start, start + share * MARCH_SHARE, single, alpha, depth,
-            )
-            if network is not None and samples is not None:
-                _add_multiple(
-                    plan, channels, network, kept, fields, samples, work, report, start + share * MARCH_SHARE,
-                    start + share, multiple, uncertainty,
+            tiles = range(y0, y1, plan.tile_rows)
+            share = 1.0 / len(plan.channels) / len(tiles)
+            for tile, row in enumerate(tiles):
+                rows = replace(camera, region=(x0, row, x1, min(row + plan.tile_rows, y1)))
+                start = number / len(plan.channels) + tile * share
+                pixels = slice((row - y0) * width, (row - y0 + plan.tile_rows) * width)
+                samples = _march_camera_rays(
+                    plan, channels, grids, rows, settings, diffused, work, report,
+                    start, start + share * MARCH_SHARE, single[pixels], alpha[pixels], depth[pixels],
                 )
+                if network is not None and samples is not None:
+                    _add_multiple(
+                        plan, channels, network, kept, fields, samples, work, report, start + share * MARCH_SHARE,
+                        start + share, multiple[pixels], uncertainty[pixels], whole=len(tiles) > 1,
+                    )
 
-    weight = np.maximum(alpha, 1e-30)
     shape = (height, width)
-    single, multiple = (a.reshape(*shape, 3).astype(np.float32) for a in (single, multiple))
+    single, multiple = single.reshape(*shape, 3), multiple.reshape(*shape, 3)
+    np.divide(depth, np.maximum(alpha, np.float32(1e-30)), out=depth)
+    depth[alpha <= 0.0] = np.inf
     return Layer(
         rgb=single + multiple,
-        alpha=np.clip(alpha, 0.0, 1.0).reshape(shape).astype(np.float32),
-        depth=np.where(alpha > 0.0, depth / weight, np.inf).reshape(shape).astype(np.float32),
+        alpha=np.clip(alpha, 0.0, 1.0).reshape(shape),
+        depth=depth.reshape(shape),
         single=single,
         multiple=multiple,
-        uncertainty=uncertainty.reshape(shape).astype(np.float32),
+        uncertainty=uncertainty.reshape(shape),
         report=report,
     )
 
@@ -232,8 +234,13 @@ def _march_camera_rays(
     return samples
 
 
-def _add_multiple(plan, channels, network, kept, fields, samples, work, report, start, end, multiple, uncertainty):
-    """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty."""
+def _add_multiple(
+    plan, channels, network, kept, fields, samples, work, report, start, end, multiple, uncertainty, whole: bool
+):
+    """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty.
+
+    whole: whether further samples may lie anywhere in the volumes.
+    """
     # What each sample adds to the mean of the three channels.
     parts = np.zeros(len(samples.pixel), np.float32)
     jobs = [(v, l) for v, needed in enumerate(plan.multiple) if needed for l in range(len(plan.suns))]
@@ -251,7 +258,7 @@ def _add_multiple(plan, channels, network, kept, fields, samples, work, report, 
         work.progress(first, message)
         with report.stage("fields"):
             field = _field(plan, network, kept, fields, v, sigma_t, work, report)
-            if kept.any_view:
+            if kept.any_view or whole:
                 low, high = field.extent()
             else:
                 bounds = [field.bounds(samples.positions(points)) for points in tasks]

@@ -15,13 +15,17 @@ PARALLEL = 1e-6
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
-# Bytes of a pixel's images, and of each of its depth samples, where every pixel shows a volume.
-PIXEL_BYTES, SAMPLE_BYTES = 200, 50
+# Bytes of a pixel's images; of its ray while it is rendered; and of each of its depth samples, where every pixel shows
+# a volume.
+IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 64, 200, 50
 # Bytes of a depth sample on top, for each volume and sun: the light along the ray.
 LIGHT_BYTES = 2 * 4 * COLUMNS
 
 # Grids whose largest density lies outside are scaled, and their extinction the other way round.
 USUAL_DENSITY = (2.0**-20, 2.0**20)
+# Pixels that are rendered together.
+TILE_PIXELS = 1 << 18
+
 # Optical densities beyond the largest give the same picture, those below the least none at all.
 SIGMA_HAT_LEAST, SIGMA_HAT_MOST = 1e-20, 1e12
 # Voxels are counted in 32 bits.
@@ -50,6 +54,7 @@ class Plan:
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)
     memory: int = 0  # bytes, estimated peak on top of the input
+    tile_rows: int = 1  # rows of pixels that are rendered together
 
 
 def distinct_albedos(medium: Medium, indices: List[int]):
@@ -142,12 +147,21 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     voxels = sum(volume.density.size for volume, _ in kept)
     memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
     x0, y0, x1, y1 = camera.window
+    memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     sample = SAMPLE_BYTES + LIGHT_BYTES * len(kept) * len(merged)
-    memory += (x1 - x0) * (y1 - y0) * (PIXEL_BYTES + sample * settings.depth_samples)
+    row = (x1 - x0) * (RAY_BYTES + sample * settings.depth_samples)
+    rows = -(-TILE_PIXELS // (x1 - x0))
+    if len(merged) > 1:
+        # The fields of each sun are made for every tile: as few tiles as memory allows.
+        rows = max(rows, int((settings.memory_limit - memory) // row))
+    rows = min(rows, y1 - y0)
+    memory += row * rows
+    if rows < y1 - y0:
+        planned.append(f"{-(-(y1 - y0) // rows)} tiles of {rows} rows")
     if memory > settings.memory_limit:
         raise SceneError(
             f"the render needs about {memory / 2**30:.1f} GiB and the limit is "
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(kept, merged, channels, multiple, planned, left_out, memory)
+    return Plan(kept, merged, channels, multiple, planned, left_out, memory, rows)

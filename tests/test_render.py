@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
+from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, plan, predict_multiple, render
 from inference.multiple import FLUENCE_MOST
 from inference.phase import henyey_greenstein
 
@@ -258,3 +258,16 @@ def test_outside_the_trained_range_light_stays_finite_and_bounded(sigma_t, aniso
     most = FLUENCE_MOST * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
     assert np.all(np.isfinite(found)) and found.min() >= 0.0 and found.max() <= most * (1 + 1e-6)
     assert found.max() > 0.0
+
+
+@pytest.mark.parametrize("suns", [1, 2])
+def test_tiles_join_without_a_seam(monkeypatch, suns):
+    """An image in tiles is that in one piece; several suns take as few tiles as memory allows."""
+    scene = [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN, Sun((-0.6, 0.0, 0.8), 0.5)][:suns], camera()
+    whole = render(*scene, Settings(2))
+    monkeypatch.setattr(plan, "TILE_PIXELS", 50)
+    tiled = render(*scene, Settings(2))
+    said = [words for words in tiled.report.planned if "tiles" in words]
+    assert said == (["6 tiles of 3 rows"] if suns == 1 else [])
+    for name in ("rgb", "alpha", "depth", "uncertainty"):
+        np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
