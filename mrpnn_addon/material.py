@@ -20,12 +20,14 @@ class Closure:
     weight: float64 (n, 1) or (1, 1), what scales both coefficients.
     scatter, absorb: (n, 3) or (1, 3), per world unit.
     anisotropy: mean cosine of its phase function.
+    grid: whose values `weight` holds as they are, or "".
     """
 
     weight: np.ndarray
     scatter: np.ndarray
     absorb: np.ndarray
     anisotropy: float = 0.0
+    grid: str = ""
 
 
 @dataclass
@@ -67,7 +69,7 @@ class VolumeMaterial:
             if self.output is None:
                 # Cycles' default material: Principled Volume as it is when added.
                 white = principled_coefficients(np.full((1, 3), 0.5), np.zeros((1, 3)))
-                shading.closures.append(Closure(points.attribute("density", None), *white))
+                shading.closures.append(Closure(points.attribute("density", None), *white, grid="density"))
             else:
                 _add(shading, NodeValues(points), source_of(self.output.inputs['Volume']), np.ones((1, 1)))
         except Unsupported as problem:
@@ -112,6 +114,7 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
     elif node.bl_idname in CLOSURES:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
         if closure is not None:
+            closure.grid = closure.grid if np.all(weight == 1.0) else ""
             closure.weight = closure.weight * weight
             shading.closures.append(closure)
     else:
@@ -130,17 +133,17 @@ def _principled(shading, values, node, groups):
     # An attribute that is not there leaves Density as it is. In a Volume object that would fill
     # Cycles' own boxes around the voxels: then reading it says what is missing.
     shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
-    weight = np.ones((1, 1))
+    weight, grid = np.ones((1, 1)), ""
     if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
-        weight = points.attribute(names["Density"], node)
+        weight, grid = points.attribute(names["Density"], node), names["Density"]
     absorption = np.maximum(values.colour(node, "Absorption Color", groups), 0.0)
     scatter, absorb = principled_coefficients(colour, absorption)
     # A constant density goes with the colours, so that voxels keep the file's values.
     if len(density) > 1:
-        weight = weight * density
+        weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups))
+    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups), grid)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):

@@ -38,32 +38,40 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     absorbs where every grid is 0, or has colours that vary from voxel to voxel.
     """
     shape = next(iter(grids.values())).shape if inside is None else inside.shape
-    density = np.empty(int(np.prod(shape)), np.float32)
-    # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
-    gram, means, notes, placed = np.zeros((6, 6)), {}, [], False
-    plain = None
-    for start in range(0, len(density), VOXELS_AT_ONCE):
-        span = slice(start, min(start + VOXELS_AT_ONCE, len(density)))
-        points = VoxelPoints(grids, shape, span, frames, fills_its_bounds=inside is not None)
+
+    def at(voxels):
+        points = VoxelPoints(grids, shape, voxels, frames, fills_its_bounds=inside is not None)
         shading = material.at(points)
-        placed |= points.placed
         if not shading.closures:
             material.refuse("it neither scatters nor absorbs, so there is nothing to render")
-        notes = shading.notes
-        _sum_phases(means, shading)
-        if plain is None:
-            plain = _plain(shading)
-            reference = 0 if plain else _densest(shading)
-        if plain:
-            density[span] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
-        else:
-            coefficients = _coefficients(shading)
-            gram += coefficients.T @ coefficients * ((span.stop - span.start) / len(coefficients))
-            density[span] = coefficients[:, reference]
-        if inside is None:
-            _require_empty_background(material, points, density[span])
-    if inside is not None:
-        density *= inside.reshape(-1)
+        return points, shading
+
+    # Two voxels tell what is the same in all of them.
+    points, shading = at(np.zeros(2, int))
+    plain, placed = _plain(shading), points.placed
+    if plain and inside is None and shading.closures[0].grid:
+        # The shader colours one grid and changes none of its voxels.
+        closure = shading.closures[0]
+        density, means = grids[closure.grid], {closure.anisotropy: float(closure.scatter.mean())}
+    else:
+        density = np.zeros(int(np.prod(shape)), np.float32)
+        # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
+        gram, reference, means = np.zeros((6, 6)), 0, {}
+        for number, voxels in enumerate(_chunks(grids, placed, inside)):
+            points, shading = at(voxels)
+            _sum_phases(means, shading, len(voxels))
+            if plain:
+                density[voxels] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
+            else:
+                coefficients = _coefficients(shading)
+                reference = reference if number else int(coefficients[:, :3].sum(axis=0).argmax())
+                gram += coefficients.T @ coefficients * (len(voxels) / len(coefficients))
+                density[voxels] = coefficients[:, reference]
+            if inside is None:
+                _require_empty_background(material, points, density[voxels])
+        if inside is not None:
+            density *= inside.reshape(-1)
+        density = density.reshape(shape)
     if plain:
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
@@ -72,11 +80,27 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     if not density.max() > 0.0 or not extinction.max() > 0.0:
         material.refuse("its density is 0 everywhere, so the volume is invisible")
     albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
+    notes = shading.notes
     if len(means) > 1:
         notes = notes + ["phase functions of several shaders are rendered as one with their mean cosine"]
     weight = sum(means.values())
     anisotropy = sum(g * w for g, w in means.items()) / weight if weight else 0.0
-    return ShadedGrid(density.reshape(shape), extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes)
+    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes)
+
+
+def _chunks(grids, placed: bool, inside):
+    """Yield the voxels to shade, int64 (n,) at a time: where the mesh or any grid is, or all where places count."""
+    if placed and inside is None:
+        size = next(iter(grids.values())).size
+        for start in range(0, size, VOXELS_AT_ONCE):
+            yield np.arange(start, min(start + VOXELS_AT_ONCE, size))
+        return
+    filled = np.zeros(next(iter(grids.values())).shape if inside is None else inside.shape, bool)
+    for values in grids.values() if inside is None else (inside,):
+        filled |= values != 0.0
+    voxels = np.flatnonzero(filled)
+    for start in range(0, len(voxels), VOXELS_AT_ONCE):
+        yield voxels[start:start + VOXELS_AT_ONCE]
 
 
 def _plain(shading) -> bool:
@@ -93,14 +117,10 @@ def _coefficients(shading) -> np.ndarray:
     return total
 
 
-def _densest(shading) -> int:
-    return int(_coefficients(shading)[:, :3].sum(axis=0).argmax())
-
-
-def _sum_phases(means, shading) -> None:
-    """Add to each mean cosine in `means` how much scatters with it."""
+def _sum_phases(means, shading, voxels: int) -> None:
+    """Add to each mean cosine in `means` how much scatters with it in so many voxels."""
     for closure in shading.closures:
-        scattered = float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
+        scattered = voxels * float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
         if scattered > 0.0:
             means[closure.anisotropy] = means.get(closure.anisotropy, 0.0) + scattered
 
@@ -128,7 +148,7 @@ def _extinction_at(material, names, value: float) -> np.ndarray:
     """(3,) where every grid has one value."""
     grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
-    points = VoxelPoints(grids, (1, 1, 1), slice(0, 1), frames, fills_its_bounds=False)
+    points = VoxelPoints(grids, (1, 1, 1), np.zeros(1, int), frames, fills_its_bounds=False)
     return _coefficients(material.at(points))[0, :3]
 
 
@@ -162,7 +182,7 @@ def require_empty_background(material: VolumeMaterial, shading) -> None:
 def _require_empty_background(material, points: VoxelPoints, density) -> None:
     empty = np.ones(len(density), bool)
     for name in points.names:
-        empty &= points.grids[name].reshape(-1)[points.span] == 0.0
+        empty &= points.grids[name].reshape(-1)[points.voxels] == 0.0
     if np.any(density[empty] > 0.0):
         _refuse_background(material)
 

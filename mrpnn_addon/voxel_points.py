@@ -45,21 +45,21 @@ class Probe:
 class VoxelPoints(Probe):
     """Some voxels of aligned grids.
 
-    grids: float32 arrays of one shape by name. span: the voxels, a slice of the flattened arrays.
+    grids: float32 arrays of one shape by name. voxels: int64 (n,), places in the flattened arrays.
     frames: (4, 4) matrices by kind of coordinates, voxel index to place.
     """
 
-    def __init__(self, grids: Dict[str, np.ndarray], shape, span: slice, frames, fills_its_bounds: bool):
+    def __init__(self, grids: Dict[str, np.ndarray], shape, voxels: np.ndarray, frames, fills_its_bounds: bool):
         super().__init__(grids, fills_its_bounds)
-        self.grids, self.shape, self.span, self.frames = grids, shape, span, frames
+        self.grids, self.shape, self.voxels, self.frames = grids, shape, voxels, frames
 
     def _read(self, name):
-        return self.grids[name].reshape(-1)[self.span].astype(np.float64)[:, None]
+        return self.grids[name].reshape(-1)[self.voxels].astype(np.float64)[:, None]
 
     def _place(self, kind, node):
         if kind not in self.frames:
             raise Unsupported(f"node \"{node.name}\" uses {kind} coordinates, which are not supported in a Volume "
                               "object; link Object coordinates")
-        index = np.stack(np.unravel_index(np.arange(self.span.start, self.span.stop), self.shape), axis=1)
+        index = np.stack(np.unravel_index(self.voxels, self.shape), axis=1)
         frame = self.frames[kind]
         return index @ frame[:3, :3].T + frame[:3, 3]
