@@ -1,26 +1,33 @@
-"""One density grid of one .vdb file as a dense array."""
+"""One density grid of one .vdb file as a dense array; no bpy, once imported."""
 
 import os
+import weakref
 from dataclasses import dataclass, field
-from typing import List
+from typing import List, Optional
 
 import bpy
 import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import load_openvdb
-from .vdb_trial import require_readable
+from .read_vdb_alone import read_grid
+from .vdb_process import read_alone
 
 # 2 GiB as float32; the render needs several times its input.
 MAX_VOXELS = 1 << 29
+# Bytes of a file that is read here rather than by another process, once that process has read it.
+SMALL = 1 << 20
 # What OpenVDB's exceptions become in Python.
 READ_ERRORS = (OSError, LookupError, RuntimeError, ValueError, TypeError)
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
+# Index coordinate at which Blender draws the centre of voxel 0, on each axis. OpenVDB puts it at 0. Blender before 5.0
+# draws voxel i over [i, i + 1], so its centre lies at 1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 gives 0.
+VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
 
 @dataclass
 class DensityGrid:
-    """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0.
+    """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0; not to be written to.
     object_from_index: float64 (4, 4), index of `density` to the object's own space.
     warnings: what was changed in the data, naming the object.
     """
@@ -30,33 +37,67 @@ class DensityGrid:
     warnings: List[str] = field(default_factory=list)
 
 
-def read_density_grid(path: str, grid_name: str, owner: str) -> DensityGrid:
-    """Read grid `grid_name` of the file `path` for the object named `owner`.
+# What was read and is in use, by file, its time and size, and grid: (weak reference to the density, matrix, notes).
+_in_use = {}
+# Files that another process has read to an end, by the same.
+_harmless = set()
+
+
+def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
+    """Read grid `grid_name` of the file `path` for the object named `owner`; once while the result is in use.
 
     Negative and non-finite voxels become 0, as Cycles clamps them when shading; the warning says
-    how many there were.
+    how many there were. started: see `read_alone`. Any thread may call; other threads run meanwhile.
 
     Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, a grid
     that holds no scalar fog, an empty grid, or one too large to hold densely.
     """
     where = f"Volume object \"{owner}\""
-    grid, warnings = _open_grid(path, grid_name, where)
-    low, shape = _active_box(grid, grid_name, where)
-    values = np.empty(shape, dtype=np.float32)
-    grid.copyToArray(values, ijk=low)
-
-    invalid = ~np.isfinite(values)
-    negative = values < 0.0
-    invalid_count, negative_count = int(invalid.sum()), int(negative.sum())
-    if invalid_count or negative_count:
-        values[invalid | negative] = 0.0
-        warnings.append(
-            f"{where}: {negative_count} negative and {invalid_count} NaN or infinite voxels "
-            f"of grid \"{grid_name}\" were taken as 0"
+    known = density_grid_in_use(path, grid_name, owner)
+    if known is not None:
+        return known
+    key = _key(path, grid_name)
+    notes = _require_density(path, grid_name, where)
+    facts, values = _read(path, grid_name, where, key, started)
+    # The background is only known once the tree is read.
+    if facts["background"] != 0.0:
+        raise SceneError(
+            f"{where}: grid \"{grid_name}\" has background {facts['background']:g}, fog without end "
+            "outside its voxels; save it with background 0"
         )
+    _require_box(facts["shape"], grid_name, where)
+    notes += _clean(values, grid_name)
     if not values.any():
         raise SceneError(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
-    return DensityGrid(values, _object_from_index(grid, low, grid_name, where), warnings)
+    if facts["matrix"] is None:
+        raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
+    matrix = np.array(facts["matrix"])
+    # Index 0 of the array is the box's lower voxel.
+    matrix[:3, 3] += matrix[:3, :3] @ (np.array(facts["low"]) + VOXEL_CENTRE)
+    values.flags.writeable = False
+    for old in [old for old, (density, *_) in list(_in_use.items()) if density() is None]:
+        _in_use.pop(old, None)
+    _in_use[key] = weakref.ref(values), matrix, notes
+    _harmless.add(key)
+    return DensityGrid(values, matrix.copy(), [f"{where}: {note}" for note in notes])
+
+
+def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[DensityGrid]:
+    """As `read_density_grid` where the grid is read already and in use, else None."""
+    density, matrix, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, ()))
+    values = density()
+    if values is None:
+        return None
+    return DensityGrid(values, matrix.copy(), [f"Volume object \"{owner}\": {note}" for note in notes])
+
+
+def _key(path: str, grid_name: str):
+    """Differs when a file has changed."""
+    try:
+        facts = os.stat(path)
+    except OSError:
+        return None
+    return path, facts.st_mtime_ns, facts.st_size, grid_name
 
 
 def grid_names(path: str, owner: str) -> List[str]:
@@ -83,7 +124,8 @@ def _metadata(path, where):
         raise SceneError(f"{where}: {unreadable(path, error)}") from error
 
 
-def _open_grid(path, grid_name, where):
+def _require_density(path, grid_name, where) -> List[str]:
+    """Raise SceneError unless a file's header promises a grid of density; notes."""
     headers = _metadata(path, where)
     found = [header for header in headers if header.name == grid_name]
     if not found:
@@ -92,69 +134,52 @@ def _open_grid(path, grid_name, where):
             f"{where}: {os.path.basename(path)} has no grid \"{grid_name}\" (grids: {names}); "
             "set the density attribute in the volume's material to one of them"
         )
-    header, warnings = found[0], []
-    if len(found) > 1:
-        warnings.append(
-            f"{where}: {len(found)} grids are named \"{grid_name}\"; the first is rendered, as in Cycles"
-        )
-    kind = type(header).__name__
+    kind = type(found[0]).__name__
     if kind not in SCALAR_GRIDS:
         raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a grid of float density")
-    if header.gridClass == "level set":
+    if found[0].gridClass == "level set":
         raise SceneError(
             f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
             "convert it to a fog volume"
         )
-    require_readable(path, grid_name, MAX_VOXELS, where)
-    try:
-        grid = load_openvdb().read(path, grid_name)
-    except READ_ERRORS as error:
-        raise SceneError(f"{where}: cannot read grid \"{grid_name}\" of {path} ({error})") from error
-    # The background is only known once the tree is read.
-    if grid.background != 0.0:
-        raise SceneError(
-            f"{where}: grid \"{grid_name}\" has background {grid.background:g}, fog without end "
-            "outside its voxels; save it with background 0"
-        )
-    return grid, warnings
+    several = f"{len(found)} grids are named \"{grid_name}\"; the first is rendered, as in Cycles"
+    return [several] if len(found) > 1 else []
 
 
-def _active_box(grid, grid_name, where):
-    """Lower index and shape of the active voxels, measured on the tree and never on metadata."""
-    low, high = grid.evalActiveVoxelBoundingBox()
+def _read(path, grid_name, where, key, started):
+    """(facts, values) as `read_grid`: by another process, or here where that is not to be had or a small file harmless."""
+    found = None
+    if key not in _harmless or key[2] > SMALL:
+        found = read_alone(path, grid_name, MAX_VOXELS, where, started)
+    if found is None:
+        try:
+            found = read_grid(load_openvdb(), path, grid_name, MAX_VOXELS)
+        except READ_ERRORS as error:
+            found = {"error": error}, None
+    if "error" in found[0]:
+        raise SceneError(f"{where}: cannot read grid \"{grid_name}\" of {path} ({found[0]['error']})")
+    return found
+
+
+def _require_box(shape, grid_name, where) -> None:
+    """Measured on the tree and never on metadata."""
     # OpenVDB gives an inverted box for a grid without active voxels.
-    if any(a > b for a, b in zip(low, high)):
+    if min(shape) < 1:
         raise SceneError(f"{where}: grid \"{grid_name}\" is empty (no active voxel)")
-    shape = tuple(b - a + 1 for a, b in zip(low, high))
     count = shape[0] * shape[1] * shape[2]
     if count > MAX_VOXELS:
         raise SceneError(
             f"{where}: grid \"{grid_name}\" spans {shape[0]} x {shape[1]} x {shape[2]} = {count} voxels, "
             f"more than the {MAX_VOXELS} that can be rendered; crop or resample it"
         )
-    return tuple(low), shape
 
 
-def _object_from_index(grid, low, grid_name, where) -> np.ndarray:
-    transform = grid.transform
-    if not transform.isLinear:
-        raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
-    origin = np.array(transform.indexToWorld((0.0, 0.0, 0.0)))
-    matrix = np.eye(4)
-    matrix[:3, 3] = origin
-    for axis in range(3):
-        unit = [0.0, 0.0, 0.0]
-        unit[axis] = 1.0
-        matrix[:3, axis] = np.array(transform.indexToWorld(tuple(unit))) - origin
-    # Index 0 of the array is the box's lower voxel.
-    matrix[:3, 3] += matrix[:3, :3] @ (np.array(low) + voxel_centre())
-    return matrix
-
-
-def voxel_centre() -> float:
-    """Index coordinate at which Blender draws the centre of voxel 0, on each axis.
-
-    OpenVDB puts it at 0. Blender before 5.0 draws voxel i over [i, i + 1], so its centre lies at
-    1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 gives 0.
-    """
-    return 0.5 if bpy.app.version < (5, 0, 0) else 0.0
+def _clean(values, grid_name) -> List[str]:
+    """Make negative and non-finite voxels 0, and say so."""
+    # NaN goes through both.
+    if values.min() >= 0.0 and values.max() < np.inf:
+        return []
+    invalid, negative = ~np.isfinite(values), values < 0.0
+    values[invalid | negative] = 0.0
+    return [f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
+            f"of grid \"{grid_name}\" were taken as 0"]

@@ -28,7 +28,7 @@ def load_openvdb():
         except ModuleNotFoundError:
             pass
     for name in MODULE_NAMES:
-        spec = PathFinder.find_spec(name, bundled_folders())
+        spec = PathFinder.find_spec(name, FOLDERS)
         if spec is not None:
             module = importlib.util.module_from_spec(spec)
             # Registered first: a compiled module must not be loaded twice in one process.
@@ -46,3 +46,7 @@ def bundled_folders() -> list:
     library = Path(bpy.utils.system_resource('PYTHON') or "") / "lib"
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     return [str(library / version / "site-packages"), str(library / "site-packages")]
+
+
+# Asked of Blender once, since threads read grids.
+FOLDERS = bundled_folders()

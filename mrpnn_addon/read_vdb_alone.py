@@ -1,15 +1,45 @@
-"""Reads one grid of a .vdb file and ends: a program of its own, for `vdb_trial`, without Blender.
+"""Reads one grid of a .vdb file: as a module, or as a program of its own without Blender, for `vdb_process`.
 
     python -I read_vdb_alone.py FILE.vdb GRID MOST_VOXELS CPU_SECONDS BYTES [FOLDER ...]
 
-FOLDER: where to look for the OpenVDB module. Exit status 0 where the grid can be read, or OpenVDB says in Python why
-not; NO_MODULE where there is no module; NO_MEMORY where reading it takes more than BYTES. A crash, or no end, speaks for
-itself.
+FOLDER: where to look for the OpenVDB module. Writes a line of JSON, what `read_grid` tells or {"error": OpenVDB's words},
+and then the voxels. Exit status NO_MODULE where there is no module; NO_MEMORY where reading takes more than BYTES. A
+crash, or no end, speaks for itself.
 """
 
+import json
 import sys
 
 NO_MODULE, NO_MEMORY = 77, 78
+
+
+def read_grid(openvdb, path: str, name: str, most_voxels: int):
+    """(facts, values) of a grid.
+
+    facts: "background"; "low", "shape": lower index and size of the box of active voxels, inverted where there are
+    none; "matrix": 4 lists of 4, index to object space, None for a frustum.
+    values: float32 array of that shape, None where the box is inverted or holds more than `most_voxels`.
+
+    Raises what OpenVDB raises.
+    """
+    import numpy
+    grid = openvdb.read(path, name)
+    low, high = grid.evalActiveVoxelBoundingBox()
+    shape = [b - a + 1 for a, b in zip(low, high)]
+    facts = {"background": float(grid.background), "low": list(low), "shape": shape, "matrix": _matrix(grid.transform)}
+    if min(shape) < 1 or shape[0] * shape[1] * shape[2] > most_voxels:
+        return facts, None
+    values = numpy.empty(shape, numpy.float32)
+    grid.copyToArray(values, ijk=tuple(low))
+    return facts, values
+
+
+def _matrix(transform):
+    if not transform.isLinear:
+        return None
+    origin = transform.indexToWorld((0.0, 0.0, 0.0))
+    ends = [transform.indexToWorld(tuple(float(a == b) for b in range(3))) for a in range(3)]
+    return [[*(end[row] - origin[row] for end in ends), origin[row]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]]
 
 
 def limit(seconds: int, size: int) -> None:
@@ -27,7 +57,7 @@ def limit(seconds: int, size: int) -> None:
 def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
     sys.path += folders
     try:
-        import numpy
+        import numpy  # noqa: F401, before its memory is limited
         try:
             import openvdb
         except ImportError:
@@ -36,15 +66,15 @@ def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
         return NO_MODULE
     limit(int(seconds), int(size))
     try:
-        grid = openvdb.read(path, grid_name)
-        low, high = grid.evalActiveVoxelBoundingBox()
-        shape = [b - a + 1 for a, b in zip(low, high)]
-        if min(shape) > 0 and shape[0] * shape[1] * shape[2] <= int(most_voxels):
-            grid.copyToArray(numpy.empty(shape, numpy.float32), ijk=low)
+        facts, values = read_grid(openvdb, path, grid_name, int(most_voxels))
     except MemoryError:
         return NO_MEMORY
-    except Exception as error:  # Blender's process will meet the same, and name it.
-        print(error, file=sys.stderr)
+    except Exception as error:
+        facts, values = {"error": str(error)}, None
+    sys.stdout.buffer.write(json.dumps(facts).encode() + b"\n")
+    if values is not None:
+        sys.stdout.buffer.write(memoryview(values).cast("B"))
+    sys.stdout.buffer.flush()
     return 0
 
 

@@ -50,7 +50,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     points, shading = at(np.zeros(2, int))
     plain, placed = _plain(shading), points.placed
     if plain and inside is None and shading.closures[0].grid:
-        # The shader colours one grid and changes none of its voxels.
+        # The shader colours one grid and changes none of its voxels, of which some hold something.
         closure = shading.closures[0]
         density, means = grids[closure.grid], {closure.anisotropy: float(closure.scatter.mean())}
     else:
@@ -71,14 +71,16 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
                 _require_empty_background(material, points, density[voxels])
         if inside is not None:
             density *= inside.reshape(-1)
+        if not density.max() > 0.0:
+            _refuse_emptiness(material)
         density = density.reshape(shape)
     if plain:
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
         extinction, scatter = _one_colour(material, gram, reference)
-    if not density.max() > 0.0 or not extinction.max() > 0.0:
-        material.refuse("its density is 0 everywhere, so the volume is invisible")
+    if not extinction.max() > 0.0:
+        _refuse_emptiness(material)
     albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
     notes = shading.notes
     if len(means) > 1:
@@ -185,6 +187,10 @@ def _require_empty_background(material, points: VoxelPoints, density) -> None:
         empty &= points.grids[name].reshape(-1)[points.voxels] == 0.0
     if np.any(density[empty] > 0.0):
         _refuse_background(material)
+
+
+def _refuse_emptiness(material):
+    material.refuse("its density is 0 everywhere, so the volume is invisible")
 
 
 def _refuse_background(material):

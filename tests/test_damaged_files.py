@@ -21,7 +21,7 @@ CORPUS = pathlib.Path(__file__).parent / "corpus"
 
 @pytest.fixture
 def trial(addon):
-    return addon.mrpnn_addon.vdb_trial
+    return addon.mrpnn_addon.vdb_process
 
 
 def refusal(addon):
@@ -49,7 +49,7 @@ def damaged(whole: bytes, number: int) -> bytes:
 
 
 def test_a_damaged_tree_is_read_or_refused(addon, tmp_path):
-    """Whatever the trial lets pass, Blender's own process reads to an end."""
+    """Whatever happens to the process that reads it, this one goes on."""
     read = addon.mrpnn_addon.density_grid.read_density_grid
     whole = pathlib.Path(blender_scenes.write_vdb(tmp_path, blender_scenes.blob(12))).read_bytes()
     outcomes = []
@@ -70,7 +70,7 @@ def test_files_that_kept_openvdb_busy_for_ever_end_the_trial_alone(addon, trial)
     """Found by flipping bits; the trial's process is ended, this one goes on."""
     for path in sorted(CORPUS.glob("*.vdb")):
         ended = subprocess.run([sys.executable, "-I", trial.PROGRAM, path, "density", "1000000", "1", str(4 << 30),
-                                *addon.mrpnn_addon.openvdb_module.bundled_folders()], capture_output=True)
+                                *addon.mrpnn_addon.openvdb_module.FOLDERS], capture_output=True)
         assert trial._died(ended.returncode), path.name
 
 
