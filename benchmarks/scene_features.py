@@ -321,6 +321,40 @@ def draine(stage):
     shader.phase, shader.inputs["Alpha"].default_value = 'DRAINE', 1.0
 
 
+# Light of their own
+
+
+def glowing(stage):
+    """Shines in all of Cycles' boxes."""
+    stage.shader.inputs["Emission Strength"].default_value = 0.3
+    stage.shader.inputs["Emission Color"].default_value = (1.0, 0.4, 0.1, 1.0)
+
+
+def burning(stage):
+    """A blackbody whose temperature a grid drives, without a sun."""
+    bpy.data.objects.remove(stage.sun)
+    stage.shader.inputs["Blackbody Intensity"].default_value = 1.0
+    stage.shader.inputs["Temperature"].default_value = 2500.0
+    stage.shader.inputs["Temperature Attribute"].default_value = "density"
+
+
+def flaming(stage):
+    """Emission strength through nodes, in smoke and sunlight."""
+    ramp = stage.node("MapRange")
+    for socket, value in zip(ramp.inputs[1:5], (0.2, 0.8, 0.0, 4.0)):
+        socket.default_value = value
+    stage.connect(stage.grid(), ramp.inputs[0])
+    stage.connect(ramp.outputs[0], stage.shader.inputs["Emission Strength"])
+    stage.shader.inputs["Emission Color"].default_value = (1.0, 0.4, 0.1, 1.0)
+
+
+def lamp_mesh(stage):
+    """Emission without fog."""
+    stage.hide_cloud()
+    shader = fog(smooth_cube(stage, "Ball").data, "Ball", 0.0)
+    shader.inputs["Emission Strength"].default_value = 1.0
+
+
 # Lights
 
 
@@ -403,6 +437,10 @@ MEASURED = {
     "Chromatic albedo": coloured,
     "Chromatic extinction (Volume Coefficients)": chromatic,
     "Draine's phase function": draine,
+    "Even emission": glowing,
+    "Blackbody of a temperature grid": burning,
+    "Emission through Map Range, and a sun": flaming,
+    "Emission without density, in a mesh": lamp_mesh,
     "Two suns": two_suns,
     "Sun of 10 degrees": sun_of(10.0),
     "Sun of 40 degrees": sun_of(40.0),
@@ -416,14 +454,6 @@ MEASURED = {
 
 
 # What is named instead
-
-
-def emission(stage):
-    stage.shader.inputs["Emission Strength"].default_value = 1.0
-
-
-def blackbody(stage):
-    stage.shader.inputs["Blackbody Intensity"].default_value = 1.0
 
 
 def lamp_of(kind):
@@ -475,7 +505,7 @@ def missing_frame(stage):
 
 
 NAMED = {
-    "Emission": emission, "Blackbody": blackbody, "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
+    "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
     "Area light": lamp_of('AREA'), "Sky Texture": sky, "World volume": world_fog, "Light linking": linked_sun,
     "Opaque mesh": surface, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
     "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,

@@ -11,7 +11,7 @@ from .trilinear import pad_with_zeros, sample_padded
 
 
 class Grid:
-    """The active part of a volume's density and its optical depth towards each sun.
+    """The active part of a volume's density and emission, and its optical depth towards each sun.
 
     Indices count from the first active voxel's centre; the support of the trilinear
     interpolation is the box from -1 to the number of voxels on each axis. All optical
@@ -19,10 +19,15 @@ class Grid:
     """
 
     def __init__(self, volume: Volume):
-        low, high = active_bounds(volume.density)
-        active = volume.density[tuple(slice(l, h) for l, h in zip(low, high))]
+        filled = volume.density if volume.emission is None else _anything(volume)
+        low, high = active_bounds(filled)
+        box = tuple(slice(l, h) for l, h in zip(low, high))
+        active = volume.density[box]
         self.density = pad_with_zeros(active)
-        self.occupancy = Occupancy(self.density)
+        self.occupancy = Occupancy(self.density if volume.emission is None else pad_with_zeros(filled[box]))
+        # One array a colour channel, or none.
+        self.emission = [] if volume.emission is None else [
+            pad_with_zeros(volume.emission[(*box, channel)]) for channel in range(3)]
         self.box = np.full(3, -1.0), np.array(active.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
@@ -54,6 +59,10 @@ class Grid:
         """Density (N,) at continuous indices float32 (3, N)."""
         return sample_padded(self.density, index)
 
+    def sample_emission(self, channel: int, index: np.ndarray) -> np.ndarray:
+        """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
+        return sample_padded(self.emission[channel], index)
+
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel, along its longest edge."""
         return float(self.density.max()) * sigma_t * self.longest
@@ -75,3 +84,8 @@ class Grid:
             index = index.astype(np.float32)
         depth = self.sun_depths[sun](index, self.sigma_t)
         return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth
+
+
+def _anything(volume: Volume) -> np.ndarray:
+    """float32 (nx, ny, nz) above 0 where a volume has density or emission."""
+    return np.maximum(volume.density, np.abs(volume.emission).max(axis=3))

@@ -74,9 +74,13 @@ class Kept:
 
 
 def _same(a: Volume, b: Volume) -> bool:
-    """Whether two volumes hold the same density in the same place."""
+    """Whether two volumes hold the same density and emission in the same place."""
     return a is b or (np.array_equal(a.world_from_index, b.world_from_index)
-                      and (a.density is b.density or np.array_equal(a.density, b.density)))
+                      and _equal(a.density, b.density) and _equal(a.emission, b.emission))
+
+
+def _equal(a, b) -> bool:
+    return a is b or (a is not None and b is not None and np.array_equal(a, b))
 
 
 def _serves(field: MultipleField, network, volume: Volume, medium: Medium) -> bool:

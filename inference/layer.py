@@ -7,6 +7,7 @@ from typing import Optional
 import numpy as np
 
 from .depth_samples import DepthSamples
+from .emission import emitted
 from .kept import Kept
 from .march import march
 from .multiple import POINTS_A_TASK, MultipleField
@@ -35,7 +36,8 @@ class Layer:
     alpha: float32 (H, W), 1 - transmittance of the camera ray.
     depth: float32 (H, W) mean distance along the ray at which light scatters,
         world units; infinity where alpha is 0.
-    single, multiple: float32 (H, W, 3); rgb is their sum.
+    single, multiple, emission: float32 (H, W, 3), light scattered once and more often, and what volumes
+        emit, unscattered; rgb is their sum.
     uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths, as a mean
         over the channels; the network's own error is not in it. With one depth sample nothing tells
         it, and it is as large as `multiple`.
@@ -48,6 +50,7 @@ class Layer:
     single: np.ndarray
     multiple: np.ndarray
     uncertainty: np.ndarray
+    emission: np.ndarray
     report: Optional[Report] = None
 
 
@@ -100,7 +103,7 @@ def _render(volumes, suns, camera, settings, work, report, kept):
 
     x0, y0, x1, y1 = camera.window
     height, width = y1 - y0, x1 - x0
-    single, multiple = np.zeros((2, height * width, 3), np.float32)
+    single, multiple, emission = np.zeros((3, height * width, 3), np.float32)
     uncertainty, alpha, depth = np.zeros((3, height * width), np.float32)
     report.count("pixels", height * width)
 
@@ -121,7 +124,8 @@ def _render(volumes, suns, camera, settings, work, report, kept):
                 pixels = slice((row - y0) * width, (row - y0 + plan.tile_rows) * width)
                 samples = _march_camera_rays(
                     plan, channels, grids, rows, settings, diffused, work, report,
-                    start, start + share * MARCH_SHARE, single[pixels], alpha[pixels], depth[pixels],
+                    start, start + share * MARCH_SHARE, single[pixels], emission[pixels], alpha[pixels],
+                    depth[pixels],
                 )
                 if network is not None and samples is not None:
                     _add_multiple(
@@ -130,25 +134,26 @@ def _render(volumes, suns, camera, settings, work, report, kept):
                     )
 
     shape = (height, width)
-    single, multiple = single.reshape(*shape, 3), multiple.reshape(*shape, 3)
+    single, multiple, emission = (colour.reshape(*shape, 3) for colour in (single, multiple, emission))
     np.divide(depth, np.maximum(alpha, np.float32(1e-30)), out=depth)
     depth[alpha <= 0.0] = np.inf
     return Layer(
-        rgb=single + multiple,
+        rgb=single + multiple + emission,
         alpha=np.clip(alpha, 0.0, 1.0).reshape(shape),
         depth=depth.reshape(shape),
         single=single,
         multiple=multiple,
         uncertainty=uncertainty.reshape(shape),
+        emission=emission,
         report=report,
     )
 
 
 def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
-    """Distances (P,) between which each ray meets any grid that attenuates; near > far on a miss."""
+    """Distances (P,) between which each ray meets any grid that attenuates or emits; near > far on a miss."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     for grid, extinction in zip(grids, sigma_t):
-        if extinction > 0.0:
+        if extinction > 0.0 or grid.emission:
             enter, leave = grid.interval(origins, directions)
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
             meets = enter < leave
@@ -180,9 +185,9 @@ def _diffuse(plan, channels, network, kept, fields, work, report):
 
 
 def _march_camera_rays(
-    plan, channels, grids, camera, settings, diffused, work, report, start, end, single, alpha, depth
+    plan, channels, grids, camera, settings, diffused, work, report, start, end, single, emission, alpha, depth
 ):
-    """Fill single, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
+    """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
     offsets = lookup_offsets(camera, settings.seed)
     near, far = _ray_intervals(grids, channels.sigma_t, origins, directions, clip_near, clip_far)
@@ -211,12 +216,15 @@ def _march_camera_rays(
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
-        return rays, segment, segment.single * phase
+        glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
+                       near[rays], far[rays])
+        return rays, segment, segment.single * phase, glow
 
     parts, light = [], []
     share = len(channels.indices) / 3.0
     with report.stage("march"):
-        for rays, segment, lit in work.map(task, tasks, start, end, "single scattering"):
+        for rays, segment, lit, glow in work.map(task, tasks, start, end, "single scattering"):
+            emission[rays[:, None], channels.indices] = glow
             for c in channels.indices:
                 albedo = np.array([m.albedo[c] for _, m in plan.volumes])
                 irradiance = np.array([sun.irradiance[c] for sun in plan.suns])

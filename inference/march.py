@@ -64,7 +64,7 @@ class _Medium:
 
     def __init__(self, grids, sigma_t, steps: RaySteps, behind: float, always_first: bool):
         blocks = blocks_near_density(grids, steps, always_first)
-        sigma = _extinction(grids, sigma_t, steps, blocks, behind)
+        sigma = extinction(grids, sigma_t, steps, blocks, behind)
         filled = sigma.any(axis=(0, 2)) | (always_first & (blocks.number == 0))
         self.steps, self.blocks, self.sigma = steps, blocks.where(filled), sigma[:, filled]
         self.dt = steps.dt[self.blocks.ray][:, None]
@@ -157,7 +157,7 @@ def _cut(
     return _Medium(grids, sigma_t, RaySteps(grids, origins, directions, near, far, count), behind, always_first)
 
 
-def _extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
+def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
     """Extinction (V, P, STEPS) at the middle of each step, 0 behind what is opaque and beyond the ray's end.
 
     Goes front to back, some blocks of each ray at a time, with the rays that still see through.

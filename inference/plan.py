@@ -15,9 +15,11 @@ PARALLEL = 1e-6
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
+# Bytes of a voxel that emits, on top.
+VOXEL_EMISSION_BYTES = 24
 # Bytes of a pixel's images; of its ray while it is rendered; and of each of its depth samples, where every pixel shows
 # a volume.
-IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 64, 200, 50
+IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 # Bytes of a depth sample on top, for each volume and sun: the light along the ray.
 LIGHT_BYTES = 2 * 4 * COLUMNS
 
@@ -89,11 +91,21 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
     if not USUAL_DENSITY[0] < peak < USUAL_DENSITY[1]:
         exponent = int(np.frexp(peak)[1])
         density, sigma_t, peak = np.ldexp(density, -exponent), np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
-        volume = Volume(density, volume.world_from_index, volume.name)
+        volume = Volume(density, volume.world_from_index, volume.name, volume.emission)
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
     sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
     sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)
-    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy)
+    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission)
+
+
+def glows(volume: Volume, medium: Medium) -> bool:
+    """Whether a volume emits light."""
+    return volume.emission is not None and medium.emission > 0.0 and bool(np.any(volume.emission))
+
+
+def attenuates(volume: Volume, medium: Medium) -> bool:
+    """Whether a volume takes light away or scatters it."""
+    return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
 
 
 def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
@@ -103,14 +115,16 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     """
     if not volumes:
         raise SceneError("there is no volume to render")
-    if not suns:
+    if not suns and not any(glows(*pair) for pair in volumes):
         raise SceneError("there is no sun: without light the image would be black")
     planned, left_out = [], []
     volumes = [in_range(volume, medium) for volume, medium in volumes]
 
-    kept = [(v, m) for v, m in volumes if np.any(m.sigma_t > 0.0) and v.density.max() > 0.0]
+    kept = [pair for pair in volumes if attenuates(*pair) or glows(*pair)]
     for volume, medium in volumes:
-        if not np.any(medium.sigma_t > 0.0):
+        if glows(volume, medium):
+            planned.append(f"{volume.name}: emission")
+        elif not np.any(medium.sigma_t > 0.0):
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
@@ -134,10 +148,11 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if len(channels) == 1:
         left_out.append("two of three colour channels' rays and fields: extinction is grey")
 
-    multiple = [settings.multiple and bool(np.any(m.albedo > 0.0)) and bool(merged) for _, m in kept]
+    multiple = [settings.multiple and bool(np.any(m.albedo > 0.0)) and bool(merged) and attenuates(v, m)
+                for v, m in kept]
     for (volume, medium), needed in zip(kept, multiple):
         if not needed:
-            reason = "its albedo is 0" if merged else "no sun shines"
+            reason = "its albedo or density is 0" if merged else "no sun shines"
             reason = reason if settings.multiple else "the settings say so"
             left_out.append(f"{volume.name}: multiple scattering, {reason}")
             continue
@@ -145,7 +160,9 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
         planned.append(f"{volume.name}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
 
     voxels = sum(volume.density.size for volume, _ in kept)
+    voxels_that_glow = sum(volume.density.size for volume, medium in kept if glows(volume, medium))
     memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
+    memory += voxels_that_glow * VOXEL_EMISSION_BYTES
     x0, y0, x1, y1 = camera.window
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     sample = SAMPLE_BYTES + LIGHT_BYTES * len(kept) * len(merged)

@@ -38,7 +38,7 @@ def step_counts(grids, sigma_t, directions, near, far) -> np.ndarray:
     """Steps (R,) that each ray is cut into between near and far, by the grid that needs most."""
     crossed = [
         np.linalg.norm(directions @ grid.linear.T, axis=1) * (far - near)
-        for grid, extinction in zip(grids, sigma_t) if extinction > 0.0
+        for grid, extinction in zip(grids, sigma_t) if extinction > 0.0 or grid.emission
     ]
     return np.maximum(np.ceil(np.max(crossed, axis=0) * steps_a_voxel(grids, sigma_t)).astype(int), LEAST_STEPS)
 

@@ -52,6 +52,8 @@ class Volume:
     world_from_index: float64 (4, 4) affine; voxel (i, j, k) has its centre at
         world_from_index @ (i, j, k, 1).
     name: used in messages.
+    emission: float32 (nx, ny, nz, 3), radiance that a world unit of the way through it adds, in
+        W/(m^2 sr) a unit, interpolated as the density and wanted whether there is any; or None.
 
     Raises SceneError for an empty or non-finite grid, negative density, or a
     singular transform.
@@ -60,6 +62,7 @@ class Volume:
     density: np.ndarray
     world_from_index: np.ndarray
     name: str = "volume"
+    emission: Optional[np.ndarray] = None
 
     def __post_init__(self):
         self.density = np.ascontiguousarray(self.density, dtype=np.float32)
@@ -71,6 +74,12 @@ class Volume:
         if low < 0.0:
             raise SceneError(f"{self.name}: density holds negative values (lowest {low:g})")
         self.world_from_index = _affine(self.world_from_index, f"{self.name}: transform")
+        if self.emission is not None:
+            self.emission = np.asarray(self.emission, dtype=np.float32)
+            if self.emission.shape != (*self.density.shape, 3):
+                raise SceneError(f"{self.name}: emission must have the density's shape and three channels")
+            if not np.isfinite(self.emission.min() + self.emission.max()):
+                raise SceneError(f"{self.name}: emission holds NaN or infinite values")
 
 
 @dataclass
@@ -80,6 +89,7 @@ class Medium:
     sigma_t: extinction per unit density per world unit, scalar or RGB, >= 0.
     albedo: single-scattering albedo, scalar or RGB, in [0, 1].
     anisotropy: mean cosine of the Henyey-Greenstein phase function, in [-0.999, 0.999].
+    emission: what the volume's emission is multiplied by, >= 0.
 
     Raises SceneError outside these ranges.
     """
@@ -87,6 +97,7 @@ class Medium:
     sigma_t: np.ndarray
     albedo: np.ndarray = 1.0
     anisotropy: float = 0.0
+    emission: float = 1.0
 
     def __post_init__(self):
         self.sigma_t = _rgb(self.sigma_t, "extinction")
@@ -99,6 +110,8 @@ class Medium:
         if not abs(self.anisotropy) <= ANISOTROPY_MOST:
             raise SceneError(f"anisotropy must lie between -{ANISOTROPY_MOST} and {ANISOTROPY_MOST}, "
                              f"not {self.anisotropy:g}")
+        if not 0.0 <= self.emission < np.inf:
+            raise SceneError(f"the factor of emission must be finite and not negative, not {self.emission:g}")
 
 
 @dataclass

@@ -25,19 +25,25 @@ SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
 VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
 
+class EmptyGrid(SceneError):
+    """A grid without a voxel above 0."""
+
+
 @dataclass
 class DensityGrid:
     """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0; not to be written to.
+    low: int (3,), the file's index of its first voxel.
     object_from_index: float64 (4, 4), index of `density` to the object's own space.
     warnings: what was changed in the data, naming the object.
     """
 
     density: np.ndarray
     object_from_index: np.ndarray
+    low: np.ndarray
     warnings: List[str] = field(default_factory=list)
 
 
-# What was read and is in use, by file, its time and size, and grid: (weak reference to the density, matrix, notes).
+# What was read and is in use, by file, its time and size, and grid: (weak reference to the density, matrix, low, notes).
 _in_use = {}
 # Files that another process has read to an end, by the same.
 _harmless = set()
@@ -50,7 +56,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     how many there were. started: see `read_alone`. Any thread may call; other threads run meanwhile.
 
     Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, a grid
-    that holds no scalar fog, an empty grid, or one too large to hold densely.
+    that holds no scalar fog, or one too large to hold densely; EmptyGrid for one that holds nothing.
     """
     where = f"Volume object \"{owner}\""
     known = density_grid_in_use(path, grid_name, owner)
@@ -68,7 +74,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     _require_box(facts["shape"], grid_name, where)
     notes += _clean(values, grid_name)
     if not values.any():
-        raise SceneError(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
+        raise EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
     if facts["matrix"] is None:
         raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
     matrix = np.array(facts["matrix"])
@@ -77,18 +83,19 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     values.flags.writeable = False
     for old in [old for old, (density, *_) in list(_in_use.items()) if density() is None]:
         _in_use.pop(old, None)
-    _in_use[key] = weakref.ref(values), matrix, notes
+    low = np.array(facts["low"])
+    _in_use[key] = weakref.ref(values), matrix, low, notes
     _harmless.add(key)
-    return DensityGrid(values, matrix.copy(), [f"{where}: {note}" for note in notes])
+    return DensityGrid(values, matrix.copy(), low, [f"{where}: {note}" for note in notes])
 
 
 def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[DensityGrid]:
     """As `read_density_grid` where the grid is read already and in use, else None."""
-    density, matrix, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, ()))
+    density, matrix, low, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, ()))
     values = density()
     if values is None:
         return None
-    return DensityGrid(values, matrix.copy(), [f"Volume object \"{owner}\": {note}" for note in notes])
+    return DensityGrid(values, matrix.copy(), low, [f"Volume object \"{owner}\": {note}" for note in notes])
 
 
 def _key(path: str, grid_name: str):
@@ -165,7 +172,7 @@ def _require_box(shape, grid_name, where) -> None:
     """Measured on the tree and never on metadata."""
     # OpenVDB gives an inverted box for a grid without active voxels.
     if min(shape) < 1:
-        raise SceneError(f"{where}: grid \"{grid_name}\" is empty (no active voxel)")
+        raise EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no active voxel)")
     count = shape[0] * shape[1] * shape[2]
     if count > MAX_VOXELS:
         raise SceneError(

@@ -26,7 +26,7 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
     return replace(
         layer, rgb=placed(layer.rgb, 0.0), alpha=placed(layer.alpha, 0.0), depth=placed(layer.depth, np.inf),
         single=placed(layer.single, 0.0), multiple=placed(layer.multiple, 0.0),
-        uncertainty=placed(layer.uncertainty, 0.0),
+        uncertainty=placed(layer.uncertainty, 0.0), emission=placed(layer.emission, 0.0),
     )
 
 

@@ -1,4 +1,4 @@
-"""Volume materials as scattering and absorption at points, with Cycles' meaning of each shader."""
+"""Volume materials as scattering, absorption and emission at points, with Cycles' meaning of each shader."""
 
 from dataclasses import dataclass, field
 from typing import List
@@ -9,6 +9,7 @@ from ..inference.scene import SceneError
 from .node_values import NodeValues
 from .phase_functions import mean_cosine
 from .sockets import Unsupported, active_output, input_of, source_of
+from .volume_emission import blackbody, strength_and_colour
 
 SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
 
@@ -21,6 +22,7 @@ class Closure:
     scatter, absorb: (n, 3) or (1, 3), per world unit.
     anisotropy: mean cosine of its phase function.
     grid: whose values `weight` holds as they are, or "".
+    emission: (n, 3) or (1, 3), radiance per world unit; the weight does not scale it.
     """
 
     weight: np.ndarray
@@ -28,13 +30,17 @@ class Closure:
     absorb: np.ndarray
     anisotropy: float = 0.0
     grid: str = ""
+    emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
 
 
 @dataclass
 class Shading:
-    """closures: what scatters and absorbs. notes: what is not rendered as Cycles renders it."""
+    """closures: what scatters and absorbs. emission: of all of them together, (n, 3) or (1, 3).
+    notes: what is not rendered as Cycles renders it.
+    """
 
     closures: List[Closure] = field(default_factory=list)
+    emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: List[str] = field(default_factory=list)
 
 
@@ -113,7 +119,9 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
             _add(shading, values, source_of(input_of(node, identifier), groups), weight * share)
     elif node.bl_idname in CLOSURES:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
-        if closure is not None:
+        shading.emission = shading.emission + weight * closure.emission
+        # One that is 0 everywhere, not only at these points.
+        if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
             closure.grid = closure.grid if np.all(weight == 1.0) else ""
             closure.weight = closure.weight * weight
             shading.closures.append(closure)
@@ -124,15 +132,18 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
 
 def _principled(shading, values, node, groups):
     density = np.maximum(values.number(node, "Density", groups), 0.0)
-    if _glows(values, node, groups):
-        shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
+    names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
+    emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
+    emission = emission + blackbody(values, node, groups, names["Temperature"])
+    shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
+    if not shaped and not density.max() > 0.0:
+        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
-    points, names = values.points, {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color")}
+    points = values.points
     if names["Color"] and points.has(names["Color"]):
         colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
     # An attribute that is not there leaves Density as it is. In a Volume object that would fill
     # Cycles' own boxes around the voxels: then reading it says what is missing.
-    shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
     weight, grid = np.ones((1, 1)), ""
     if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
         weight, grid = points.attribute(names["Density"], node), names["Density"]
@@ -143,7 +154,7 @@ def _principled(shading, values, node, groups):
         weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups), grid)
+    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups), grid, emission)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
@@ -152,11 +163,6 @@ def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
     scatter = colour, absorb = max(1 - colour, 0) max(1 - sqrt(absorption), 0).
     """
     return colour, np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(absorption), 0.0)
-
-
-def _glows(values, node, groups) -> bool:
-    emission = values.number(node, "Emission Strength", groups) * values.colour(node, "Emission Color", groups)
-    return emission.max() > 0.0 or values.number(node, "Blackbody Intensity", groups).max() > 0.0
 
 
 def _text(node, identifier, groups) -> str:
@@ -183,15 +189,14 @@ def _absorption(shading, values, node, groups):
 
 
 def _coefficients(shading, values, node, groups):
-    if values.colour(node, "Emission Coefficients", groups).max() > 0.0:
-        shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
-    scatter, absorb = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
-                       for kind in ("Scatter", "Absorption"))
-    return Closure(np.ones((1, 1)), scatter, absorb, _anisotropy(shading, values, node, groups))
+    scatter, absorb, emission = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
+                                 for kind in ("Scatter", "Absorption", "Emission"))
+    return Closure(np.ones((1, 1)), scatter, absorb, _anisotropy(shading, values, node, groups), emission=emission)
 
 
 def _emission(shading, values, node, groups):
-    shading.notes.append(f"node \"{node.name}\" emits light, which is not rendered")
+    emission = strength_and_colour(values, node, "Strength", "Color", groups)
+    return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission)
 
 
 CLOSURES = {

@@ -11,6 +11,7 @@ from .environment_image import environment_image
 from .node_math import MATH, VECTOR_MATH, clamp, divide, smoothstep
 from .node_textures import gradient, noise
 from .sockets import Unsupported
+from .volume_emission import blackbody_colour
 
 RAMP_CELLS = 256
 CURVE_CELLS = 256
@@ -61,6 +62,10 @@ def _clamp(values, node, output, groups):
     if node.clamp_type == 'RANGE':
         low, high = np.minimum(low, high), np.maximum(low, high)
     return clamp(value, low, high)
+
+
+def _blackbody(values, node, output, groups):
+    return np.maximum(blackbody_colour(values.number(node, "Temperature", groups)), 0.0)
 
 
 def _color_ramp(values, node, output, groups):
@@ -267,6 +272,7 @@ FUNCTIONS = {
     'ShaderNodeVectorMath': _vector_math,
     'ShaderNodeMapRange': _map_range,
     'ShaderNodeClamp': _clamp,
+    'ShaderNodeBlackbody': _blackbody,
     'ShaderNodeValToRGB': _color_ramp,
     'ShaderNodeFloatCurve': _float_curve,
     'ShaderNodeMix': _mix,

@@ -60,6 +60,8 @@ def scene_key(description, bounces: int, version: str) -> str:
         digest.update(repr(volume.density.shape).encode())
         for array in (volume.density, volume.world_from_index, medium.sigma_t, medium.albedo):
             digest.update(np.ascontiguousarray(array).tobytes())
+        if volume.emission is not None:
+            digest.update(np.ascontiguousarray(volume.emission).tobytes() + repr(medium.emission).encode())
         digest.update(repr(medium.anisotropy).encode())
     for sun in description.suns:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())

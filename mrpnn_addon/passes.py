@@ -11,7 +11,9 @@ from ..inference.layer import Layer
 from .layer_frame import finite_depth
 
 # Cycles has spelt its passes out since 5.0.
-DIRECT, INDIRECT = ("Volume Direct", "Volume Indirect") if bpy.app.version >= (5, 0, 0) else ("VolumeDir", "VolumeInd")
+DIRECT, INDIRECT, EMISSION = (
+    ("Volume Direct", "Volume Indirect", "Emission") if bpy.app.version >= (5, 0, 0) else
+    ("VolumeDir", "VolumeInd", "Emit"))
 
 
 @dataclass
@@ -33,6 +35,7 @@ def extra_passes(view_layer) -> List[RenderPass]:
         (view_layer.use_pass_z, RenderPass("Depth", "Z", 'VALUE', finite_depth)),
         (switches.use_pass_volume_direct, RenderPass(DIRECT, "RGB", 'COLOR', lambda layer: layer.single)),
         (switches.use_pass_volume_indirect, RenderPass(INDIRECT, "RGB", 'COLOR', lambda layer: layer.multiple)),
+        (switches.use_pass_emission, RenderPass(EMISSION, "RGB", 'COLOR', lambda layer: layer.emission)),
         (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", 'VALUE', lambda layer: layer.uncertainty)),
     ]
     return [wanted for on, wanted in passes if on]
@@ -40,9 +43,11 @@ def extra_passes(view_layer) -> List[RenderPass]:
 
 class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     use_pass_volume_direct: BoolProperty(
-        name="Volume Direct", description="Light scattered once; together with Volume Indirect it is Combined")
+        name="Volume Direct", description="Light scattered once; with Volume Indirect and Emission it is Combined")
     use_pass_volume_indirect: BoolProperty(
         name="Volume Indirect", description="Light scattered more than once, which the network predicts")
+    use_pass_emission: BoolProperty(
+        name="Emission", description="Light that volumes emit, dimmed by what lies before it and not scattered")
     use_pass_uncertainty: BoolProperty(
         name="Uncertainty", description="Standard error of Volume Indirect from the choice of depths along each ray; "
         "more depth samples lower it. The network's own error is not in it")

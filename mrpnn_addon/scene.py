@@ -61,7 +61,7 @@ def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     if not description.volumes:
         raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
                          "closed mesh a material with a volume and no surface")
-    if not description.suns:
+    if not description.suns and not any(volume.emission is not None for volume, _ in description.volumes):
         raise SceneError("the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)")
     return description
 

@@ -1,4 +1,4 @@
-"""A volume shader evaluated at every voxel: one density grid with one extinction and albedo."""
+"""A volume shader evaluated at every voxel: one density grid with one extinction and albedo, and emission."""
 
 from dataclasses import dataclass
 from typing import Dict, List, Optional
@@ -17,7 +17,7 @@ ONE_COLOUR = 0.01
 class ShadedGrid:
     """density: float32 (nx, ny, nz). sigma_t, albedo: float64 (3,), extinction per unit density.
     anisotropy: mean cosine. placed: whether the shader depends on where the voxels are.
-    notes: what is not rendered as Cycles renders it.
+    notes: what is not rendered as Cycles renders it. emission: float32 (nx, ny, nz, 3) or None.
     """
 
     density: np.ndarray
@@ -26,13 +26,16 @@ class ShadedGrid:
     anisotropy: float
     placed: bool
     notes: List[str]
+    emission: Optional[np.ndarray] = None
 
 
-def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None):
+def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
+          boxes: Optional[np.ndarray] = None):
     """The ShadedGrid of a material.
 
     grids: float32 arrays of one shape by name. frames: see `VoxelPoints`. inside: float32, the share of
-    each voxel that a mesh encloses, None for grids.
+    each voxel that a mesh encloses, None for grids. boxes: float32, 1 where a shader shines that does so
+    where all grids are 0.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
     absorbs where every grid is 0, or has colours that vary from voxel to voxel.
@@ -41,14 +44,14 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
 
     def at(voxels):
         points = VoxelPoints(grids, shape, voxels, frames, fills_its_bounds=inside is not None)
-        shading = material.at(points)
-        if not shading.closures:
-            material.refuse("it neither scatters nor absorbs, so there is nothing to render")
-        return points, shading
+        return points, material.at(points)
 
     # Two voxels tell what is the same in all of them.
     points, shading = at(np.zeros(2, int))
     plain, placed = _plain(shading), points.placed
+    shines = len(shading.emission) > 1 or shading.emission.any()
+    if not shading.closures and not shines:
+        material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render")
     if plain and inside is None and shading.closures[0].grid:
         # The shader colours one grid and changes none of its voxels, of which some hold something.
         closure = shading.closures[0]
@@ -71,7 +74,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
                 _require_empty_background(material, points, density[voxels])
         if inside is not None:
             density *= inside.reshape(-1)
-        if not density.max() > 0.0:
+        if not density.max() > 0.0 and not shines:
             _refuse_emptiness(material)
         density = density.reshape(shape)
     if plain:
@@ -79,15 +82,28 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
         extinction, scatter = _one_colour(material, gram, reference)
-    if not extinction.max() > 0.0:
+    if not extinction.max() > 0.0 and not shines:
         _refuse_emptiness(material)
     albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
     notes = shading.notes
+    emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
+    if emission is not None and (inside is not None or boxes is not None):
+        emission *= (inside if boxes is None else boxes)[..., None]
+    if emission is not None and scatter.max() > 0.0:
+        notes = notes + ["the light it emits is rendered as the camera sees it; that it lights the volume is not"]
     if len(means) > 1:
         notes = notes + ["phase functions of several shaders are rendered as one with their mean cosine"]
     weight = sum(means.values())
     anisotropy = sum(g * w for g, w in means.items()) / weight if weight else 0.0
-    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes)
+    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes, emission)
+
+
+def _emission(at, shape, chunks) -> Optional[np.ndarray]:
+    """float32 (nx, ny, nz, 3) of the voxels in chunks, or None where all are dark."""
+    emission = np.zeros((int(np.prod(shape)), 3), np.float32)
+    for voxels in chunks:
+        emission[voxels] = at(voxels)[1].emission
+    return emission.reshape(*shape, 3) if emission.any() else None
 
 
 def _chunks(grids, placed: bool, inside):
@@ -141,17 +157,18 @@ def _one_colour(material, gram, reference: int):
 
 
 def is_linear(material, names) -> bool:
-    """Whether twice the grids' values give twice the extinction: then voxels say all between them."""
-    half, whole = (_extinction_at(material, names, value) for value in (0.5, 1.0))
+    """Whether twice the grids' values give twice of all coefficients: then voxels say all between them."""
+    half, whole = (_coefficients_at(material, names, value) for value in (0.5, 1.0))
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
 
-def _extinction_at(material, names, value: float) -> np.ndarray:
-    """(3,) where every grid has one value."""
+def _coefficients_at(material, names, value: float) -> np.ndarray:
+    """(6,) extinction and emission where every grid has one value."""
     grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
     points = VoxelPoints(grids, (1, 1, 1), np.zeros(1, int), frames, fills_its_bounds=False)
-    return _coefficients(material.at(points))[0, :3]
+    shading = material.at(points)
+    return np.concatenate([_coefficients(shading)[0, :3], shading.emission[0]])
 
 
 def refine(values: np.ndarray) -> np.ndarray:

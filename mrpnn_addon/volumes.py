@@ -9,7 +9,8 @@ import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import MAX_VOXELS, grid_names, read_density_grid, unreadable
+from .density_grid import MAX_VOXELS, EmptyGrid, grid_names, read_density_grid, unreadable
+from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial, first_material
 from .mesh_volume import fill
 from .shaded_grid import ShadedGrid, is_linear, refine, require_empty_background, shade
@@ -48,8 +49,8 @@ class VolumeReader:
                 raise SceneError(f"{where}: the machine has not enough memory to read it; resample its grids") from None
             if not shaded.placed:
                 self.known[key] = shaded, object_from_index, []
-        volume = Volume(shaded.density, shown.matrix @ object_from_index, name=shown.name)
-        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy)
+        volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission)
+        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, emission=scale)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
 
@@ -119,26 +120,44 @@ def _read_file(path: str, shown: Shown, where: str):
                         f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")
     if not probe.placed:
         require_empty_background(material, at_zero)
-    grids, object_from_index, warnings = _aligned(path, probe.names, shown, material)
+    grids, object_from_index, low, warnings = _aligned(path, probe.names, shown, material)
+    filled = None
+    # What shines where the grids are 0 fills Cycles' boxes.
+    if at_zero.emission.any():
+        grids, first = leaves_around(grids, low)
+        object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - low)
+        filled = boxes(grids)
     # Cycles interpolates the grids and then evaluates the nodes; finer voxels come close to that.
     if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe.names)):
         grids = {name: refine(values) for name, values in grids.items()}
+        filled = None if filled is None else refine(filled)
         object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
         object_from_index[:3, :3] *= 0.5
     frames = {"object": object_from_index, "world": shown.matrix @ object_from_index}
-    return shade(material, grids, frames), object_from_index, warnings
+    return shade(material, grids, frames, boxes=filled), object_from_index, warnings
 
 
 def _aligned(path, names, shown, material):
-    """Grids by name in the box that holds them all, and its index to object space."""
-    read = {name: read_density_grid(path, name, shown.name) for name in names}
-    first = read[names[0]].object_from_index
+    """Grids by name in the box that holds them all, its index to object space, and the file's index of its first voxel.
+
+    A grid without a voxel above 0 is 0 everywhere. Raises EmptyGrid where all are.
+    """
+    read, empty = {}, None
+    for name in names:
+        try:
+            read[name] = read_density_grid(path, name, shown.name)
+        except EmptyGrid as problem:
+            empty = problem
+    if not read:
+        raise empty
+    reference = next(iter(read.values()))
+    first = reference.object_from_index
     offsets = {}
     for name, grid in read.items():
         relative = np.linalg.inv(first) @ grid.object_from_index
         offset = np.round(relative[:3, 3])
         if np.abs(relative[:3, :3] - np.eye(3)).max() > 1e-4 or np.abs(relative[:3, 3] - offset).max() > 1e-2:
-            material.refuse(f"grids \"{names[0]}\" and \"{name}\" have different voxels, which cannot be combined")
+            material.refuse(f"grids \"{next(iter(read))}\" and \"{name}\" have different voxels, which cannot be combined")
         offsets[name] = offset.astype(int)
     warnings = [warning for grid in read.values() for warning in grid.warnings]
     low = np.min(list(offsets.values()), axis=0)
@@ -147,8 +166,9 @@ def _aligned(path, names, shown, material):
         material.refuse(f"its grids lie so far apart that the box around them has more than {MAX_VOXELS} voxels")
     object_from_index = first.copy()
     object_from_index[:3, 3] += first[:3, :3] @ low
-    return {name: _placed(grid.density, offsets[name] - low, high - low) for name, grid in read.items()}, \
-        object_from_index, warnings
+    grids = {name: _placed(grid.density, offsets[name] - low, high - low) for name, grid in read.items()}
+    grids.update({name: np.zeros(high - low, np.float32) for name in names if name not in read})
+    return grids, object_from_index, reference.low + low, warnings
 
 
 def _placed(values, offset, shape):

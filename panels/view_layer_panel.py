@@ -25,6 +25,7 @@ class MRPNN_PT_passes(bpy.types.Panel):
         column = layout.column(heading="Volume", align=True)
         column.prop(view_layer.mrpnn, "use_pass_volume_direct", text="Direct")
         column.prop(view_layer.mrpnn, "use_pass_volume_indirect", text="Indirect")
+        column.prop(view_layer.mrpnn, "use_pass_emission")
         column.prop(view_layer.mrpnn, "use_pass_uncertainty")
 
 

@@ -23,7 +23,8 @@ def layer(addon):
     alpha = random.uniform(0.1, 1, shape).astype(np.float32)
     depth = np.where(random.random(shape) < 0.3, np.inf, random.uniform(1, 9, shape)).astype(np.float32)
     single[:5], multiple[:5], alpha[:5] = 0.0, 0.0, 0.0
-    return addon.inference.Layer(single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha)
+    return addon.inference.Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
+                                 emission=0.2 * single)
 
 
 def channels(path):
@@ -37,9 +38,10 @@ def test_openexr_reads_what_was_written(addon, layer, tmp_path):
     addon.mrpnn_addon.layer_exr.write_layer(str(path), layer, "Fog", metadata)
     found, header = channels(path)
     assert set(found) == {
-        *(f"Fog.{name}.{c}" for name in ("Combined", "Single", "Multiple") for c in "RGB"),
+        *(f"Fog.{name}.{c}" for name in ("Combined", "Single", "Multiple", "Emission") for c in "RGB"),
         "Fog.Combined.A", "Fog.Alpha.A", "Fog.Depth.Z", "Fog.Uncertainty.X"}
-    for name, values in (("Combined", layer.rgb), ("Single", layer.single), ("Multiple", layer.multiple)):
+    for name, values in (("Combined", layer.rgb), ("Single", layer.single), ("Multiple", layer.multiple),
+                         ("Emission", layer.emission)):
         for index, c in enumerate("RGB"):
             np.testing.assert_array_equal(found[f"Fog.{name}.{c}"], values[..., index])
     np.testing.assert_array_equal(found["Fog.Alpha.A"], layer.alpha)
@@ -121,7 +123,7 @@ def test_the_image_holds_the_layer_and_is_used_again(addon, scene, layer):
     np.testing.assert_array_equal(pixels(image)[::-1, :, :3], layer.rgb)
     np.testing.assert_array_equal(pixels(image)[::-1, :, 3], layer.alpha)
 
-    smaller = type(layer)(*(values[:10, :7] for values in list(vars(layer).values())[:6]))
+    smaller = type(layer)(*(values[:10, :7] for values in list(vars(layer).values())[:7]))
     assert show(smaller) == image and tuple(image.size) == (7, 10)
     np.testing.assert_array_equal(pixels(image)[::-1, :, :3], smaller.rgb)
     assert len(bpy.data.images) == 1

@@ -253,22 +253,6 @@ def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase,
     assert any(f"{mean:.3f}" in warning and "mean cosine" in warning for warning in described.warnings)
 
 
-def glow(node):
-    node.inputs["Emission Strength"].default_value = 1.0
-
-
-def burn(node):
-    node.inputs["Blackbody Intensity"].default_value = 1.0
-
-
-@pytest.mark.parametrize("change", [glow, burn])
-def test_emission_is_named_as_not_rendered(addon, scene, box, change):
-    _, node, _ = build(scene, box)
-    change(node)
-    (warning,) = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).warnings
-    assert "Cloud" in warning and "Principled Volume" in warning and "emits" in warning
-
-
 def link_voronoi(node):
     link(node, "TexVoronoi")
 

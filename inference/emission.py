@@ -1,0 +1,32 @@
+"""Light that volumes emit, as it reaches the camera."""
+
+import numpy as np
+
+from .march import BEHIND, extinction, mean_transmittance
+from .ray_steps import RaySteps, blocks_near_density, step_counts, sums_within
+
+
+def emitted(grids, channels, factors, origins, directions, near, far) -> np.ndarray:
+    """(R, C): the integral of T(t) e(x(t)) dt along rays, C of the channels' colours; (1,) zeros where nothing emits.
+
+    T is the transmittance through all grids and e their emission; both are constant within a step.
+    channels: a plan's Channels; factors: (V,) of each grid's emission; origins, directions: float64 (R, 3);
+    near, far: (R,) interval that holds all grids.
+    """
+    glowing = [v for v, grid in enumerate(grids) if grid.emission and factors[v] > 0.0]
+    if not glowing:
+        return np.zeros(1)
+    steps = RaySteps(grids, origins, directions, near, far, step_counts(grids, channels.sigma_t, directions, near, far))
+    blocks = blocks_near_density(grids, steps, always_first=False)
+    # What still comes through to each step, times its length.
+    tau = extinction(grids, channels.sigma_t, steps, blocks, BEHIND).sum(axis=0) * steps.dt[blocks.ray][:, None]
+    within = sums_within(tau)
+    through = np.exp(-blocks.before(within[:, -1])[:, None] - (within - tau)) * mean_transmittance(np.float32(0.0), tau)
+    through *= steps.dt[blocks.ray][:, None] * (blocks.steps() < steps.count[blocks.ray][:, None])
+    light = np.zeros((blocks.rays, len(channels.indices)))
+    for v in glowing:
+        index = steps.index(v, blocks.ray, blocks.steps() + np.float32(0.5))
+        for number, channel in enumerate(channels.indices):
+            glow = grids[v].sample_emission(channel, index).reshape(tau.shape)
+            light[:, number] += factors[v] * blocks.sums((glow * through).sum(axis=1))
+    return light
