@@ -13,8 +13,10 @@ from .occupancy import REACH
 
 # Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
 STEPS_A_VOXEL = (2, 8)
-# Of a ray: what only grazes a corner is seen as sharply as the rest.
-LEAST_STEPS = 32
+# Of a coarse grid, along its longest edge at least.
+STEPS_AN_EDGE = 256
+# A ray that only grazes a corner is cut as finely as if it passed so many voxels.
+LEAST_VOXELS = 32
 # Of a block: no end of it lies further from its middle than occupancy tells.
 STEPS = 2 * REACH * STEPS_A_VOXEL[0]
 
@@ -26,7 +28,8 @@ def voxel_thickness(grids, sigma_t) -> float:
 
 def steps_a_voxel(grids, sigma_t) -> int:
     """Two steps for each optical depth that a voxel may hold, within bounds."""
-    return int(np.clip(np.ceil(2 * voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL))
+    coarse = -(-STEPS_AN_EDGE // max(max(grid.density.shape) for grid in grids))
+    return max(int(np.clip(np.ceil(2 * voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL)), coarse)
 
 
 def step_thickness(grids, sigma_t) -> float:
@@ -40,7 +43,7 @@ def step_counts(grids, sigma_t, directions, near, far) -> np.ndarray:
         np.linalg.norm(directions @ grid.linear.T, axis=1) * (far - near)
         for grid, extinction in zip(grids, sigma_t) if extinction > 0.0 or grid.emission
     ]
-    return np.maximum(np.ceil(np.max(crossed, axis=0) * steps_a_voxel(grids, sigma_t)).astype(int), LEAST_STEPS)
+    return np.ceil(np.maximum(np.max(crossed, axis=0), LEAST_VOXELS) * steps_a_voxel(grids, sigma_t)).astype(int)
 
 
 class RaySteps:

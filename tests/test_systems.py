@@ -77,6 +77,9 @@ def test_the_reference_is_the_path_tracers_image(ball):
                           (1.0, 0.8, 0.5), 512, seed=1)
     shown = layer.alpha > 0.1
     np.testing.assert_allclose(layer.rgb[shown].mean(axis=0), traced[shown, :3].mean(axis=0), rtol=0.02)
+    # Two references of different seeds are independent: their halves tell their noise.
+    other = render([(volume, medium)], [SUN], view, Settings(depth_samples=24, model="reference", seed=1))
+    assert np.all(other.multiple[shown] != layer.multiple[shown])
 
 
 def test_the_reference_follows_the_volume_in_the_world(ball):

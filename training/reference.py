@@ -68,14 +68,19 @@ class TracedField:
         self.sigma, self.sun = sigma_hat * self.edge, self.linear @ sun
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
-        """Radiance float32 (A, N), noisy, the same for the same points; jitter and light are not needed."""
+        """Radiance float32 (A, N), noisy, the same for the same points and jitter; light is not needed."""
         places = np.clip(positions @ self.linear.T + self.offset, -0.5, 0.5)
         with _tracing:
             radiance = trace_points(
                 self.grid, self.sun, None, places, omega @ self.linear.T, self.sigma, self.anisotropy,
-                albedos, self.paths, seed=zlib.crc32(np.ascontiguousarray(positions).tobytes()),
+                albedos, self.paths, seed=_seed(positions, jitter),
             )
         return radiance[:, 0].T
+
+
+def _seed(positions, jitter) -> int:
+    """Of the paths: the jitter tells apart renders of different seeds, whose points are the same."""
+    return zlib.crc32(b"".join(np.ascontiguousarray(a).tobytes() for a in (positions, jitter) if a is not None))
 
 
 register_system("reference", PathTracer)
