@@ -24,7 +24,7 @@ class _Baseline:
     sigma_hat_range = (0.0, np.inf)
     albedo_range = (0.0, 1.0)
 
-    def field(self, volume, cube, anisotropy: float):
+    def field(self, volume, cube, anisotropy: float, check=lambda: None):
         made = type(self)()
         made.anisotropy = anisotropy
         return made

@@ -14,6 +14,8 @@ from .trilinear import sample_trilinear
 
 # Columns of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
+# Voxels of an axis that are averaged at a time.
+SLAB = 16
 
 
 @dataclass
@@ -93,11 +95,11 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
     return ((integral[1:] - integral[:-1]) / width).astype(np.float32)
 
 
-def level0_density(volume: Volume, cube: Cube) -> np.ndarray:
+def level0_density(volume: Volume, cube: Cube, check=lambda: None) -> np.ndarray:
     """Mean density in each cell of the cube: float32 (256, 256, 256).
 
     Exact means of the trilinear interpolant where grid and cube share axes; otherwise
-    (shear) the interpolant at 2x2x2 points a cell.
+    (shear) the interpolant at 2x2x2 points a cell. check: asked often.
     """
     active = volume.density[tuple(slice(l, h) for l, h in zip(cube.low, cube.high))]
     index_from_world = np.linalg.inv(volume.world_from_index)
@@ -105,20 +107,34 @@ def level0_density(volume: Volume, cube: Cube) -> np.ndarray:
     origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
     scale = np.diag(index_from_cube)
     if np.abs(index_from_cube - np.diag(scale)).max() > PERPENDICULAR * np.abs(scale).max():
-        return _resample_sheared(active, index_from_cube, origin)
+        return _resample_sheared(active, index_from_cube, origin, check)
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
     cells = active
     for axis in range(3):
         along = edges * scale[axis] + origin[axis]
         weights = _cell_weights(along, active.shape[axis])
-        cells = np.moveaxis(np.tensordot(weights, cells, axes=(1, axis)), 0, axis)
+        cells = _weighted(weights, cells, axis, check)
     return np.ascontiguousarray(np.maximum(cells, 0.0))
 
 
-def _resample_sheared(active, index_from_cube, origin):
+def _weighted(weights, values, axis: int, check) -> np.ndarray:
+    """Sums along one axis of values (x, y, z) with weights (cells, voxels), slab by slab of another."""
+    across = 0 if axis else 1
+    shape = list(values.shape)
+    shape[axis] = len(weights)
+    sums = np.empty(shape, np.float32)
+    for start in range(0, shape[across], SLAB):
+        check()
+        slab = (slice(None),) * across + (slice(start, start + SLAB),)
+        sums[slab] = np.moveaxis(np.tensordot(weights, values[slab], axes=(1, axis)), 0, axis)
+    return sums
+
+
+def _resample_sheared(active, index_from_cube, origin, check):
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
     for i in range(LEVEL0_CELLS):
+        check()
         points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
         index = index_from_cube @ points.reshape(-1, 3).T + origin[:, None]
         fine = sample_trilinear(active, index.astype(np.float32))

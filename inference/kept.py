@@ -61,13 +61,13 @@ class Kept:
         finally:
             self._lock.release()
 
-    def field(self, network, volumes, number: int) -> MultipleField:
-        """The field of one of a render's pairs of Volume and Medium."""
+    def field(self, network, volumes, number: int, check=lambda: None) -> MultipleField:
+        """The field of one of a render's pairs of Volume and Medium. check: asked often while it is made."""
         volume, medium = volumes[number]
         self._fields = {n: field for n, field in self._fields.items()
                         if n < len(volumes) and (n != number or _serves(field, network, volume, medium))}
         if number not in self._fields:
-            self._fields[number] = MultipleField(network, volume, medium)
+            self._fields[number] = MultipleField(network, volume, medium, check)
         field = self._fields[number]
         field.volume, field.medium = volume, medium
         return field

@@ -16,14 +16,14 @@ def density_feature(sigma_hat, density):
 class LatticeField:
     """Density at RPNN's lattices, and the network that reads it.
 
-    network: its `points` are the SunLattice; cube: of the volume. The anisotropy is the one it was trained for.
+    network: its `points` are the SunLattice; cube: of the volume; check: asked often. The anisotropy is the one it was trained for.
     """
 
     needs_light = False
 
-    def __init__(self, network, volume, cube, anisotropy: float):
+    def __init__(self, network, volume, cube, anisotropy: float, check=lambda: None):
         self.network = network
-        self.density = refined_levels(density_pyramid(level0_density(volume, cube)))
+        self.density = refined_levels(density_pyramid(level0_density(volume, cube, check)))
 
     @staticmethod
     def read_points(values) -> SunLattice:

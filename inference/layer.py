@@ -166,7 +166,7 @@ def _field(plan, network, kept, fields, v, sigma_t, work, report) -> MultipleFie
     """The field of one volume, made once."""
     if v not in fields:
         work.check()
-        fields[v] = kept.field(network, plan.volumes, v)
+        fields[v] = kept.field(network, plan.volumes, v, work.check)
         report.warnings += fields[v].warnings(sigma_t)
     work.check()
     return fields[v]

@@ -20,18 +20,18 @@ FLUENCE_MOST = 5.04
 class MultipleField:
     """Everything that predicts multiple scattering in one volume, for one extinction and sun.
 
-    system: what `load_network` gives. Outside the range of optical density that it was made for, the
+    system: what `load_network` gives. check: asked often while the field is made. Outside the range of optical density that it was made for, the
     prediction is that at the range's end: scaled down in proportion below it, where multiple scattering is
     linear in density, and held above it. Outside the ranges of anisotropy and albedo the nearest value is used.
     No prediction exceeds what the largest fluence that one sun can make, all of it arriving where the
     phase function is largest, would give.
     """
 
-    def __init__(self, system, volume: Volume, medium: Medium):
+    def __init__(self, system, volume: Volume, medium: Medium, check=lambda: None):
         self.system, self.volume, self.medium = system, volume, medium
         self.cube = fit_cube(volume)
         self.anisotropy = float(np.clip(medium.anisotropy, *system.anisotropy_range))
-        self.field = system.field(volume, self.cube, self.anisotropy)
+        self.field = system.field(volume, self.cube, self.anisotropy, check)
         self.built = None
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         self.most = np.float32(FLUENCE_MOST * peak)

@@ -74,9 +74,9 @@ class Network:
         """(lowest, highest) albedo seen in training."""
         return tuple(self.configuration.get("albedo_range", (0.0, 1.0)))
 
-    def field(self, volume, cube, anisotropy: float):
-        """What predicts multiple scattering in one volume."""
-        return self.field_type(self, volume, cube, anisotropy)
+    def field(self, volume, cube, anisotropy: float, check=lambda: None):
+        """What predicts multiple scattering in one volume. check: asked often."""
+        return self.field_type(self, volume, cube, anisotropy, check)
 
     def run(self, **inputs) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.

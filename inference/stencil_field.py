@@ -16,14 +16,14 @@ MOST_FLUENCES = 64
 class StencilField:
     """Density, transmittance and phase function at A.2's stencil, and the network that reads them.
 
-    network: its `points` are the Stencil; cube: of the volume.
+    network: its `points` are the Stencil; cube: of the volume; check: asked often.
     """
 
     needs_light = False
 
-    def __init__(self, network, volume, cube, anisotropy: float):
+    def __init__(self, network, volume, cube, anisotropy: float, check=lambda: None):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        pyramid = density_pyramid(level0_density(volume, cube))
+        pyramid = density_pyramid(level0_density(volume, cube, check))
         self.padded = padded_levels(pyramid, network.points)
         self.lattices, self.built = None, None
         self.prepare(pyramid)

@@ -1,12 +1,14 @@
 """The working frame and its level 0."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from inference.cube import active_bounds, fit_cube, level0_density
 from inference.fields import density_pyramid
-from inference.scene import SceneError, Volume
+from inference.scene import Cancelled, SceneError, Volume
 
 
 def random_volume(linear, seed=0, shape=(20, 31, 12)):
@@ -82,3 +84,23 @@ def test_pyramid_keeps_the_mean():
     assert [level.shape[0] for level in pyramid] == [256, 128, 64, 32, 16, 8, 4, 2, 1]
     assert pyramid[-1].item() == pytest.approx(level0.mean(dtype=np.float64), rel=1e-5)
     np.testing.assert_allclose(pyramid[3][1, 2, 3], level0[8:16, 16:24, 24:32].mean(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("shear", [0.0, 0.2])
+def test_level_0_of_a_large_grid_asks_several_times_a_second_whether_to_stop(shear):
+    """A volume of 80 million voxels, or slanted: seconds of work, given up at once."""
+    shape = (420, 440, 440) if shear == 0.0 else (40, 40, 40)
+    matrix = np.diag([1.0, 1.0, 1.0, 1.0])
+    matrix[0, 1] = shear
+    volume = Volume(np.ones(shape, np.float32), matrix)
+    asked = []
+
+    def check():
+        asked.append(time.perf_counter())
+        if len(asked) > 20:
+            raise Cancelled()
+
+    cube = fit_cube(volume)
+    with pytest.raises(Cancelled):
+        level0_density(volume, cube, check)
+    assert np.median(np.diff(asked)) < 0.2

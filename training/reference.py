@@ -36,7 +36,7 @@ class PathTracer:
     def __init__(self, paths: int = PATHS):
         self.paths = paths
 
-    def field(self, volume, cube, anisotropy: float):
+    def field(self, volume, cube, anisotropy: float, check=lambda: None):
         """Raises SceneError where the volume's voxels are no cubes."""
         return TracedField(self.paths, volume, cube, anisotropy)
 

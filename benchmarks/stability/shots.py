@@ -22,7 +22,7 @@ class SingleOnly:
     name, checksum, needs_light = "single only", "", False
     anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
 
-    def field(self, volume, cube, anisotropy):
+    def field(self, volume, cube, anisotropy, check):
         return self
 
     def light(self, sigma_hat, sun, low, high, mapper=map):
