@@ -15,6 +15,7 @@ from .comparison import MASK_ALPHA, Comparison
 from .comparison_page import ERROR_LIMIT, page
 from .comparison_pictures import display_png, view_png
 from .pass_store import CYCLES, DENOISED
+from .whole_file import whole_file
 
 TOO_DARK, TOO_BRIGHT = np.array([0.13, 0.40, 0.67]), np.array([0.70, 0.09, 0.17])
 COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "rmse", "rmse_low", "rmse_high", "bias", "bias_low",
@@ -110,9 +111,8 @@ def _processor() -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
+        with whole_file(str(path)) as file:
+            file.write(text.encode())
     except OSError as error:
-        raise SceneError(f"cannot write {path}: {error.strerror}") from None
+        raise SceneError(str(error)) from None

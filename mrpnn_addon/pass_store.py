@@ -2,13 +2,14 @@
 
 import hashlib
 import json
-import os
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import List, Optional
 
 import numpy as np
+
+from .whole_file import whole_file
 
 # Of what is stored, and of how it was rendered: another number finds nothing of the last.
 FORMAT = 1
@@ -59,9 +60,10 @@ def scene_key(description, bounces: int, version: str) -> str:
     for volume, medium in description.volumes:
         digest.update(repr(volume.density.shape).encode())
         for array in (volume.density, volume.world_from_index, medium.sigma_t, medium.albedo):
-            digest.update(np.ascontiguousarray(array).tobytes())
+            digest.update(np.ascontiguousarray(array))
         if volume.emission is not None:
-            digest.update(np.ascontiguousarray(volume.emission).tobytes() + repr(medium.emission).encode())
+            digest.update(np.ascontiguousarray(volume.emission))
+            digest.update(repr(medium.emission).encode())
         digest.update(repr(medium.anisotropy).encode())
     for sun in description.suns:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
@@ -88,11 +90,9 @@ class PassStore:
     def put(self, job: Job, done: Pass) -> None:
         """Keep a pass; its file appears complete. Raises OSError where it cannot be written."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        partial = self.folder / f".{job.name}.{os.getpid()}.part"
         facts = {name: value for name, value in vars(done).items() if name != "image"}
-        with open(partial, "wb") as file:
+        with whole_file(str(self._path(job))) as file:
             np.savez(file, image=done.image.astype(np.float32), facts=json.dumps(facts))
-        os.replace(partial, self._path(job))
 
     def _path(self, job: Job) -> Path:
         return self.folder / f"{job.name}.npz"
