@@ -114,7 +114,7 @@ class ComparisonJob:
     def _end(self, error):
         self.error, self.done = error, True
         if self._layer is not None:
+            # It ends within a second, for which nobody waits.
             self._layer.stop()
-            self._layer.wait()
             self._layer = None
         self._process.stop()

@@ -37,6 +37,9 @@ class CyclesProcess:
         try:
             with view_scene(scene, objects, 1, bounces, world) as view, box_scene(self._folder.name) as box:
                 self._view, self._box = view.name, box.name
+                # Blender 5.2 crashes when it writes a scene whose layers it has not yet seen.
+                for made in (view, box):
+                    made.view_layers[0].update()
                 bpy.data.libraries.write(str(self._path("scene.blend")), {view, box}, path_remap='ABSOLUTE')
         except BaseException:
             self.stop()

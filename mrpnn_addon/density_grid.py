@@ -45,8 +45,8 @@ class DensityGrid:
 
 # What was read and is in use, by file, its time and size, and grid: (weak reference to the density, matrix, low, notes).
 _in_use = {}
-# Files that another process has read to an end, by the same.
-_harmless = set()
+# Files that another process has read to an end, and grids that hold nothing, by the same.
+_harmless, _empty = set(), set()
 
 
 def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
@@ -63,6 +63,8 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     if known is not None:
         return known
     key = _key(path, grid_name)
+    if key in _empty:
+        raise _nothing(key, grid_name, where)
     notes = _require_density(path, grid_name, where)
     facts, values = _read(path, grid_name, where, key, started)
     # The background is only known once the tree is read.
@@ -72,9 +74,9 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
             "outside its voxels; save it with background 0"
         )
     _require_box(facts["shape"], grid_name, where)
-    notes += _clean(values, grid_name)
-    if not values.any():
-        raise EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
+    notes += _clean(values, grid_name) if values is not None else []
+    if values is None or not values.any():
+        raise _nothing(key, grid_name, where)
     if facts["matrix"] is None:
         raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
     matrix = np.array(facts["matrix"])
@@ -96,6 +98,17 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[Densi
     if values is None:
         return None
     return DensityGrid(values, matrix.copy(), low, [f"Volume object \"{owner}\": {note}" for note in notes])
+
+
+def needs_reading(path: str, grid_name: str) -> bool:
+    """Whether a grid is not in use, nor known to hold nothing."""
+    key = _key(path, grid_name)
+    return key not in _empty and (key not in _in_use or _in_use[key][0]() is None)
+
+
+def _nothing(key, grid_name, where) -> EmptyGrid:
+    _empty.add(key)
+    return EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
 
 
 def _key(path: str, grid_name: str):
@@ -172,7 +185,7 @@ def _require_box(shape, grid_name, where) -> None:
     """Measured on the tree and never on metadata."""
     # OpenVDB gives an inverted box for a grid without active voxels.
     if min(shape) < 1:
-        raise EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no active voxel)")
+        return
     count = shape[0] * shape[1] * shape[2]
     if count > MAX_VOXELS:
         raise SceneError(

@@ -62,16 +62,14 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             return
         if not all(_leaves_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
-        try:
-            self._viewport.describe(read_scene(depsgraph, self._viewport.reader))
-        except SceneError as error:
-            self._viewport.describe(None, str(error))
+        self._viewport.read(depsgraph)
 
     def view_draw(self, context, depsgraph):
         """Blender calls this for each redraw of the viewport, also when only the view has changed."""
         view, size = context.region_data, (context.region.width, context.region.height)
         if self._viewport is None:
             return
+        self._viewport.read_on(depsgraph)
         camera = viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
                                  context.space_data.clip_end)
         self._viewport.look(camera, depsgraph.scene.mrpnn.settings())

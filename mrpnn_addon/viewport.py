@@ -6,8 +6,10 @@ import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
 from ..inference import Kept
-from ..inference.scene import Camera, Settings
+from ..inference.scene import Camera, SceneError, Settings
+from .grid_loading import GridLoading
 from .preview import Prepared, Preview
+from .scene import read_scene
 from .volumes import VolumeReader
 
 SECONDS_A_LOOK = 0.05
@@ -44,10 +46,47 @@ class Viewport:
         self.reader, self._prepared = VolumeReader(), Prepared(Kept())
         self.description, self.message = None, ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
+        self._loading = None
+
+    def read(self, depsgraph) -> None:
+        """The scene has changed: describe it, or first let a thread read the files of its volumes."""
+        wanted = self.reader.wanted(depsgraph)
+        if self._loading is not None and not self._loading.done and self._loading.wanted == wanted:
+            return
+        # Kept until the scene has been read, so that what it holds stays in use.
+        before = self._loading
+        self._stop_loading()
+        if wanted:
+            # The last picture stays meanwhile.
+            self._stop_preview()
+            self.description, self.message, self._view = None, "Reading volumes", None
+            self._loading = GridLoading(wanted)
+            _watch(self._loading)
+            return
+        try:
+            self.describe(read_scene(depsgraph, self.reader))
+        except SceneError as error:
+            self.describe(None, str(error))
+        del before
+
+    def read_on(self, depsgraph) -> None:
+        """Describe the scene where its volumes' files have been read meanwhile."""
+        if self._loading is None or not self._loading.done:
+            return
+        if self._loading.error is None:
+            self.read(depsgraph)
+        else:
+            self.describe(None, str(self._loading.error))
+            self._stop_loading()
+
+    def _stop_loading(self) -> None:
+        if self._loading is not None:
+            self._loading.stop()
+            self._loading = None
 
     def describe(self, description, message: str = "") -> None:
         """The scene has changed; `description` is None where it cannot be rendered, for the reason in `message`."""
-        self.close()
+        self._stop_preview()
         self.description, self.message, self._view = description, message, None
         if description is None:
             self._texture = None
@@ -58,7 +97,7 @@ class Viewport:
                 camera.shift, settings)
         if self.description is None or view == self._view:
             return
-        self.close()
+        self._stop_preview()
         self._view, self._preview = view, Preview(self.description, camera, settings, self._prepared)
         _watch(self._preview)
 
@@ -81,17 +120,22 @@ class Viewport:
         return self._preview.message or ("" if self._preview.done else "Refining")
 
     def close(self) -> None:
+        """Stop what is at work."""
+        self._stop_loading()
+        self._stop_preview()
+
+    def _stop_preview(self) -> None:
         if self._preview is not None:
             self._preview.stop()
             self._preview = None
 
 
-# Previews at work, and how many pictures of each the windows have been told of.
+# Previews and readings at work, and how many pictures of each the windows have been told of.
 _watched = {}
 
 
-def _watch(preview: Preview) -> None:
-    """Redraw viewports for each new picture until the preview ends.
+def _watch(preview) -> None:
+    """Redraw viewports for each new picture until the Preview ends, or once a GridLoading has.
 
     By a timer: its thread must not do it, since Blender frees engines while threads run.
     """

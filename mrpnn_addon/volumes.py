@@ -3,18 +3,19 @@
 import os
 import tempfile
 from dataclasses import dataclass, field
-from typing import Dict, List, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import MAX_VOXELS, EmptyGrid, grid_names, read_density_grid, unreadable
+from .density_grid import MAX_VOXELS, EmptyGrid, grid_names, needs_reading, read_density_grid, unreadable
+from .grid_loading import Wanted
 from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial, first_material
 from .mesh_volume import fill
 from .shaded_grid import ShadedGrid, is_linear, refine, require_empty_background, shade
-from .visibility import Shown
+from .visibility import Shown, shown_objects, why_unseen
 from .voxel_points import Probe
 
 # Voxels of a grid up to which it is made finer for shaders that are not linear in it.
@@ -37,8 +38,7 @@ class VolumeReader:
             where, scale = f"Volume object \"{shown.name}\"", density_scale(shown.object.data.render.space, shown.matrix)
         else:
             where, scale = f"object \"{shown.name}\"", 1.0
-        # The data of an evaluated object is its own, or that of all its instances.
-        key = (shown.object.data.name_full, shown.object.as_pointer())
+        key = _key(shown)
         if key in self.known:
             shaded, object_from_index, warnings = self.known[key]
         else:
@@ -52,6 +52,27 @@ class VolumeReader:
         volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission)
         medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, emission=scale)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
+
+    def wanted(self, depsgraph) -> List[Wanted]:
+        """Grids of files that this would have to read for the scene and that are not in use: for a `GridLoading`.
+
+        Nothing where something keeps the scene from being read; reading it says what.
+        """
+        found = {}
+        try:
+            for shown in shown_objects(depsgraph):
+                if shown.object.type == 'VOLUME' and _key(shown) not in self.known:
+                    path = None if why_unseen(shown, depsgraph.view_layer) else _own_file(shown.object)
+                    for name in _material_and_grids(path, shown)[1].names if path else ():
+                        found[path, name] = Wanted(path, name, shown.name)
+        except SceneError:
+            return []
+        return [one for one in found.values() if needs_reading(one.path, one.grid)]
+
+
+def _key(shown: Shown) -> tuple:
+    """The data of an evaluated object is its own, or that of all its instances."""
+    return shown.object.data.name_full, shown.object.as_pointer()
 
 
 def overlap_warnings(volumes: List[Volume]) -> List[str]:
@@ -86,19 +107,22 @@ def _read_volume_object(shown: Shown, where: str):
     data = shown.object.data
     if not data.grids.load() or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
-    if _lives_in_a_file(shown.object):
-        return _read_file(data.grids.frame_filepath, shown, where)
+    path = _own_file(shown.object)
+    if path:
+        return _read_file(path, shown)
     # Modifiers and geometry nodes make volumes that no file holds.
     with tempfile.TemporaryDirectory(prefix="mrpnn-") as folder:
         path = os.path.join(folder, "evaluated.vdb")
         if not data.grids.save(path):
             raise SceneError(f"{where}: Blender cannot save what its modifiers make")
-        return _read_file(path, shown, where)
+        return _read_file(path, shown)
 
 
-def _lives_in_a_file(volume_object) -> bool:
+def _own_file(volume_object) -> Optional[str]:
+    """The file that holds what an object shows, None where there is none or modifiers change it."""
     changed = any(modifier.show_render or modifier.show_viewport for modifier in volume_object.modifiers)
-    return bool(volume_object.data.grids.frame_filepath) and not changed
+    grids = volume_object.data.grids
+    return None if changed or not grids.load() or not len(grids) else grids.frame_filepath or None
 
 
 def _load_problem(data) -> str:
@@ -111,10 +135,15 @@ def _load_problem(data) -> str:
     return unreadable(bpy.path.abspath(data.filepath, library=data.library), data.grids.error_message)
 
 
-def _read_file(path: str, shown: Shown, where: str):
-    material = VolumeMaterial(first_material(shown.object), where)
+def _material_and_grids(path: str, shown: Shown):
+    """The material, the Probe that knows which grids of the file it reads, and the Shading where they are 0."""
+    material = VolumeMaterial(first_material(shown.object), f"Volume object \"{shown.name}\"")
     probe = Probe(grid_names(path, shown.name), fills_its_bounds=False)
-    at_zero = material.at(probe)
+    return material, probe, material.at(probe)
+
+
+def _read_file(path: str, shown: Shown):
+    material, probe, at_zero = _material_and_grids(path, shown)
     if not probe.names:
         material.refuse("the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
                         f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")

@@ -3,13 +3,27 @@
 import bpy
 
 from ..mrpnn_addon.scene_check import check_scene
+from .waiting import WaitsForVolumes
 
 
-class MRPNN_OT_check(bpy.types.Operator):
+class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
     """Read the scene as a render would, and list everything that it would ignore or approximate"""
 
     bl_idname = "mrpnn.check"
     bl_label = "Check Scene"
+
+    def invoke(self, context, event):
+        if not bpy.app.background and self.wait_for_volumes(context):
+            return {'RUNNING_MODAL'}
+        return self.execute(context)
+
+    def modal(self, context, event):
+        waiting = self.still_waiting(context, event)
+        return self.execute(context) if waiting is None else waiting
+
+    def cancel(self, context):
+        """Blender calls this where it ends the operator itself, as when it closes or loads a file."""
+        self.stop_waiting(context)
 
     def execute(self, context):
         check = check_scene(context.evaluated_depsgraph_get())

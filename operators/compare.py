@@ -10,6 +10,7 @@ from ..mrpnn_addon.comparison_run import REPORT_FOLDER, ComparisonRun, Options
 from ..mrpnn_addon.last_comparison import remember
 from ..mrpnn_addon.layer_image import IMAGE_NAME, show_image
 from ..mrpnn_addon.properties import RELATIVE_PATH
+from .waiting import WaitsForVolumes
 
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"
 ERROR_IMAGE = f"{IMAGE_NAME} error"
@@ -17,7 +18,7 @@ TEXT_NAME = f"{IMAGE_NAME} comparison"
 SECONDS_A_TICK = 0.1
 
 
-class MRPNN_OT_compare(bpy.types.Operator):
+class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
     """Measure error against run time of the layer and of Cycles on this view, and write a report.
     Cycles renders in a Blender of its own; Esc stops and keeps what is finished, and another run goes on from there"""
 
@@ -67,6 +68,11 @@ class MRPNN_OT_compare(bpy.types.Operator):
         if MRPNN_OT_compare._run is not None:
             self.report({'WARNING'}, "a comparison is running already; Esc stops it")
             return {'CANCELLED'}
+        if self._modal and self.wait_for_volumes(context):
+            return {'RUNNING_MODAL'}
+        return self._start(context)
+
+    def _start(self, context):
         try:
             run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options())
         except (SceneError, OSError) as error:
@@ -78,10 +84,15 @@ class MRPNN_OT_compare(bpy.types.Operator):
         manager = context.window_manager
         self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
         manager.progress_begin(0, 100)
-        manager.modal_handler_add(self)
+        # Once it has waited for its volumes, Blender calls `modal` already.
+        if self._loading is None:
+            manager.modal_handler_add(self)
         return {'RUNNING_MODAL'}
 
     def modal(self, context, event):
+        if MRPNN_OT_compare._run is None:
+            waiting = self.still_waiting(context, event)
+            return self._start(context) if waiting is None else waiting
         run = MRPNN_OT_compare._run
         if event.type == 'ESC':
             run.job.stop()
@@ -102,6 +113,9 @@ class MRPNN_OT_compare(bpy.types.Operator):
 
     def cancel(self, context):
         """Also called by Blender where it ends the operator itself, as when it closes or loads a file."""
+        self.stop_waiting(context)
+        if MRPNN_OT_compare._run is None:
+            return
         MRPNN_OT_compare._run.job.stop()
         MRPNN_OT_compare._run = None
         context.window_manager.event_timer_remove(self._timer)

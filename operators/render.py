@@ -7,11 +7,13 @@ import bpy
 from bpy.props import StringProperty
 
 from ..inference.scene import SceneError
+from ..mrpnn_addon.grid_loading import GridLoading
 from ..mrpnn_addon.last_render import LastRender, remember, remember_finished
 from ..mrpnn_addon.layer_image import show_in_image
 from ..mrpnn_addon.properties import RELATIVE_PATH
 from ..mrpnn_addon.render_job import RenderJob, render_scene
 from ..mrpnn_addon.scene import read_scene
+from ..mrpnn_addon.volumes import VolumeReader
 
 SECONDS_A_TICK = 0.1
 
@@ -47,17 +49,23 @@ class MRPNN_OT_render(bpy.types.Operator):
             self.report({'WARNING'}, "MRPNN is rendering already; Esc stops it")
             return {'CANCELLED'}
         try:
-            scene = read_scene(context.evaluated_depsgraph_get())
-            settings, exr_path = context.scene.mrpnn.settings(), self._exr_path(context.scene)
+            MRPNN_OT_render._job = self._next(context)
         except SceneError as error:
             return self._fail(error)
-        # From here on the worker needs no bpy: the scene may change under it.
-        MRPNN_OT_render._job = RenderJob(scene, settings, exr_path)
         manager = context.window_manager
         self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
         manager.progress_begin(0, 100)
         manager.modal_handler_add(self)
         return {'RUNNING_MODAL'}
+
+    def _next(self, context):
+        """What reads the scene's volumes, and where they are read, what renders them: threads that need no bpy."""
+        exr_path, depsgraph = self._exr_path(context.scene), context.evaluated_depsgraph_get()
+        wanted = VolumeReader().wanted(depsgraph)
+        if wanted:
+            return GridLoading(wanted)
+        # From here on the scene may change under it.
+        return RenderJob(read_scene(depsgraph), context.scene.mrpnn.settings(), exr_path)
 
     def modal(self, context, event):
         job = MRPNN_OT_render._job
@@ -70,6 +78,13 @@ class MRPNN_OT_render(bpy.types.Operator):
         context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
             return {'PASS_THROUGH'}
+        if isinstance(job, GridLoading) and job.error is None:
+            try:
+                MRPNN_OT_render._job = self._next(context)
+                return {'PASS_THROUGH'}
+            except SceneError as error:
+                self._end(context)
+                return self._fail(error)
         self._end(context)
         if job.cancelled:
             self.report({'INFO'}, "MRPNN render stopped")
