@@ -4,6 +4,7 @@ import hashlib
 import pathlib
 import subprocess
 import sys
+import time
 
 import numpy as np
 import onnx
@@ -16,6 +17,8 @@ from inference.scene import SceneError
 
 from . import blender_scenes
 
+# Damaged files to try: for so many seconds, and at least so many.
+CAMPAIGN, FEWEST = 15, 16
 CORPUS = pathlib.Path(__file__).parent / "corpus"
 
 
@@ -48,14 +51,35 @@ def damaged(whole: bytes, number: int) -> bytes:
     return bytes(changed)
 
 
-def test_a_damaged_tree_is_read_or_refused(addon, tmp_path):
-    """Whatever happens to the process that reads it, this one goes on."""
-    read = addon.mrpnn_addon.density_grid.read_density_grid
-    whole = pathlib.Path(blender_scenes.write_vdb(tmp_path, blender_scenes.blob(12))).read_bytes()
-    outcomes = []
-    for number in range(16):
+def wholes(folder):
+    """Files to damage: a blob, the same in half precision, and a constant block that is kept as tiles beside a voxel."""
+    vdb = blender_scenes.openvdb()
+    blob, half, tiles = vdb.FloatGrid(), vdb.FloatGrid(), vdb.FloatGrid()
+    for grid in (blob, half):
+        grid.copyFromArray(blender_scenes.blob(12))
+    half.saveFloatAsHalf = True
+    tiles.fill((0, 0, 0), (31, 31, 31), 0.5)
+    tiles.copyFromArray(np.ones((2, 1, 1), np.float32), ijk=(40, 40, 40))
+    for name, grid in (("blob", blob), ("half", half), ("tiles", tiles)):
+        grid.name, grid.gridClass = "density", "fog volume"
+        path = folder / f"{name}.vdb"
+        vdb.write(str(path), grids=[grid])
+        yield path.read_bytes()
+
+
+def test_a_damaged_tree_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
+    """Whatever happens to the process that reads it, this one goes on. As many as CAMPAIGN allows, always in one order.
+
+    A file that ends badly here belongs into CORPUS.
+    """
+    monkeypatch.setattr(trial, "SECONDS", 3)
+    read, files, outcomes = addon.mrpnn_addon.density_grid.read_density_grid, list(wholes(tmp_path)), []
+    start = time.monotonic()
+    for number in range(1000):
+        if number >= FEWEST and time.monotonic() - start > CAMPAIGN:
+            break
         path = tmp_path / f"damaged{number}.vdb"
-        path.write_bytes(damaged(whole, number))
+        path.write_bytes(damaged(files[number % len(files)], number))
         try:
             grid = read(str(path), "density", "Cloud")
             assert grid.density.ndim == 3 and np.isfinite(grid.density).all() and grid.density.min() >= 0.0
@@ -63,6 +87,7 @@ def test_a_damaged_tree_is_read_or_refused(addon, tmp_path):
         except addon.inference.SceneError as error:
             assert "\"Cloud\"" in str(error)
             outcomes.append("refused")
+        path.unlink()
     assert set(outcomes) == {"read", "refused"}
 
 

@@ -42,7 +42,7 @@ def test_a_render_opens_no_connection_and_writes_its_output_alone(addon, scene, 
     path = tmp_path / "layer.exr"
     bpy.ops.mrpnn.render(filepath=str(path))
     assert not [event for event, _ in told if event.startswith(("socket", "urllib", "http", "ftplib"))]
-    # The only process is the trial of the .vdb file.
+    # The only process is the one that reads the .vdb file.
     commands = [arguments[1] for event, arguments in told if event == "subprocess.Popen"]
     assert all("read_vdb_alone.py" in str(command) for command in commands) and len(commands) <= 1
     written = {str(arguments[0]) for event, arguments in told
