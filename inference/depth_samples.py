@@ -55,40 +55,41 @@ def sample_opacities(alpha: np.ndarray, most: int):
 class DepthSamples:
     """Points along camera rays, ray after ray.
 
-    origins, directions: float64 (P, 3), the rays of all pixels; offsets: (P,) in [0, 1), of their lookups.
-    pixel: int32 (M,), ascending; distance, weight: (M,); fraction: float32 (M, V), each volume's share of
+    pixel: int (P,), of each ray, ascending; origins, directions: float64 (P, 3); offsets: (P,) in [0, 1), of lookups.
+    ray: int32 (M,), ascending; distance, weight: (M,); fraction: float32 (M, V), each volume's share of
     the extinction. light: for systems that need it, or None.
     """
 
+    pixel: np.ndarray
     origins: np.ndarray
     directions: np.ndarray
     offsets: np.ndarray
-    pixel: np.ndarray
+    ray: np.ndarray
     distance: np.ndarray
     weight: np.ndarray
     fraction: np.ndarray
     light: Optional[RayLight] = None
 
     def __post_init__(self):
-        starts = np.flatnonzero(np.diff(self.pixel, prepend=-1))
-        counts = np.diff(starts, append=len(self.pixel))
+        starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
+        counts = np.diff(starts, append=len(self.ray))
         #: int32 (M,), of each sample on its ray.
-        self.number = (np.arange(len(self.pixel)) - np.repeat(starts, counts)).astype(np.int32)
+        self.number = (np.arange(len(self.ray)) - np.repeat(starts, counts)).astype(np.int32)
         self.starts, self.counts = starts, counts
 
     def positions(self, samples) -> np.ndarray:
         """World positions (N, 3) of some samples."""
-        pixel = self.pixel[samples]
-        return self.origins[pixel] + self.distance[samples, None] * self.directions[pixel]
+        ray = self.ray[samples]
+        return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
 
     def jitter(self, samples) -> np.ndarray:
         """(N, 3) in [-1/2, 1/2): along a ray a rank-1 lattice in three dimensions, shifted by pixel."""
         along = self.number[samples, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
         # Large odd factors turn a pixel's offset into three that have nothing in common.
-        return np.mod(along + self.offsets[self.pixel[samples], None] * [1571.0, 5717.0, 9371.0], 1.0) - 0.5
+        return np.mod(along + self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0], 1.0) - 0.5
 
     def standard_error(self, parts: np.ndarray):
-        """Of the sums over each sampled ray of weighted values (M,): the pixels (S,), and the errors (S,).
+        """Of the sums over each sampled ray of weighted values (M,): the rays' pixels (S,), and the errors (S,).
 
         What the upper quarter of the polynomials hold that values at Gauss's places determine: what is smooth is small
         there, and noise would be as large in each of them as in the mean, if the lookups' lattice along the ray
@@ -99,7 +100,7 @@ class DepthSamples:
             rays = np.flatnonzero(self.counts == count)
             samples = self.starts[rays, None] + np.arange(count)
             errors[rays] = _upper_quarter(parts[samples], count)
-        return self.pixel[self.starts], errors
+        return self.pixel[self.ray[self.starts]], errors
 
 
 def _upper_quarter(parts, count: int):

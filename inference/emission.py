@@ -1,13 +1,15 @@
 """Light that volumes emit, as it reaches the camera."""
 
+from typing import Optional
+
 import numpy as np
 
 from .march import BEHIND, extinction, mean_transmittance
 from .ray_steps import RaySteps, blocks_near_density, step_counts, sums_within
 
 
-def emitted(grids, channels, factors, origins, directions, near, far) -> np.ndarray:
-    """(R, C): the integral of T(t) e(x(t)) dt along rays, C of the channels' colours; (1,) zeros where nothing emits.
+def emitted(grids, channels, factors, origins, directions, near, far) -> Optional[np.ndarray]:
+    """(R, C): the integral of T(t) e(x(t)) dt along rays, C of the channels' colours; None where nothing emits.
 
     T is the transmittance through all grids and e their emission; both are constant within a step.
     channels: a plan's Channels; factors: (V,) of each grid's emission; origins, directions: float64 (R, 3);
@@ -15,7 +17,7 @@ def emitted(grids, channels, factors, origins, directions, near, far) -> np.ndar
     """
     glowing = [v for v, grid in enumerate(grids) if grid.emission and factors[v] > 0.0]
     if not glowing:
-        return np.zeros(1)
+        return None
     steps = RaySteps(grids, origins, directions, near, far, step_counts(grids, channels.sigma_t, directions, near, far))
     blocks = blocks_near_density(grids, steps, always_first=False)
     # What still comes through to each step, times its length.

@@ -18,6 +18,7 @@ from .ray_steps import step_counts
 from .rays import camera_rays
 from .report import Report, process_peak_memory
 from .scene import Camera, SceneError, Settings
+from .surfaces import PLACES, Screen, rays_to_surfaces
 from .work import Work
 
 # Rays a marching task are chosen to hold about this many steps.
@@ -68,13 +69,15 @@ def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
 
 
 def render(
-    volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None, kept: Kept = None
+    volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None, kept: Kept = None,
+    surfaces=(),
 ) -> Layer:
     """Render volumes lit by suns.
 
     volumes: list of (Volume, Medium); suns: list of Sun. progress(fraction,
     message) is called on the calling thread; cancelled() -> bool is asked several times a
     second. kept: of renders before, for what has not changed since; its memory is held until it is dropped.
+    surfaces: Surfaces at which camera rays end, for a layer that is put over them; not for equirectangular cameras.
     The same seed gives the same image for any number of threads.
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -83,7 +86,7 @@ def render(
     work = Work(settings, progress, cancelled)
     try:
         with report.stage("total"):
-            layer = _render(volumes, suns, camera, settings, work, report, kept)
+            layer = _render(volumes, suns, camera, settings, work, report, kept, surfaces)
     finally:
         work.close()
     report.threads = work.threads
@@ -91,7 +94,7 @@ def render(
     return layer
 
 
-def _render(volumes, suns, camera, settings, work, report, kept):
+def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
     kept = kept or Kept(any_view=False)
     plan = make_plan(volumes, suns, camera, settings)
     report.planned, report.left_out = plan.planned, plan.left_out
@@ -109,7 +112,10 @@ def _render(volumes, suns, camera, settings, work, report, kept):
 
     with report.stage("shadows"):
         grids = kept.grids([volume for volume, _ in plan.volumes], plan.suns, work)
-    fields = {}
+    fields, screen = {}, None
+    if surfaces and camera.projection != "equirectangular":
+        with report.stage("surfaces"):
+            screen = Screen(surfaces, camera)
     with kept.predicting(work) if network else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
@@ -123,7 +129,7 @@ def _render(volumes, suns, camera, settings, work, report, kept):
                 start = number / len(plan.channels) + tile * share
                 pixels = slice((row - y0) * width, (row - y0 + plan.tile_rows) * width)
                 samples = _march_camera_rays(
-                    plan, channels, grids, rows, settings, diffused, work, report,
+                    plan, channels, grids, rows, screen, settings, diffused, work, report,
                     start, start + share * MARCH_SHARE, single[pixels], emission[pixels], alpha[pixels],
                     depth[pixels],
                 )
@@ -185,12 +191,17 @@ def _diffuse(plan, channels, network, kept, fields, work, report):
 
 
 def _march_camera_rays(
-    plan, channels, grids, camera, settings, diffused, work, report, start, end, single, emission, alpha, depth
+    plan, channels, grids, camera, screen, settings, diffused, work, report, start, end, single, emission, alpha, depth
 ):
     """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
     offsets = lookup_offsets(camera, settings.seed)
     near, far = _ray_intervals(grids, channels.sigma_t, origins, directions, clip_near, clip_far)
+    pixel, share = np.arange(len(near)), np.ones(len(near))
+    if screen is not None:
+        with report.stage("surfaces"):
+            pixel, share, far = _cut(screen, camera.window, near, far)
+        origins, directions, offsets, near = (values[pixel] for values in (origins, directions, offsets, near))
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
@@ -221,25 +232,41 @@ def _march_camera_rays(
         return rays, segment, segment.single * phase, glow
 
     parts, light = [], []
-    share = len(channels.indices) / 3.0
+    part = len(channels.indices) / 3.0
     with report.stage("march"):
         for rays, segment, lit, glow in work.map(task, tasks, start, end, "single scattering"):
-            emission[rays[:, None], channels.indices] = glow
+            at, weight = pixel[rays], share[rays]
+            if glow is not None:
+                np.add.at(emission, (at[:, None], channels.indices), glow * weight[:, None])
             for c in channels.indices:
                 albedo = np.array([m.albedo[c] for _, m in plan.volumes])
                 irradiance = np.array([sun.irradiance[c] for sun in plan.suns])
-                single[rays, c] = np.einsum("rvl,v,l->r", lit, albedo, irradiance)
-            alpha[rays] += segment.alpha * share
-            depth[rays] += segment.alpha * segment.depth * share
-            pixel = rays[segment.sample_ray].astype(np.int32)
-            parts.append((pixel, segment.sample_distance, segment.sample_weight, segment.sample_fraction))
+                np.add.at(single, (at, c), np.einsum("rvl,v,l,r->r", lit, albedo, irradiance, weight))
+            np.add.at(alpha, at, segment.alpha * weight * part)
+            np.add.at(depth, at, segment.alpha * segment.depth * weight * part)
+            ray = rays[segment.sample_ray].astype(np.int32)
+            parts.append((ray, segment.sample_distance, segment.sample_weight * share[ray], segment.sample_fraction))
             light.append(segment.sample_light)
     columns = (np.concatenate(column) for column in zip(*parts))
-    samples = DepthSamples(origins, directions, offsets, *columns)
+    samples = DepthSamples(pixel, origins, directions, offsets, *columns)
     if diffused is not None:
         samples.light = RayLight(np.concatenate([part.values for part in light]))
-    report.count("points", len(samples.pixel))
+    report.count("points", len(samples.ray))
     return samples
+
+
+def _cut(screen, window, near, far):
+    """Rays that end at surfaces, as `rays_to_surfaces`: pixel (M,), share (M,), far (M,)."""
+    x0, y0, x1, y1 = window
+    rows, columns = np.divmod(np.flatnonzero(near < far), x1 - x0)
+    distances = np.full((y1 - y0, x1 - x0, PLACES**2), np.inf)
+    if len(rows):
+        # Only around the pixels that show a volume.
+        left, top, right, bottom = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+        found = screen.distances((x0 + left, y0 + top, x0 + right, y0 + bottom))
+        distances[top:bottom, left:right] = found.reshape(bottom - top, right - left, -1)
+    pixel, far, share = rays_to_surfaces(near, far, distances.reshape(len(near), -1))
+    return pixel, share, far
 
 
 def _add_multiple(
@@ -250,7 +277,7 @@ def _add_multiple(
     whole: whether further samples may lie anywhere in the volumes.
     """
     # What each sample adds to the mean of the three channels.
-    parts = np.zeros(len(samples.pixel), np.float32)
+    parts = np.zeros(len(samples.ray), np.float32)
     jobs = [(v, l) for v, needed in enumerate(plan.multiple) if needed for l in range(len(plan.suns))]
     for number, (v, l) in enumerate(jobs):
         sun = plan.suns[l]
@@ -276,19 +303,18 @@ def _add_multiple(
         values = [value for value, _ in albedos]
 
         def task(points, field=field, v=v, l=l):
-            directions = samples.directions[samples.pixel[points]]
+            directions = samples.directions[samples.ray[points]]
             light = samples.light.of(points, v, l) if samples.light else None
             return points, field.predict(samples.positions(points), directions, values, samples.jitter(points), light)
 
         with report.stage("network"):
             for points, radiance in work.map(task, tasks, first, last, message):
                 weight = samples.weight[points] * samples.fraction[points, v]
-                pixel = samples.pixel[points]
+                pixel = samples.pixel[samples.ray[points]]
                 for (value, members), row in zip(albedos, radiance):
                     added = np.bincount(pixel - pixel[0], weight * row * value)
                     for c in members:
                         multiple[pixel[0] : pixel[0] + len(added), c] += added * sun.irradiance[c]
                     parts[points] += weight * row * value * sun.irradiance[members].sum() / 3.0
         report.count("network points", len(inside))
-    pixels, errors = samples.standard_error(parts)
-    uncertainty[pixels] += errors
+    np.add.at(uncertainty, *samples.standard_error(parts))

@@ -1,0 +1,145 @@
+"""Where opaque surfaces end camera rays.
+
+Triangles are drawn at several places in each pixel; the nearest wins. A pixel that a surface's edge crosses is rendered
+as several rays, one for each distance at which parts of it end.
+"""
+
+from dataclasses import dataclass
+from typing import List
+
+import numpy as np
+
+from .scene import Camera, SceneError
+
+#: Places across a pixel, an axis, at which surfaces are looked for.
+PLACES = 4
+# Distances that are told apart within one pixel, of the ray's way through the volumes.
+DISTANCES = 16
+# Triangles are cut at this share of the volume's distance before the eye.
+CLOSEST = 1e-6
+PAIRS_AT_ONCE = 1 << 20
+
+
+@dataclass
+class Surface:
+    """triangles: float64 (T, 3, 3) corners in the world. name: for messages.
+
+    Raises SceneError where they are not finite.
+    """
+
+    triangles: np.ndarray
+    name: str = "surface"
+
+    def __post_init__(self):
+        self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
+        if not np.isfinite(self.triangles).all():
+            raise SceneError(f"{self.name}: its vertices hold NaN or infinite values")
+
+
+class Screen:
+    """Surfaces as a perspective or orthographic camera sees them."""
+
+    def __init__(self, surfaces: List[Surface], camera: Camera):
+        self.camera = camera
+        rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+        corners = np.concatenate([surface.triangles for surface in surfaces]) - camera.world_matrix[:3, 3]
+        corners = corners @ rotation
+        width, height = camera.resolution
+        if camera.projection == "orthographic":
+            plane, self.value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
+        else:
+            corners = _before_the_eye(corners, CLOSEST * np.abs(corners).max(initial=0.0))
+            self.extent = 2.0 * np.tan(0.5 * camera.fov)
+            # What is even across a triangle on the screen, and larger where it is nearer.
+            self.value = -1.0 / corners[..., 2]
+            plane = corners[..., :2] * self.value[..., None] / self.extent
+        self.place = np.stack([(plane[..., 0] - camera.shift[0] + 0.5) * width,
+                               0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
+
+    def distances(self, window) -> np.ndarray:
+        """float64 (N, PLACES^2) along rays through the window's pixels, row by row; infinity where nothing is."""
+        x0, y0, x1, y1 = window
+        size = np.array([x1 - x0, y1 - y0]) * PLACES
+        place = (self.place - [x0, y0]) * PLACES - 0.5
+        found = np.full(size[0] * size[1], -np.inf)
+        for flat, value in _covered(place, self.value, size):
+            np.maximum.at(found, flat, value)
+        distance = self._along(found.reshape(size[1], size[0]), x0, y0)
+        parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
+        return parts.reshape(-1, PLACES**2)
+
+    def _along(self, value, x0, y0):
+        if self.camera.projection == "orthographic":
+            return -value
+        width, height = self.camera.resolution
+        rows, columns = np.indices(value.shape)
+        u = (x0 + (columns + 0.5) / PLACES) / width - 0.5 + self.camera.shift[0]
+        v = (0.5 * height - y0 - (rows + 0.5) / PLACES) / width + self.camera.shift[1]
+        with np.errstate(divide="ignore"):
+            depth = np.where(value > 0.0, 1.0 / value, np.inf)
+        return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
+
+
+def rays_to_surfaces(near, far, distances):
+    """Rays (pixel int (M,), far (M,), share (M,)) for pixels with an interval (N,) and distances (N, K).
+
+    pixel: ascending; share: of the pixel that the ray stands for. Where a surface lies before the interval, none does.
+    """
+    # Where there is no interval, one of no length.
+    near, far = (np.where(near < far, ends, 0.0) for ends in (near, far))
+    ends = np.clip(distances, near[:, None], far[:, None])
+    length = np.where(far > near, far - near, 1.0)[:, None]
+    group = np.ceil((ends - near[:, None]) / length * DISTANCES - 1e-9).astype(int)
+    flat = (np.arange(len(near))[:, None] * (DISTANCES + 1) + np.clip(group, 0, DISTANCES)).ravel()
+    count = np.bincount(flat, minlength=len(near) * (DISTANCES + 1))
+    total = np.bincount(flat, ends.ravel(), minlength=len(count))
+    kept = np.flatnonzero((count > 0) & (np.arange(len(count)) % (DISTANCES + 1) > 0))
+    return kept // (DISTANCES + 1), total[kept] / count[kept], count[kept] / distances.shape[1]
+
+
+def _before_the_eye(corners, closest: float):
+    """Triangles (T, 3, 3) that look along -z, without what lies behind the plane -z = closest."""
+    depth = -corners[..., 2] - closest
+    ahead = (depth > 0.0).sum(axis=1)
+    parts = [corners[ahead == 3]]
+    for inside in (1, 2):
+        some, d = corners[ahead == inside], depth[ahead == inside]
+        # First the corner that is alone on its side.
+        first = (d > 0.0).argmax(axis=1) if inside == 1 else (d <= 0.0).argmax(axis=1)
+        order = (first[:, None] + np.arange(3)) % 3
+        some, d = np.take_along_axis(some, order[..., None], 1), np.take_along_axis(d, order, 1)
+        a, b = (some[:, 0] + (d[:, 0] / (d[:, 0] - d[:, k]))[:, None] * (some[:, k] - some[:, 0]) for k in (1, 2))
+        if inside == 1:
+            parts.append(np.stack([some[:, 0], a, b], axis=1))
+        else:
+            parts += [np.stack([a, some[:, 1], some[:, 2]], axis=1), np.stack([a, some[:, 2], b], axis=1)]
+    return np.concatenate(parts)
+
+
+def _covered(place, value, size):
+    """Yield (flat index, value) of whole places in a raster of `size` columns and rows that triangles cover."""
+    first = np.ceil(np.clip(place.min(axis=1), 0, size)).astype(int)
+    last = np.floor(np.clip(place.max(axis=1), -1, size - 1)).astype(int)
+    spans = np.maximum(last - first + 1, 0)
+    counts = spans.prod(axis=1)
+    some = np.flatnonzero(counts)
+    ends = np.cumsum(counts[some])
+    start = 0
+    while start < len(some):
+        done = ends[start - 1] if start else 0
+        end = max(int(np.searchsorted(ends, done + PAIRS_AT_ONCE, side="right")), start + 1)
+        triangle = np.repeat(some[start:end], counts[some[start:end]])
+        number = np.arange(len(triangle)) - np.repeat(ends[start:end] - counts[some[start:end]] - done,
+                                                      counts[some[start:end]])
+        row, column = np.divmod(number, spans[triangle, 0])
+        at = np.stack([column, row], axis=1) + first[triangle]
+        shares = []
+        for one, two in ((1, 2), (2, 0), (0, 1)):
+            along, off = place[triangle, two] - place[triangle, one], at - place[triangle, one]
+            shares.append(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
+        shares = np.stack(shares, axis=1)
+        area = shares.sum(axis=1)
+        hit = (area != 0.0) & (np.all(shares >= 0.0, axis=1) | np.all(shares <= 0.0, axis=1))
+        yield (at[hit, 1] * size[0] + at[hit, 0],
+               (shares[hit] * value[triangle[hit]]).sum(axis=1) / area[hit])
+        start = end
