@@ -4,7 +4,7 @@ A builder takes a `Stage` and changes it. MEASURED are compared with Cycles; NAM
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
@@ -22,6 +22,7 @@ class Stage:
     """The scene that every feature starts from: a cloud of edge 2 around the origin, a sun, a camera.
 
     scene, cloud, shader, sun, camera: bpy blocks. folder: for files. step_rate: for Cycles' reference.
+    surfaces: objects that it holds out.
     """
 
     scene: object
@@ -31,6 +32,7 @@ class Stage:
     camera: object
     folder: Path
     step_rate: float = 1.0
+    surfaces: list = field(default_factory=list)
 
     def link(self, name, data):
         added = bpy.data.objects.new(name, data)
@@ -321,6 +323,34 @@ def draine(stage):
     shader.phase, shader.inputs["Alpha"].default_value = 'DRAINE', 1.0
 
 
+# Surfaces
+
+
+def black_ball(stage, location):
+    """A rounded cube that is held out of Cycles' image and reflects nothing."""
+    shown = smooth_cube(stage, "Ball")
+    shown.scale, shown.location = (0.5, 0.5, 0.5), location
+    material = bpy.data.materials.new("Black")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    black = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    tree.links.new(black.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    shown.data.materials.append(material)
+    shown.is_holdout = True
+    stage.surfaces.append(shown)
+    return shown
+
+
+def ball_before(stage):
+    black_ball(stage, (0.7, -1.6, 0.5)).visible_shadow = False
+
+
+def ball_inside(stage):
+    black_ball(stage, (0.15, -0.25, 0.1)).visible_shadow = False
+
+
 # Light of their own
 
 
@@ -349,9 +379,8 @@ def flaming(stage):
 
 
 def lamp_mesh(stage):
-    """Emission without fog."""
     stage.hide_cloud()
-    shader = fog(smooth_cube(stage, "Ball").data, "Ball", 0.0)
+    shader = fog(smooth_cube(stage, "Ball").data, "Ball", 0.5)
     shader.inputs["Emission Strength"].default_value = 1.0
 
 
@@ -437,10 +466,12 @@ MEASURED = {
     "Chromatic albedo": coloured,
     "Chromatic extinction (Volume Coefficients)": chromatic,
     "Draine's phase function": draine,
+    "Opaque mesh before a volume, without its shadow": ball_before,
+    "Opaque mesh inside a volume, without its shadow": ball_inside,
     "Even emission": glowing,
     "Blackbody of a temperature grid": burning,
     "Emission through Map Range, and a sun": flaming,
-    "Emission without density, in a mesh": lamp_mesh,
+    "Emission in a mesh": lamp_mesh,
     "Two suns": two_suns,
     "Sun of 10 degrees": sun_of(10.0),
     "Sun of 40 degrees": sun_of(40.0),

@@ -73,15 +73,16 @@ def measured(name, stage, options) -> dict:
     except inference.SceneError as refusal:
         return {"refused": str(refusal)}
     layer = inference.render(described.volumes, described.suns, described.camera,
-                             inference.Settings(depth_samples=DEPTH_SAMPLES))
+                             inference.Settings(depth_samples=DEPTH_SAMPLES), surfaces=described.surfaces)
     mask = (layer.alpha > 0.02) | (layer.emission.max(axis=2) > 0.0)
     found = {"seconds": layer.report.seconds["total"], "pixels": int(mask.sum()), "warnings": described.warnings}
     world = stage.scene.world if described.environment else None
-    objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get())
+    objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
     for kind, image, bounces in (("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)):
         # Single scattering is cheap: less noise, and a smaller error to tell.
         samples = options.samples * (4 if bounces == 0 else 1)
-        reference = render_reference(stage.scene, objects, samples, bounces, world=world, step_rate=stage.step_rate)
+        reference = render_reference(stage.scene, objects, samples, bounces, world=world, step_rate=stage.step_rate,
+                                     areas=bool(stage.surfaces))
         a, b = reference.a, reference.b
         for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):
             value = estimate(image, a[..., :3], b[..., :3], mask)

@@ -63,7 +63,8 @@ class ComparisonRun:
         with scaled(context.scene, options.scale):
             depsgraph = context.evaluated_depsgraph_get()
             # The layer and Cycles' image both have the region's size.
-            self.description = replace(read_scene(depsgraph), crop=True)
+            # Volumes and lights alone: Cycles' image will hold no surface.
+            self.description = replace(read_scene(depsgraph), crop=True, surfaces=[])
             process = CyclesProcess(
                 context.scene, volumes_and_suns(depsgraph), options.bounces,
                 context.scene.world if self.description.environment else None)

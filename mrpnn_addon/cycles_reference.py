@@ -36,7 +36,7 @@ class Reference:
 
 
 def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None, world=None,
-                     step_rate=1.0) -> Reference:
+                     step_rate=1.0, areas=False) -> Reference:
     """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
     scene: gives frame, camera, resolution, render region and thread count; stays as it is.
@@ -46,13 +46,14 @@ def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=
     progress: called with (fraction done, text) before each render; what it raises ends the work.
     world: whose light to render, where the layer holds it.
     step_rate: of Cycles' ray marching; below 1 for textures inside meshes, which it steps through coarsely.
+    areas: whether pixels are means over their areas, as the layer's are where surfaces end it.
 
     Raises SceneError where the scene has no camera, Cycles is disabled or fails, or Cycles
     does not render a homogeneous box correctly here.
     """
     report = progress or (lambda fraction, text: None)
     halves = []
-    with view_scene(scene, objects, samples, bounces, world, step_rate) as reference:
+    with view_scene(scene, objects, samples, bounces, world, step_rate, areas) as reference:
         report(0.0, "checking Cycles against a homogeneous box")
         check_homogeneous_box()
         start = time.perf_counter()

@@ -32,7 +32,7 @@ def fill(mesh_object, matrix: np.ndarray, where: str) -> Inside:
 
     Raises SceneError, beginning with `where`, for a mesh that is flat or not closed.
     """
-    corners = _triangles(mesh_object)
+    corners = triangles_of(mesh_object)
     if not len(corners):
         raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume")
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -53,7 +53,7 @@ def fill(mesh_object, matrix: np.ndarray, where: str) -> Inside:
     return Inside(share, index)
 
 
-def _triangles(mesh_object) -> np.ndarray:
+def triangles_of(mesh_object) -> np.ndarray:
     """float64 (T, 3, 3): corners in object space."""
     mesh = mesh_object.to_mesh()
     try:

@@ -85,7 +85,7 @@ class Preview:
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(
                     description.volumes, step.suns, replace(camera, resolution=step.size), step.settings,
-                    cancelled=self._stop.is_set, kept=prepared.kept)
+                    cancelled=self._stop.is_set, kept=prepared.kept, surfaces=description.surfaces)
                 if self.stopped:
                     return
                 _remember(prepared, description, step)

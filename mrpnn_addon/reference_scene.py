@@ -42,11 +42,11 @@ CHECK_DEPTH = 1.5
 
 
 @contextmanager
-def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate: float = 1.0):
+def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate: float = 1.0, areas: bool = False):
     """A scene that shows `objects` (volumes and suns) from `scene`'s camera, unbiased, on a black World or in `world`.
 
     scene: gives frame, camera, resolution, render region and thread count; stays as it is.
-    step_rate: of Cycles' ray marching.
+    step_rate: of Cycles' ray marching. areas: whether pixels are means over their areas instead of their middles.
     Raises SceneError where the scene has no camera or Cycles is disabled.
     """
     if scene.camera is None:
@@ -56,6 +56,8 @@ def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate
         if world is not None:
             reference.world = world
         reference.cycles.volume_step_rate = step_rate
+        if areas:
+            reference.cycles.pixel_filter_type = "BOX"
         for shown in objects:
             reference.collection.objects.link(shown)
         yield reference

@@ -37,7 +37,8 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
     runtime_warnings = check_runtime()
     try:
         layer = inference.render(
-            scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled)
+            scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled,
+            surfaces=scene.surfaces)
         layer = in_frame(layer, scene.camera, scene.crop)
         if exr_path:
             write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report))

@@ -4,9 +4,11 @@ from dataclasses import dataclass, field
 from typing import List, Tuple
 
 from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
+from ..inference.surfaces import Surface
 from .camera import read_camera
 from .lights import read_suns
 from .material import SURFACES, shows_volume
+from .surfaces import read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
 from .volumes import VolumeReader, outside_sequence, overlap_warnings
 from .world import read_world
@@ -14,7 +16,7 @@ from .world import read_world
 
 @dataclass
 class SceneDescription:
-    """volumes, suns, camera: arguments of `inference.render`.
+    """volumes, suns, camera, surfaces: arguments of `inference.render`.
     crop: whether the image has the region's size, or the full frame's with nothing around it.
     view_layer: its name.
     frame: the scene's frame number.
@@ -25,6 +27,7 @@ class SceneDescription:
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
     suns: List[Sun] = field(default_factory=list)
     camera: Camera = None
+    surfaces: List[Surface] = field(default_factory=list)
     crop: bool = True
     view_layer: str = "ViewLayer"
     frame: int = 0
@@ -52,6 +55,7 @@ def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     for shown in shown_objects(depsgraph):
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings([volume for volume, _ in description.volumes])
+    description.warnings += surface_warnings(description.surfaces)
     lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
     description.environment = bool(lights)
     description.suns += lights
@@ -81,8 +85,12 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
     elif kind == 'LIGHT':
         lamp = shown.object.data.type.lower()
         description.warnings.append(f"light \"{shown.name}\" is a {lamp} light and not rendered; only suns are")
+    elif kind in SURFACES and description.camera.projection == "equirectangular":
+        description.warnings.append(f"{kind.lower()} object \"{shown.name}\" is a surface, which panoramas do not show")
     elif kind in SURFACES:
-        description.warnings.append(f"{kind.lower()} object \"{shown.name}\" is a surface and not rendered")
+        surface, warnings = read_surface(shown, view_layer, reader.meshes)
+        description.surfaces += [surface] if surface else []
+        description.warnings += warnings
 
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:

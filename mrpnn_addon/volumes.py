@@ -24,9 +24,10 @@ MAX_REFINED = 1 << 24
 
 @dataclass
 class VolumeReader:
-    """Reads volumes; what instances share is read once."""
+    """Reads volumes; what instances share is read once. meshes: triangles of surfaces, for `read_surface`."""
 
     known: Dict[tuple, Tuple[ShadedGrid, np.ndarray, List[str]]] = field(default_factory=dict)
+    meshes: Dict[tuple, np.ndarray] = field(default_factory=dict)
 
     def read(self, shown: Shown) -> Tuple[Volume, Medium, List[str]]:
         """The density, placement and shading of one visible volume, and warnings.

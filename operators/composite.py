@@ -14,7 +14,7 @@ BEHIND, BEFORE = ("Background", "Foreground") if FIVE else ("Image", "Image_001"
 
 class MRPNN_OT_composite(bpy.types.Operator):
     """Render this scene in Cycles without its volumes, the volumes in a second scene with MRPNN, and put
-    them together in the compositor. Surfaces in front of a volume cover it"""
+    them together in the compositor. Volumes end at surfaces"""
 
     bl_idname = "mrpnn.composite"
     bl_label = "Composite over Cycles"
@@ -83,20 +83,26 @@ def _build_nodes(scene, layered) -> None:
     surfaces.scene, surfaces.label = scene, "Surfaces by Cycles"
     volumes = nodes.new('CompositorNodeRLayers')
     volumes.scene, volumes.label = layered, "Volumes by MRPNN"
-    nearer = nodes.new(MATH)
-    nearer.operation, nearer.label = 'LESS_THAN', "Volume before surface"
     over = nodes.new('CompositorNodeAlphaOver')
     shown = result.links[0].from_socket if result.is_linked else surfaces.outputs["Image"]
     sockets = {socket.identifier: socket for socket in over.inputs}
-    links.new(volumes.outputs["Depth"], nearer.inputs[0])
-    links.new(surfaces.outputs["Depth"], nearer.inputs[1])
-    links.new(nearer.outputs[0], sockets["Fac"])
+    if scene.camera is not None and scene.camera.data.type == 'PANO':
+        _compare_depths(tree, surfaces, volumes, sockets["Fac"])
     links.new(shown, sockets[BEHIND])
     links.new(volumes.outputs["Image"], sockets[BEFORE])
     links.new(over.outputs["Image"], result)
     scene.render.use_compositing = True
-    for node, place in ((surfaces, (-600, 200)), (volumes, (-600, -200)), (nearer, (-250, 0)), (over, (0, 100))):
+    for node, place in ((surfaces, (-600, 200)), (volumes, (-600, -200)), (over, (0, 100))):
         node.location = place
+
+
+def _compare_depths(tree, surfaces, volumes, factor) -> None:
+    """Show volumes only where they lie before surfaces: in panoramas they do not end at them."""
+    nearer = tree.nodes.new(MATH)
+    nearer.operation, nearer.label, nearer.location = 'LESS_THAN', "Volume before surface", (-250, 0)
+    tree.links.new(volumes.outputs["Depth"], nearer.inputs[0])
+    tree.links.new(surfaces.outputs["Depth"], nearer.inputs[1])
+    tree.links.new(nearer.outputs[0], factor)
 
 
 def _compositor(scene):

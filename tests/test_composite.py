@@ -67,3 +67,18 @@ def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
     with pytest.raises(RuntimeError, match="no Volume object"):
         bpy.ops.mrpnn.composite()
     assert list(bpy.data.scenes) == [scene] and not scene.collection.children
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, cloud, tmp_path, angle):
+    """Fog that only absorbs, and a wall that glows: pixel by pixel, edges included."""
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    fog = cloud.data.materials[0].node_tree.nodes["Principled Volume"].inputs
+    fog["Color"].default_value, fog["Density"].default_value = (0.0, 0.0, 0.0, 1.0), 2.0
+    wall(scene, 0.0).rotation_euler = (0.0, angle, 0.3)
+    together = blender_scenes.render_cycles(scene, tmp_path, samples=64)
+    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    found = blender_scenes.render_cycles(scene, tmp_path, samples=64)
+    level = together[..., :3].mean()
+    assert np.sqrt(((found - together)[..., :3] ** 2).mean()) < 0.05 * level
+    np.testing.assert_allclose(found[..., :3].mean(axis=(0, 1)), together[..., :3].mean(axis=(0, 1)), rtol=0.01)

@@ -140,4 +140,4 @@ def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
     tree.links.new(glass.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
     described = read(addon)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
-    assert any("\"Glass\" is a surface" in warning for warning in described.warnings)
+    assert any("\"Glass\" can be seen through" in warning for warning in described.warnings)

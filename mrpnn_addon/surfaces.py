@@ -1,0 +1,67 @@
+"""Opaque surfaces that end camera rays, in the world."""
+
+from typing import Dict, List, Optional, Tuple
+
+import numpy as np
+
+from ..inference.surfaces import Surface
+from .mesh_volume import triangles_of
+from .sockets import Unsupported, active_output, input_of, source_of
+from .visibility import Shown
+
+# Kinds that Blender turns into meshes.
+MESHES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT'}
+SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction', 'ShaderNodeHoldout'}
+
+
+def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tuple[Optional[Surface], List[str]]:
+    """A visible object's surface where camera rays end at it, and warnings.
+
+    known: triangles of meshes read before, in their own space; instances share them.
+    """
+    where = f"{shown.object.type.lower()} object \"{shown.name}\""
+    if shown.object.type not in MESHES:
+        return None, [f"{where} is a surface and not rendered"]
+    if shown.source.indirect_only_get(view_layer=view_layer) or not shown.object.visible_camera:
+        return None, [f"{where} is a surface that the camera does not see, and left out"]
+    if any(_see_through(slot.material) for slot in shown.object.material_slots):
+        return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]
+    key = (shown.object.data.name_full, shown.object.as_pointer())
+    if key not in known:
+        known[key] = triangles_of(shown.object)
+    triangles = known[key] @ shown.matrix[:3, :3].T + shown.matrix[:3, 3]
+    return (Surface(triangles, where) if len(triangles) else None), []
+
+
+def surface_warnings(surfaces: List[Surface]) -> List[str]:
+    """Says what surfaces do and what not."""
+    if not surfaces:
+        return []
+    more = f" and {len(surfaces) - 1} more objects" if len(surfaces) > 1 else ""
+    verb = ("cover", "cast") if more else ("covers", "casts")
+    return [f"{surfaces[0].name}{more} {verb[0]} what of volumes lies behind, but {verb[1]} no shadow and no light on them; "
+            "Composite over Cycles renders surfaces"]
+
+
+def _see_through(material) -> bool:
+    output = active_output(material) if material else None
+    if output is None:
+        return False
+    try:
+        return _shows_behind(source_of(output.inputs['Surface']))
+    except Unsupported:
+        return False
+
+
+def _shows_behind(source) -> bool:
+    """Whether a shader, or one of those that it mixes, lets light through. No shader at all does."""
+    node, groups = source.node, source.groups
+    if node is None or node.bl_idname in SEE_THROUGH:
+        return True
+    if node.bl_idname in ('ShaderNodeMixShader', 'ShaderNodeAddShader'):
+        return any(_shows_behind(source_of(socket, groups)) for socket in node.inputs if socket.type == 'SHADER')
+    if node.bl_idname == 'ShaderNodeBsdfPrincipled':
+        alpha, through = (input_of(node, name) for name in ("Alpha", "Transmission Weight"))
+        return any(socket.is_linked for socket in (alpha, through)) or alpha.default_value < 1.0 or \
+            through.default_value > 0.0
+    return False

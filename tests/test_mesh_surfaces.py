@@ -1,0 +1,117 @@
+"""Opaque meshes before, in and behind volumes, against Cycles rendering everything together."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from . import blender_scenes
+
+
+def read(addon):
+    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+
+
+def ball(scene, location, radius=0.6):
+    """A black ball that casts no shadow."""
+    mesh = bpy.data.meshes.new("Ball")
+    import bmesh
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=radius)
+    shape.to_mesh(mesh)
+    shape.free()
+    material = bpy.data.materials.new("Black")
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    material.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.0
+    mesh.materials.append(material)
+    added = blender_scenes.add_object(scene, "Ball", mesh)
+    added.location, added.visible_shadow = location, False
+    return added
+
+
+@pytest.mark.parametrize("place", ["before", "inside", "behind"])
+@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
+    """Alpha and single scattering equal those of Cycles, which holds the ball out."""
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    blender_scenes.cloud_scene(scene, tmp_path)
+    scene.camera.data.type, scene.camera.data.ortho_scale = kind, 2.2
+    scene.camera.location = (0.4, 0.2, 6.0)
+    parent = blender_scenes.add_object(scene, "Parent", None)
+    parent.scale, parent.rotation_euler = (1.0, 0.8, -1.1), (0.2, 0.1, 0.4)
+    hidden = ball(scene, {"before": (0.2, 0.1, -1.2), "inside": (0.2, 0.1, 0.0), "behind": (0.2, 0.1, 1.4)}[place])
+    hidden.parent = parent
+    described = read(addon)
+    assert len(described.surfaces) == 1
+    [warning] = described.warnings
+    assert "\"Ball\"" in warning and "covers" in warning
+    settings = addon.inference.Settings(multiple=False)
+    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+                                           surfaces=surfaces) for surfaces in (described.surfaces, []))
+    hidden.is_holdout = True
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=256)
+    level, seen = expected[..., 3].mean(), expected[..., 3] > 0.005
+    # Cycles' pixels are means of their areas, the layer's fog is that of their middles.
+    assert np.sqrt(((layer.alpha - expected[..., 3])[seen] ** 2).mean()) < 0.08 * expected[..., 3][seen].mean()
+    assert layer.alpha.mean() == pytest.approx(level, rel=0.01)
+    assert layer.single.mean() == pytest.approx(expected[..., :3].mean(), rel=0.02)
+    covered = alone.alpha.mean() - layer.alpha.mean()
+    assert (covered > 0.05 * level) == (place != "behind")
+
+
+def glass(material):
+    nodes = material.node_tree.nodes
+    nodes["Principled BSDF"].inputs["Transmission Weight"].default_value = 1.0
+
+
+def mixed_with_transparency(material):
+    tree = material.node_tree
+    mixed, clear = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeBsdfTransparent")
+    tree.links.new(tree.nodes["Principled BSDF"].outputs[0], mixed.inputs[1])
+    tree.links.new(clear.outputs[0], mixed.inputs[2])
+    tree.links.new(mixed.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
+
+
+@pytest.mark.parametrize("change", [glass, mixed_with_transparency])
+def test_what_can_be_seen_through_is_named(addon, scene, tmp_path, change):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    change(ball(scene, (0.0, 0.0, 2.0)).data.materials[0])
+    described = read(addon)
+    assert not described.surfaces
+    [warning] = described.warnings
+    assert "\"Ball\"" in warning and "seen through" in warning
+
+
+def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    shown = ball(scene, (0.0, 0.0, 2.0))
+    text = blender_scenes.add_object(scene, "Words", bpy.data.curves.new("Words", 'FONT'))
+    text.data.body = "fog"
+    group = bpy.data.collections.new("Group")
+    group.objects.link(shown)
+    blender_scenes.add_object(scene, "Copy", None).instance_type = 'COLLECTION'
+    bpy.data.objects["Copy"].instance_collection = group
+    bpy.data.objects["Copy"].location = (1.0, 0.0, 0.0)
+    described = read(addon)
+    # Blender shows a text twice, as itself and as its mesh.
+    middles = sorted({tuple(np.round(surface.triangles.reshape(-1, 3).mean(axis=0), 2)) for surface in described.surfaces})
+    assert len(middles) == 3
+    assert np.allclose(middles[0], (0.0, 0.0, 2.0), atol=0.02) and np.allclose(middles[2], (1.0, 0.0, 2.0), atol=0.02)
+    shown.visible_camera = text.visible_camera = False
+    described = read(addon)
+    assert not described.surfaces
+    assert any("\"Words\"" in warning and "does not see" in warning for warning in described.warnings)
+
+
+def test_a_panorama_says_that_it_shows_no_surface(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    ball(scene, (0.0, 0.0, 2.0))
+    lens = scene.camera.data
+    lens.type = 'PANO'
+    if hasattr(lens, "panorama_type"):  # 5.0 and later
+        lens.panorama_type = 'EQUIRECTANGULAR'
+    else:
+        lens.cycles.panorama_type = 'EQUIRECTANGULAR'
+    described = read(addon)
+    assert not described.surfaces and any("\"Ball\"" in warning for warning in described.warnings)
