@@ -262,7 +262,9 @@ def test_a_volume_without_a_file_says_so(addon, scene):
 def test_what_is_not_rendered_is_named(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
-    blender_scenes.add_object(scene, "Ground", bpy.data.meshes.new("Ground"))
+    ground = bpy.data.meshes.new("Ground")
+    ground.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    blender_scenes.add_object(scene, "Ground", ground)
     linked = blender_scenes.add_sun(scene, "Linked")
     linked.light_linking.receiver_collection = bpy.data.collections.new("Some")
     bare = blender_scenes.add_sun(scene, "Bare")
