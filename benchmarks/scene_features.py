@@ -351,6 +351,12 @@ def ball_inside(stage):
     black_ball(stage, (0.15, -0.25, 0.1)).visible_shadow = False
 
 
+def ball_above(stage):
+    """Its shadow alone falls on the cloud."""
+    shown = black_ball(stage, Vector((-0.8, -0.3, 0.6)) * 2.2)
+    shown.scale = (0.35, 0.35, 0.35)
+
+
 # Light of their own
 
 
@@ -468,6 +474,7 @@ MEASURED = {
     "Draine's phase function": draine,
     "Opaque mesh before a volume, without its shadow": ball_before,
     "Opaque mesh inside a volume, without its shadow": ball_inside,
+    "Shadow of an opaque mesh": ball_above,
     "Even emission": glowing,
     "Blackbody of a temperature grid": burning,
     "Emission through Map Range, and a sun": flaming,

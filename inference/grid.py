@@ -51,6 +51,13 @@ class Grid:
         """World positions (N, 3) as continuous indices, float64."""
         return world @ self.linear.T + self.offset
 
+    def corners(self) -> np.ndarray:
+        """(8, 3) of the support in the world."""
+        low, high = self.box
+        ends = np.array([[(low, high)[b][axis] for axis, b in enumerate((x, y, z))]
+                         for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        return (ends - self.offset) @ np.linalg.inv(self.linear).T
+
     def interval(self, origins, directions):
         """Distances at which world rays enter and leave the grid's support."""
         return box_interval(self.index(origins), directions @ self.linear.T, *self.box)

@@ -18,6 +18,7 @@ from .ray_steps import step_counts
 from .rays import camera_rays
 from .report import Report, process_peak_memory
 from .scene import Camera, SceneError, Settings
+from .sun_map import SunMap
 from .surfaces import PLACES, Screen, rays_to_surfaces
 from .work import Work
 
@@ -77,7 +78,8 @@ def render(
     volumes: list of (Volume, Medium); suns: list of Sun. progress(fraction,
     message) is called on the calling thread; cancelled() -> bool is asked several times a
     second. kept: of renders before, for what has not changed since; its memory is held until it is dropped.
-    surfaces: Surfaces at which camera rays end, for a layer that is put over them; not for equirectangular cameras.
+    surfaces: Surfaces at which camera rays end, for a layer that is put over them, though not those of equirectangular
+    cameras, and that keep suns' light from being scattered once.
     The same seed gives the same image for any number of threads.
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -112,10 +114,16 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
 
     with report.stage("shadows"):
         grids = kept.grids([volume for volume, _ in plan.volumes], plan.suns, work)
-    fields, screen = {}, None
-    if surfaces and camera.projection != "equirectangular":
-        with report.stage("surfaces"):
-            screen = Screen(surfaces, camera)
+    fields, screen, sun_maps = {}, None, None
+    with report.stage("surfaces"):
+        covering = [surface for surface in surfaces if surface.covers]
+        if covering and camera.projection != "equirectangular":
+            screen = Screen(covering, camera)
+        shading = [surface for surface in surfaces if surface.shades]
+        if shading and plan.volumes:
+            corners = np.concatenate([grid.corners() for grid in grids])
+            sun_maps = [SunMap(shading, sun.direction, corners) for sun in plan.suns]
+            sun_maps = None if all(sun_map.empty for sun_map in sun_maps) else sun_maps
     with kept.predicting(work) if network else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
@@ -129,7 +137,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 start = number / len(plan.channels) + tile * share
                 pixels = slice((row - y0) * width, (row - y0 + plan.tile_rows) * width)
                 samples = _march_camera_rays(
-                    plan, channels, grids, rows, screen, settings, diffused, work, report,
+                    plan, channels, grids, rows, screen, sun_maps, settings, diffused, work, report,
                     start, start + share * MARCH_SHARE, single[pixels], emission[pixels], alpha[pixels],
                     depth[pixels],
                 )
@@ -191,7 +199,7 @@ def _diffuse(plan, channels, network, kept, fields, work, report):
 
 
 def _march_camera_rays(
-    plan, channels, grids, camera, screen, settings, diffused, work, report, start, end, single, emission, alpha, depth
+    plan, channels, grids, camera, screen, sun_maps, settings, diffused, work, report, start, end, single, emission, alpha, depth
 ):
     """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
@@ -223,7 +231,7 @@ def _march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            settings.depth_samples, diffused,
+            settings.depth_samples, diffused, sun_maps,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)

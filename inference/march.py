@@ -14,6 +14,7 @@ from .diffusion import DiffusedLight
 from .grid import Grid
 from .ray_light import REACH, RayLight, ray_light
 from .ray_steps import STEPS, Blocks, RaySteps, blocks_near_density, step_counts, step_thickness, sums_within
+from .sun_map import SunMap
 
 # Blocks a ray that are looked up at a time, before rays that have become opaque are left.
 BLOCKS_A_ROUND = 4
@@ -88,14 +89,14 @@ class _Medium:
 
 def march(
     grids: List[Grid], sigma_t, origins, directions, near, far, depth_samples: int,
-    diffused: Optional[List[Optional[DiffusedLight]]] = None,
+    diffused: Optional[List[Optional[DiffusedLight]]] = None, sun_maps: Optional[List[SunMap]] = None,
 ) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
     grids; depth_samples: of an opaque ray; diffused: of each volume, for `sample_light`, or None where that is not
-    wanted; a volume's is None where nothing is predicted in it.
+    wanted; a volume's is None where nothing is predicted in it; sun_maps: of each sun, where surfaces shade.
     """
     behind = BEHIND if diffused is None else REACH
     medium = _cut(grids, sigma_t, origins, directions, near, far, behind)
@@ -108,7 +109,8 @@ def march(
     depth = steps.near + reached * steps.dt / np.maximum(alpha, 1e-30)
 
     shadows = _shadows(grids, medium, total > 0.0)
-    single = _single(medium, shadows, transmitted)
+    lit = _lit(sun_maps, medium, origins, directions) if sun_maps else None
+    single = _single(medium, shadows, transmitted, lit)
     block, step, inside, weight = _sample_depths(medium, alpha, depth_samples)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
@@ -233,14 +235,29 @@ def _fluence(diffused, frames: RaySteps, suns: int, medium: _Medium) -> np.ndarr
     return fluence
 
 
-def _single(medium: _Medium, shadows, transmitted):
-    """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1."""
+def _lit(sun_maps, medium: _Medium, origins, directions) -> np.ndarray:
+    """(L, P, STEPS): share of each sun's light that surfaces let through to the middle of each filled step."""
+    steps = medium.steps
+    frames = RaySteps(sun_maps, origins, directions, steps.near, steps.far, steps.count)
+    filled = np.flatnonzero(medium.total)
+    ray = np.repeat(medium.blocks.ray, STEPS)[filled]
+    step = medium.blocks.steps().reshape(-1)[filled] + np.float32(0.5)
+    lit = np.ones((len(sun_maps), *medium.total.shape), np.float32)
+    for l, sun_map in enumerate(sun_maps):
+        lit[l].reshape(-1)[filled] = sun_map.lit(frames.index(l, ray, step))
+    return lit
+
+
+def _single(medium: _Medium, shadows, transmitted, lit):
+    """(R, V, L): single scattering by volume and sun, for albedo, irradiance and phase 1; lit: see `_lit`, or None."""
     volumes, suns = shadows.shape[:2]
     single = np.zeros((medium.blocks.rays, volumes, suns))
     # Integral over a step of exp(-tau to the camera - tau to the sun).
     for l in range(suns):
         shadow = shadows[:, l].sum(axis=0) if volumes > 1 else shadows[0, l]
         light = transmitted * mean_transmittance(shadow[:, :-1], shadow[:, 1:] + medium.tau) * medium.dt
+        if lit is not None:
+            light *= lit[l]
         for v in range(volumes):
             single[:, v, l] = medium.blocks.sums((medium.sigma[v] * light).sum(axis=1))
     return single

@@ -22,13 +22,16 @@ PAIRS_AT_ONCE = 1 << 20
 
 @dataclass
 class Surface:
-    """triangles: float64 (T, 3, 3) corners in the world. name: for messages.
+    """triangles: float64 (T, 3, 3) corners in the world. name: for messages. covers: whether camera rays end there.
+    shades: whether it keeps suns from volumes.
 
     Raises SceneError where they are not finite.
     """
 
     triangles: np.ndarray
     name: str = "surface"
+    covers: bool = True
+    shades: bool = True
 
     def __post_init__(self):
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
@@ -62,7 +65,7 @@ class Screen:
         size = np.array([x1 - x0, y1 - y0]) * PLACES
         place = (self.place - [x0, y0]) * PLACES - 0.5
         found = np.full(size[0] * size[1], -np.inf)
-        for flat, value in _covered(place, self.value, size):
+        for flat, value in covered(place, self.value, size):
             np.maximum.at(found, flat, value)
         distance = self._along(found.reshape(size[1], size[0]), x0, y0)
         parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
@@ -116,7 +119,7 @@ def _before_the_eye(corners, closest: float):
     return np.concatenate(parts)
 
 
-def _covered(place, value, size):
+def covered(place, value, size):
     """Yield (flat index, value) of whole places in a raster of `size` columns and rows that triangles cover."""
     first = np.ceil(np.clip(place.min(axis=1), 0, size)).astype(int)
     last = np.floor(np.clip(place.max(axis=1), -1, size - 1)).astype(int)

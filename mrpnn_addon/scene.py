@@ -55,7 +55,7 @@ def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     for shown in shown_objects(depsgraph):
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings([volume for volume, _ in description.volumes])
-    description.warnings += surface_warnings(description.surfaces)
+    description.warnings += surface_warnings(description.surfaces, camera.projection == "equirectangular")
     lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
     description.environment = bool(lights)
     description.suns += lights
@@ -85,8 +85,6 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
     elif kind == 'LIGHT':
         lamp = shown.object.data.type.lower()
         description.warnings.append(f"light \"{shown.name}\" is a {lamp} light and not rendered; only suns are")
-    elif kind in SURFACES and description.camera.projection == "equirectangular":
-        description.warnings.append(f"{kind.lower()} object \"{shown.name}\" is a surface, which panoramas do not show")
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
         description.surfaces += [surface] if surface else []

@@ -1,4 +1,4 @@
-"""Opaque surfaces that end camera rays, in the world."""
+"""Opaque surfaces that cover and shade volumes, in the world."""
 
 from typing import Dict, List, Optional, Tuple
 
@@ -15,32 +15,43 @@ SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBs
 
 
 def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tuple[Optional[Surface], List[str]]:
-    """A visible object's surface where camera rays end at it, and warnings.
+    """A visible object's surface where it is opaque and covers or shades volumes, and warnings.
 
     known: triangles of meshes read before, in their own space; instances share them.
     """
     where = f"{shown.object.type.lower()} object \"{shown.name}\""
     if shown.object.type not in MESHES:
         return None, [f"{where} is a surface and not rendered"]
-    if shown.source.indirect_only_get(view_layer=view_layer) or not shown.object.visible_camera:
-        return None, [f"{where} is a surface that the camera does not see, and left out"]
+    covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
+    if not covers and not shown.object.visible_shadow:
+        return None, []
     if any(_see_through(slot.material) for slot in shown.object.material_slots):
         return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]
     key = (shown.object.data.name_full, shown.object.as_pointer())
     if key not in known:
         known[key] = triangles_of(shown.object)
     triangles = known[key] @ shown.matrix[:3, :3].T + shown.matrix[:3, 3]
-    return (Surface(triangles, where) if len(triangles) else None), []
+    return (Surface(triangles, where, covers, shown.object.visible_shadow) if len(triangles) else None), []
 
 
-def surface_warnings(surfaces: List[Surface]) -> List[str]:
+def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
     """Says what surfaces do and what not."""
-    if not surfaces:
-        return []
-    more = f" and {len(surfaces) - 1} more objects" if len(surfaces) > 1 else ""
-    verb = ("cover", "cast") if more else ("covers", "casts")
-    return [f"{surfaces[0].name}{more} {verb[0]} what of volumes lies behind, but {verb[1]} no shadow and no light on them; "
-            "Composite over Cycles renders surfaces"]
+    covering, shading = ([s for s in surfaces if s.covers], [s for s in surfaces if s.shades])
+    found = []
+    if covering and panorama:
+        found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
+    elif covering:
+        found.append(f"{_names(covering)}: volumes end at surfaces, which are not rendered themselves, nor is the light "
+                     "that they throw on volumes; Composite over Cycles renders them")
+    if shading:
+        found.append(f"{_names(shading)}: surfaces keep suns from lighting volumes directly, but light that is scattered "
+                     "several times is predicted as if they were not there")
+    return found
+
+
+def _names(surfaces: List[Surface]) -> str:
+    more = f" and {len(surfaces) - 1} more" if len(surfaces) > 1 else ""
+    return surfaces[0].name + more
 
 
 def _see_through(material) -> bool:

@@ -45,7 +45,7 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     described = read(addon)
     assert len(described.surfaces) == 1
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "covers" in warning
+    assert "\"Ball\"" in warning and "end at surfaces" in warning
     settings = addon.inference.Settings(multiple=False)
     layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
@@ -98,13 +98,13 @@ def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(
     middles = sorted({tuple(np.round(surface.triangles.reshape(-1, 3).mean(axis=0), 2)) for surface in described.surfaces})
     assert len(middles) == 3
     assert np.allclose(middles[0], (0.0, 0.0, 2.0), atol=0.02) and np.allclose(middles[2], (1.0, 0.0, 2.0), atol=0.02)
-    shown.visible_camera = text.visible_camera = False
-    described = read(addon)
-    assert not described.surfaces
-    assert any("\"Words\"" in warning and "does not see" in warning for warning in described.warnings)
+    shown.visible_camera = text.visible_camera = text.visible_shadow = False
+    shown.visible_shadow = True
+    # The ball and its copy still shade; the text does nothing.
+    assert [(surface.covers, surface.shades) for surface in read(addon).surfaces] == [(False, True)] * 2
 
 
-def test_a_panorama_says_that_it_shows_no_surface(addon, scene, tmp_path):
+def test_a_panorama_says_that_surfaces_do_not_cover(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     ball(scene, (0.0, 0.0, 2.0))
     lens = scene.camera.data
@@ -114,4 +114,30 @@ def test_a_panorama_says_that_it_shows_no_surface(addon, scene, tmp_path):
     else:
         lens.cycles.panorama_type = 'EQUIRECTANGULAR'
     described = read(addon)
-    assert not described.surfaces and any("\"Ball\"" in warning for warning in described.warnings)
+    assert any("\"Ball\"" in warning and "panoramas" in warning for warning in described.warnings)
+
+
+@pytest.mark.parametrize("kind", ['SINGLE', 'SEVERAL'])
+def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
+    """Single scattering with the ball between sun and cloud, alone and beside other surfaces."""
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    blender_scenes.cloud_scene(scene, tmp_path)
+    bpy.context.view_layer.update()
+    towards = np.array(bpy.data.objects["Sun"].matrix_world.to_3x3())[:, 2]
+    balls = [ball(scene, 2.5 * towards, radius=0.35)]
+    if kind == 'SEVERAL':
+        balls += [ball(scene, (-3.0, 0.0, 0.0)), ball(scene, -2.5 * towards)]
+    for shown in balls:
+        shown.visible_shadow, shown.visible_camera = True, False
+    described = read(addon)
+    assert any("keep suns" in warning for warning in described.warnings)
+    settings = addon.inference.Settings(multiple=False)
+    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+                                           surfaces=surfaces) for surfaces in (described.surfaces, []))
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=512)
+    level, seen = expected[..., :3].mean(), expected[..., 3] > 0.005
+    assert layer.single.mean() == pytest.approx(level, rel=0.02)
+    assert alone.single.mean() > 1.1 * level
+    error = np.sqrt(((layer.single - expected[..., :3])[seen] ** 2).mean()) / expected[..., :3][seen].mean()
+    before = np.sqrt(((alone.single - expected[..., :3])[seen] ** 2).mean()) / expected[..., :3][seen].mean()
+    assert error < 0.3 * before

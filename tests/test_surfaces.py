@@ -117,3 +117,37 @@ def test_the_image_does_not_depend_on_tiles_and_threads():
 def test_broken_vertices_are_refused_by_name():
     with pytest.raises(SceneError, match="wall: its vertices"):
         Surface(np.full((1, 3, 3), np.nan), "wall")
+
+
+def test_a_surface_shades_what_lies_behind_it_from_the_sun():
+    """Single scattering of a slab seen across the sun's light, half of which a distant wall keeps off."""
+    wall = rectangle(-9, 0.0, -9, 9, 6.0)
+    sun = Sun((0.0, 0.0, 1.0), 3.0)
+    matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+    view = Camera(matrix, "orthographic", (40, 8), ortho_scale=1.6)
+    settings = Settings(multiple=False)
+    lit, shaded = (render([(fog(), Medium(0.7, 0.9, 0.3))], [sun], view, settings, surfaces=surfaces)
+                   for surfaces in ([], [wall]))
+    assert shaded.single[:, :19].max() < 1e-6
+    np.testing.assert_allclose(shaded.single[:, 21:], lit.single[:, 21:], rtol=1e-5)
+    np.testing.assert_array_equal(shaded.alpha, lit.alpha)
+    # Behind the volume it shades nothing, nor does what is said not to.
+    for harmless in (rectangle(-9, 0, -9, 9, -6.0), Surface(wall.triangles, "wall", shades=False)):
+        one = render([(fog(), Medium(0.7, 0.9, 0.3))], [sun], view, settings, surfaces=[harmless])
+        np.testing.assert_allclose(one.single, lit.single, rtol=1e-6)
+
+
+def test_a_slanting_shadow_falls_where_the_sun_sends_it():
+    """The edge of a wall's shadow moves with height by the tangent of the sun's angle."""
+    sun = Sun((1.0, 0.0, 2.0), 3.0)
+    matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+    view = Camera(matrix, "orthographic", (64, 64), ortho_scale=1.9)
+    walls = [rectangle(-9, 2.0, -9, 9, 4.0)]
+    lit, shaded = (render([(fog(), Medium(0.5, 0.9))], [sun], view, Settings(multiple=False), surfaces=surfaces)
+                   for surfaces in ([], walls))
+    share = (shaded.single / lit.single)[..., 0]
+    x = ((np.arange(64) + 0.5) / 64 - 0.5) * 1.9
+    # Seen from -y: x to the right, z up. Light along (-1, 0, -2) from the edge at (2, 4).
+    edge = 2.0 - (4.0 - x[::-1][:, None]) / 2.0
+    away = np.abs(x[None] - edge) > 0.05
+    np.testing.assert_allclose(share[away], (x[None] > edge)[away], atol=1e-3)
