@@ -36,16 +36,13 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tu
 
 def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
     """Says what surfaces do and what not."""
-    covering, shading = ([s for s in surfaces if s.covers], [s for s in surfaces if s.shades])
-    found = []
+    found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
-    elif covering:
-        found.append(f"{_names(covering)}: volumes end at surfaces, which are not rendered themselves, nor is the light "
-                     "that they throw on volumes; Composite over Cycles renders them")
-    if shading:
-        found.append(f"{_names(shading)}: surfaces keep suns from lighting volumes directly, but light that is scattered "
-                     "several times is predicted as if they were not there")
+    if surfaces:
+        found.append(f"{_names(surfaces)}: surfaces cover volumes and keep suns from lighting them directly; what they stop "
+                     "and throw back of light that is scattered several times is not predicted. Composite over Cycles "
+                     "renders them")
     return found
 
 

@@ -45,7 +45,7 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     described = read(addon)
     assert len(described.surfaces) == 1
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "end at surfaces" in warning
+    assert "\"Ball\"" in warning and "cover volumes" in warning
     settings = addon.inference.Settings(multiple=False)
     layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
