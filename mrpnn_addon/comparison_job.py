@@ -78,6 +78,9 @@ class ComparisonJob:
 
     @property
     def fraction(self) -> float:
+        # Nothing can be told before Cycles has shown its pace.
+        if not self.done and not any(job.by_cycles for job in self.passes):
+            return 0.0
         passed = time.monotonic() - self._start
         return passed / max(passed + self.seconds_left, 1e-9)
 

@@ -22,23 +22,28 @@ COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "r
            "bias_high", "flip")
 
 
-def write(run, comparison: Comparison) -> Path:
-    """report.html, figures.csv and figures.json into the folder of a ComparisonRun; gives the page's path.
+def writing(run, comparison: Comparison):
+    """Write report.html, figures.csv and figures.json into the folder of a ComparisonRun, in short steps.
 
-    Also shows the chart as an Image. Raises SceneError where they cannot be written.
+    A generator that gives the page's path with each. Also shows the chart as an Image. Raises SceneError where they
+    cannot be written.
     """
+    path = run.folder / "report.html"
     run.folder.mkdir(parents=True, exist_ok=True)
     comparison.write_json(str(run.folder / "figures.json"))
     _replace(run.folder / "figures.csv", csv_text(comparison))
+    yield path
     show_chart(comparison.rungs, comparison.clock)
-    reference = f"reference, {2 * comparison.samples} samples" if comparison.samples else "reference"
-    pictures = {caption: view_png(image, run.scene) for caption, image in _images(run, comparison, reference).items()}
+    yield path
+    reference, pictures = f"reference, {2 * comparison.samples} samples" if comparison.samples else "reference", {}
+    for caption, image in _images(run, comparison, reference).items():
+        pictures[caption] = view_png(image, run.scene)
+        yield path
     error = signed_error(run.layer_image(), run.reference_image())
     text = page(comparison, f"Error against run time: {run.scene.name}, frame {run.description.frame}", pictures,
                 display_png(error), reference, _facts(run, comparison))
-    path = run.folder / "report.html"
     _replace(path, text)
-    return path
+    yield path
 
 
 def csv_text(comparison: Comparison) -> str:

@@ -99,7 +99,12 @@ class ComparisonRun:
 
     def write(self, comparison: Comparison) -> Path:
         """The report's files into the folder; gives the page's path."""
-        return comparison_report.write(self, comparison)
+        *_, page = self.writing(comparison)
+        return page
+
+    def writing(self, comparison: Comparison):
+        """As `write`, in short steps: `comparison_report.writing`."""
+        return comparison_report.writing(self, comparison)
 
     def layer_image(self) -> np.ndarray:
         """float32 (H, W, 4), rows from the top."""

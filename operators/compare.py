@@ -1,5 +1,7 @@
 """Operator `mrpnn.compare`: error against run time, of the layer and of Cycles, on the scene's view."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import bpy
 import numpy as np
@@ -15,7 +17,7 @@ from .waiting import WaitsForVolumes
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"
 ERROR_IMAGE = f"{IMAGE_NAME} error"
 TEXT_NAME = f"{IMAGE_NAME} comparison"
-SECONDS_A_TICK = 0.1
+SECONDS_A_TICK, SECONDS_A_LOOK = 0.1, 0.01
 
 
 class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
@@ -55,6 +57,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     _run = None
     _timer = None
+    # Of `_finish`, once the run is done.
+    _steps = None
     # Whether Blender stays usable meanwhile, as after the dialog; scripts wait.
     _modal = False
 
@@ -79,7 +83,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             return self._fail(error)
         if not self._modal:
             run.wait()
-            return self._deliver(context, run)
+            return self._deliver(_finish(run))
         MRPNN_OT_compare._run = run
         manager = context.window_manager
         self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
@@ -98,6 +102,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             run.job.stop()
         elif event.type != 'TIMER':
             return {'PASS_THROUGH'}
+        if self._steps is not None:
+            return self._step(context)
         try:
             run.job.step()
         except BaseException:
@@ -108,8 +114,21 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)")
         if not run.job.done:
             return {'PASS_THROUGH'}
+        self._steps = _finish(run)
+        context.workspace.status_text_set("Comparing: figures and report")
+        return {'RUNNING_MODAL'}
+
+    def _step(self, context):
+        """One step of the report; Blender is free between them."""
+        try:
+            done = next(self._steps)
+        except BaseException as problem:
+            self.cancel(context)
+            return self._failed(problem)
+        if done is None:
+            return {'RUNNING_MODAL'}
         self.cancel(context)
-        return self._deliver(context, run)
+        return self._deliver([done])
 
     def cancel(self, context):
         """Also called by Blender where it ends the operator itself, as when it closes or loads a file."""
@@ -132,15 +151,19 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         self.report({'ERROR'}, str(error))
         return {'CANCELLED'}
 
-    def _deliver(self, context, run):
-        try:
-            comparison = run.result()
-            page = run.write(comparison)
-        except ReferenceError:
+    def _failed(self, problem):
+        if isinstance(problem, ReferenceError):
             return self._fail("the compared scene was removed meanwhile; the images of Cycles are kept")
-        except (SceneError, OSError) as error:
-            return self._fail(error)
-        show(run)
+        if isinstance(problem, (SceneError, OSError)):
+            return self._fail(problem)
+        raise problem
+
+    def _deliver(self, steps):
+        """Take the steps of `_finish` to their end, and tell."""
+        try:
+            *_, (comparison, page) = steps
+        except (ReferenceError, SceneError, OSError) as problem:
+            return self._failed(problem)
         remember(comparison, page)
         _keep_as_text(comparison.table())
         for warning in comparison.warnings:
@@ -149,6 +172,20 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         if not bpy.app.background:
             bpy.ops.wm.url_open(url=page.as_uri())
         return {'FINISHED'}
+
+
+def _finish(run: ComparisonRun):
+    """Figures, report and images of a run that is done, in short steps: gives None, and (comparison, page) at last."""
+    with ThreadPoolExecutor(1, "mrpnn figures") as pool:
+        figures = pool.submit(run.result)
+        while not figures.done():
+            time.sleep(SECONDS_A_LOOK)
+            yield None
+    comparison = figures.result()
+    for page in run.writing(comparison):
+        yield None
+    show(run)
+    yield comparison, page
 
 
 def show(run: ComparisonRun) -> None:
