@@ -10,6 +10,7 @@ import numpy as np
 from ..inference.scene import Cancelled, SceneError
 from . import viewport
 from .film import background, on_background
+from .grid_loading import GridLoading
 from .last_render import remember_finished
 from .layer_frame import rgba
 from .material import shows_volume
@@ -19,6 +20,9 @@ from .scene import read_scene
 from .viewport import Viewport, viewport_camera
 from .visibility import shown_objects
 from .volumes import VolumeReader
+
+
+SECONDS_A_LOOK = 0.05
 
 
 class MRPNNRenderEngine(bpy.types.RenderEngine):
@@ -90,7 +94,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
             return self._write_empty(depsgraph)
         self.update_stats("", "Reading volumes")
-        scene = read_scene(depsgraph)
+        scene = self._read(depsgraph)
         # With a render region, Blender hands out a result of the region's size.
         scene.crop = True
         settings = depsgraph.scene.mrpnn.settings()
@@ -106,6 +110,20 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({'WARNING'}, warning)
         extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]
         self._write(view_layer, image, extras, stamp(settings, finished.layer.report))
+
+    def _read(self, depsgraph):
+        """The scene, its volumes' files read on a thread first, which Esc ends."""
+        wanted = VolumeReader().wanted(depsgraph)
+        if wanted:
+            loading = GridLoading(wanted)
+            while not loading.done:
+                loading.wait(SECONDS_A_LOOK)
+                if self.test_break():
+                    loading.stop()
+                    raise Cancelled()
+            if loading.error is not None:
+                raise loading.error
+        return read_scene(depsgraph)
 
     def _write_empty(self, depsgraph):
         x, y = self.resolution_x, self.resolution_y

@@ -47,8 +47,9 @@ class GridLoading:
         if self._process is not None:
             self._process.kill()
 
-    def wait(self) -> None:
-        self._thread.join()
+    def wait(self, seconds=None) -> None:
+        """Until it is done, but no longer than that."""
+        self._thread.join(seconds)
 
     def _run(self, wanted):
         try:
