@@ -313,6 +313,7 @@ def chromatic(stage):
     shader = stage.node("VolumeCoefficients")
     shader.inputs["Anisotropy"].default_value = 0.4
     stage.connect(stage.grid(), product.inputs[0])
+    shader.inputs["Absorption Coefficients"].default_value = (0.0, 0.0, 0.0)
     stage.connect(product.outputs[0], shader.inputs["Scatter Coefficients"])
     stage.replace_shader(shader)
 
@@ -379,6 +380,7 @@ def burning(stage):
     stage.shader.inputs["Blackbody Intensity"].default_value = 1.0
     stage.shader.inputs["Temperature"].default_value = 2500.0
     stage.shader.inputs["Temperature Attribute"].default_value = "density"
+    stage.step_rate = 0.1
 
 
 def flaming(stage):

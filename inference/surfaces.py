@@ -15,7 +15,7 @@ from .scene import Camera, SceneError
 PLACES = 4
 # Distances that are told apart within one pixel, of the ray's way through the volumes.
 DISTANCES = 16
-# Triangles are cut at this share of the volume's distance before the eye.
+# Triangles are cut at least at this share of the farthest one's distance.
 CLOSEST = 1e-6
 PAIRS_AT_ONCE = 1 << 20
 
@@ -46,12 +46,13 @@ class Screen:
         self.camera = camera
         rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
         corners = np.concatenate([surface.triangles for surface in surfaces]) - camera.world_matrix[:3, 3]
-        corners = corners @ rotation
+        # Only what lies beyond the near clipping plane is seen, by every camera.
+        closest = max(camera.clip[0], CLOSEST * np.abs(corners).max(initial=0.0))
+        corners = _beyond(corners @ rotation, closest)
         width, height = camera.resolution
         if camera.projection == "orthographic":
             plane, self.value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
         else:
-            corners = _before_the_eye(corners, CLOSEST * np.abs(corners).max(initial=0.0))
             self.extent = 2.0 * np.tan(0.5 * camera.fov)
             # What is even across a triangle on the screen, and larger where it is nearer.
             self.value = -1.0 / corners[..., 2]
@@ -100,8 +101,8 @@ def rays_to_surfaces(near, far, distances):
     return kept // (DISTANCES + 1), total[kept] / count[kept], count[kept] / distances.shape[1]
 
 
-def _before_the_eye(corners, closest: float):
-    """Triangles (T, 3, 3) that look along -z, without what lies behind the plane -z = closest."""
+def _beyond(corners, closest: float):
+    """Triangles (T, 3, 3), seen along -z, without what lies before the plane -z = closest."""
     depth = -corners[..., 2] - closest
     ahead = (depth > 0.0).sum(axis=1)
     parts = [corners[ahead == 3]]

@@ -46,24 +46,22 @@ def met(triangles, origins, directions):
     return nearest
 
 
+@pytest.mark.parametrize("clip", [0.0, 1.5])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_distances_are_those_of_rays_met_one_by_one(projection):
-    """Triangles anywhere, also behind the eye and through its plane."""
+def test_distances_are_those_of_rays_met_one_by_one(projection, clip):
+    """Triangles anywhere, also behind the eye and through its plane and the near clipping plane."""
     random = np.random.default_rng(2)
     triangles = random.normal(0.0, 3.0, (60, 1, 3)) + random.normal(0.0, 2.0, (60, 3, 3)) + [0, 0, -2.0]
-    view = camera(projection, shift=(0.1, -0.05), ortho_scale=5.0)
+    view = camera(projection, shift=(0.1, -0.05), ortho_scale=5.0, clip=(clip, np.inf))
     turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     view.world_matrix[:3, :3] = turn
     window = (2, 1, 11, 8)
     found = Screen([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
 
     fine = Camera(view.world_matrix, projection, (12 * PLACES, 8 * PLACES), view.fov, 5.0, view.shift)
-    origins, directions, _, _ = camera_rays(fine)
-    expected = met(triangles, origins, directions)
-    if projection == "orthographic":
-        # An orthographic camera sees what lies behind its own plane, as Blender's does from its clip range on.
-        behind = met(triangles, origins - 100.0 * directions, directions) - 100.0
-        expected = np.where(np.isfinite(behind), behind, np.inf)
+    fine.clip = view.clip
+    origins, directions, near, _ = camera_rays(fine)
+    expected = near + met(triangles, origins + near[:, None] * directions, directions)
     expected = expected.reshape(8, PLACES, 12, PLACES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, PLACES**2)
     same = np.isclose(found, expected, rtol=1e-6)
     assert np.isfinite(expected).mean() > 0.3
