@@ -13,6 +13,7 @@ from typing import List
 import numpy as np
 
 from .transmittance import sun_optical_depth
+from .trilinear import between
 
 #: Level of the density pyramid on which the equation is solved, and its cells along the cube's edge.
 LEVEL, CELLS = 3, 32
@@ -103,19 +104,16 @@ def probe_points(positions, omega, sun):
 
 def read_fluence(field, positions, omega, sun) -> np.ndarray:
     """The field's logarithms at the points of `probe_points`: float32 (N, 4), trilinear."""
-    index = probe_points(positions, omega, sun)
+    index = np.ascontiguousarray(np.moveaxis(probe_points(positions, omega, sun), 2, 0))
     cell = index.astype(np.int32)
-    fraction = index - cell
+    fx, fy, fz = index - cell
     n = field.shape[0]
-    base = (cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]
-    flat = field.reshape(-1)
-    total = np.zeros(base.shape, np.float32)
-    for i in (0, 1):
-        for j in (0, 1):
-            for k in (0, 1):
-                weight = np.prod(np.abs(np.float32(1.0) - np.array([i, j, k], np.float32) - fraction), axis=-1)
-                total += weight * flat.take(base + (i * n + j) * n + k)
-    return total
+    base, flat = (cell[0] * np.intp(n) + cell[1]) * n + cell[2], field.reshape(-1)
+
+    def edge(offset):
+        return between(flat[offset:].take(base), flat[offset + 1 :].take(base), fz)
+
+    return between(between(edge(0), edge(n), fy), between(edge(n * n), edge(n * n + n), fy), fx)
 
 
 def finer(field) -> np.ndarray:

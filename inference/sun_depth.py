@@ -61,10 +61,14 @@ class SunDepth:
             left = np.flatnonzero((depth > 0.0) & (depth < UNLIT))
             if thickest < THIN_SLICE or not len(left):
                 return depth
+            slices = int(np.ceil(min(SLICES_A_DEPTH * thickest, SLICES_MOST)))
         else:
-            depth, left = np.empty(len(along), np.float32), np.arange(len(along))
+            # What is dark behind the slices that would be integrated is dark.
+            slices = SLICES_MOST
+            ahead_of_last, last = ahead + np.float32(slices - 1), following + self.step * (slices - 1)
+            depth = self._on_slice(place, ahead_of_last, last, lowest=True) * sigma_t
+            left = np.flatnonzero(depth < DARK)
         depth[left] = 0.0
-        slices = int(np.ceil(min(SLICES_A_DEPTH * thickest, SLICES_MOST)))
         start, way = place[:, left], ahead[left]
         highest = np.array(self.padded.shape, np.float32)[:, None] - 2
         for _ in range(slices):
@@ -99,8 +103,11 @@ class SunDepth:
                 total += sample_padded(self.padded, place - np.float32(1.0)) * part
         return total * (np.float32(0.5) * self.length)
 
-    def _on_slice(self, place, ahead, number):
-        """Depth (N,) where rays from places (3, N) meet slices number (N,), `ahead` slices on."""
+    def _on_slice(self, place, ahead, number, lowest=False):
+        """Depth (N,) where rays from places (3, N) meet slices number (N,), `ahead` slices on.
+
+        lowest: that of the least deep of the four columns around, not what lies between them.
+        """
         number = np.clip(number + 1, 0, len(self.depths) - 1)
         base, parts = number, []
         for column, (axis, size) in enumerate(zip(self.others, self.depths.shape[1:])):
@@ -112,6 +119,8 @@ class SunDepth:
             base = base * np.intp(size) + cell
         flat, row = self.depths.reshape(-1), self.depths.shape[2]
         u, v = parts
+        if lowest:
+            return np.min([flat[offset:].take(base) for offset in (0, 1, row, row + 1)], axis=0)
         a = between(flat.take(base), flat[1:].take(base), v)
         b = between(flat[row:].take(base), flat[row + 1 :].take(base), v)
         return between(a, b, u)

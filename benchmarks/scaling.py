@@ -1,0 +1,102 @@
+"""How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
+
+    python -m benchmarks.scaling [--size 256] [--table]
+
+Renders the cloud of benchmarks.speed with one thing changed at a time. Cost is processor seconds of all threads, which
+other work on the machine changes little, by stage and as a ratio to the first row of its table. The error of depth
+samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02.
+"""
+
+import argparse
+import re
+
+import numpy as np
+
+from inference import Camera, Medium, Settings, Sun, render
+
+from .extension import ROOT
+from .page import replace
+from .speed import camera_covering, cloud
+from .views import shared_views
+
+PAGE = ROOT / "docs" / "performance.md"
+STAGES = ("shadows", "fields", "march", "network")
+SUN = Sun((0.8, 0.45, -0.36))
+COVERAGE = 0.4
+
+
+def ring(count: int):
+    """Suns around the vertical, together as bright as one."""
+    angles = 2 * np.pi * np.arange(count) / count
+    return [Sun((np.cos(a), np.sin(a), 0.6), 1.0 / count) for a in angles]
+
+
+def cases(size: int):
+    """Tables: a heading, and rows of a name and what to render."""
+    volume, medium = cloud(), Medium(100.0, 1.0, 0.857)
+    view = camera_covering(volume, medium, size, COVERAGE)
+
+    def at(edge):
+        return Camera(view.world_matrix, "orthographic", (edge, edge), ortho_scale=view.ortho_scale)
+
+    def once(volume=volume, medium=medium, suns=(SUN,), camera=view, settings=Settings()):
+        return lambda: render([(volume, medium)], list(suns), camera, settings)
+
+    return {
+        "pixels": [(f"{edge}²", once(camera=at(edge))) for edge in (size // 4, size // 2, size, 2 * size)],
+        "depth samples": [(str(n), once(settings=Settings(n))) for n in (1, 2, 4, 8, 16)],
+        "voxels": [(f"{edge}³", once(volume=cloud(edge))) for edge in (64, 128, 192, 256)],
+        "suns": [(str(n), once(suns=ring(n))) for n in (1, 2, 4, 8)],
+        "optical density": [(f"{s:g}", once(medium=Medium(s, 1.0, 0.857))) for s in (1.0, 10.0, 100.0, 1000.0)],
+        "albedos": [(name, once(medium=Medium(100.0, albedo, 0.857))) for name, albedo in
+                    (("black", 0.0), ("grey", 0.9), ("three", (0.8, 0.9, 1.0)))],
+        "extinction": [(name, once(medium=Medium(sigma, 1.0, 0.857))) for name, sigma in
+                       (("grey", 100.0), ("three", (80.0, 90.0, 100.0)))],
+    }
+
+
+def cost_table(name: str, rows) -> str:
+    lines = [f"| {name} | {' | '.join(STAGES)} | total | ratio |", "|---" * (len(STAGES) + 3) + "|"]
+    first = None
+    for label, draw in rows:
+        seconds = draw().report.cpu_seconds
+        total = seconds["total"]
+        first = first or total
+        stages = " | ".join(f"{seconds.get(stage, 0.0):.2f}" for stage in STAGES)
+        lines.append(f"| {label} | {stages} | {total:.2f} | {total / first:.2f} |")
+        print(name, lines[-1], flush=True)
+    return "\n".join(lines)
+
+
+def depth_table() -> str:
+    lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
+    for view in shared_views():
+        truth = view.render(Settings(64))
+        mask = truth.alpha > 0.02
+        cells = []
+        for samples in (1, 2, 3, 4, 8, 16):
+            layer = view.render(Settings(samples))
+            error = np.sqrt(((layer.rgb - truth.rgb)[mask] ** 2).mean()) / truth.rgb[mask].mean()
+            cells.append(f"{error:.3f} ({layer.report.counts['network points'] / mask.sum():.1f})")
+        lines.append(f"| {view.name} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=256)
+    arguments = parser.parse_args()
+    # Loading the network is not what grows.
+    render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
+    page = PAGE.read_text()
+    tables = {name: cost_table(name, rows) for name, rows in cases(arguments.size).items()}
+    tables["error"] = depth_table()
+    for name, table in tables.items():
+        mark = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
+        page = re.sub(mark, lambda found: found.group(1) + table + found.group(2), page, flags=re.S)
+    replace(PAGE, page)
+
+
+if __name__ == "__main__":
+    main()
