@@ -1,0 +1,95 @@
+"""What rays skip holds nothing, and a ray is marched the same whatever is marched with it."""
+
+import numpy as np
+import pytest
+
+from inference import Volume
+from inference.grid import Grid
+from inference.march import march
+from inference.occupancy import REACH, Occupancy
+from inference.ray_steps import Blocks
+from inference.trilinear import pad_with_zeros, sample_padded
+
+
+def sparse(shape=(31, 24, 40), share=0.002):
+    random = np.random.default_rng(0)
+    return np.where(random.random(shape) < share, random.random(shape), 0.0).astype(np.float32)
+
+
+def test_nothing_lies_within_reach_of_what_is_empty():
+    padded = pad_with_zeros(sparse())
+    random = np.random.default_rng(1)
+    index = random.uniform(-3.0, np.array(padded.shape) + 1.0, (4000, 3)).T.astype(np.float32)
+    near = Occupancy(padded).near(index)
+    assert 0.1 < near.mean() < 0.9
+    empty = index[:, ~near]
+    for _ in range(20):
+        moved = empty + random.uniform(-REACH, REACH, empty.shape).astype(np.float32)
+        assert np.all(sample_padded(padded, moved) == 0.0)
+
+
+def rays(count=60):
+    random = np.random.default_rng(2)
+    origins = random.normal(size=(count, 3))
+    origins *= 3.0 / np.linalg.norm(origins, axis=1, keepdims=True)
+    directions = random.uniform(-0.4, 0.4, (count, 3)) - origins
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def placed(density):
+    matrix = np.diag([1.0 / max(density.shape)] * 3 + [1.0])
+    matrix[:3, 3] = -0.5
+    grid = Grid(Volume(density, matrix, "sparse"))
+    grid.add_sun(np.array([0.0, 0.6, 0.8]))
+    return grid
+
+
+@pytest.mark.parametrize("sigma_t", [30.0, 400.0, 1e5])
+def test_no_density_is_skipped(sigma_t):
+    """Against a walk along each ray in steps a fiftieth of a voxel long that skips none."""
+    grid = placed(sparse(share=0.01))
+    grid.set_extinction(sigma_t)
+    origins, directions = rays()
+    near, far = grid.interval(origins, directions)
+    meets = near < far
+    origins, directions, near, far = (a[meets] for a in (origins, directions, near, far))
+    found = march([grid], [sigma_t], origins, directions, near, far, 4)
+    steps = 4000
+    middle = near[:, None] + (far - near)[:, None] * (np.arange(steps) + 0.5) / steps
+    places = origins[:, None] + middle[..., None] * directions[:, None]
+    density = grid.sample_density(grid.index(places.reshape(-1, 3)).T.astype(np.float32)).reshape(middle.shape)
+    tau = sigma_t * density.mean(axis=1) * (far - near)
+    assert 0.05 < -np.expm1(-tau).mean() < 0.999
+    np.testing.assert_allclose(found.alpha, -np.expm1(-tau), atol=0.01)
+
+
+@pytest.mark.parametrize("sigma_t", [3.0, 1e5])
+def test_a_ray_does_not_depend_on_its_neighbours(sigma_t):
+    grid = placed(sparse(share=0.01))
+    grid.set_extinction(sigma_t)
+    origins, directions = rays()
+    near, far = grid.interval(origins, directions)
+    meets = np.flatnonzero(near < far)
+
+    def marched(chosen):
+        return march([grid], [sigma_t], origins[chosen], directions[chosen], near[chosen], far[chosen], 4)
+
+    together = marched(meets)
+    for number in (0, 7, len(meets) - 1):
+        alone = marched(meets[number : number + 1])
+        assert alone.alpha[0] == together.alpha[number]
+        np.testing.assert_array_equal(alone.single[0], together.single[number])
+        mine = together.sample_ray == number
+        np.testing.assert_array_equal(alone.sample_distance, together.sample_distance[mine])
+
+
+def test_sums_along_rays_are_those_of_loops():
+    random = np.random.default_rng(3)
+    ray = np.sort(random.integers(0, 12, 70))
+    blocks = Blocks(12, ray, np.arange(70))
+    values = random.random(70)
+    np.testing.assert_allclose(blocks.sums(values), [values[ray == r].sum() for r in range(12)])
+    for p in range(70):
+        same = ray == ray[p]
+        assert blocks.before(values)[p] == pytest.approx(values[:p][same[:p]].sum(), abs=1e-12)
+        assert blocks.behind(values)[p] == pytest.approx(values[p + 1 :][same[p + 1 :]].sum(), abs=1e-12)
