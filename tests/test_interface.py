@@ -97,11 +97,11 @@ def test_the_forecasts_bounds_follow_the_camera(addon, scene, cloud):
 
 
 def test_the_check_lists_what_is_left_out_and_knows_when_it_is_old(addon, scene, cloud, tmp_path):
-    blender_scenes.add_object(scene, "Ground", bpy.data.meshes.new("Ground"))
+    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
     check = addon.mrpnn_addon.scene_check
     assert bpy.ops.mrpnn.check() == {'FINISHED'}
     found = check.last_check()
-    assert any("\"Ground\"" in warning for warning in found.warnings) and found.memory > 0
+    assert any("\"Lamp\"" in warning for warning in found.warnings) and found.memory > 0
     assert not found.outdated(scene)
     assert found.voxels == {"Cloud": (16, 16, 16)} and not found.error
     scene.camera.location.x = 1.0
