@@ -1,12 +1,15 @@
 """The boxes around voxels in which Cycles evaluates the shader of a Volume object.
 
 A shader that emits light where every grid is 0 fills them, which shows. Measured with Cycles 4.5: they are the leaves
-of 8 x 8 x 8 voxels that hold a voxel above 0.001, or lie beside one across a face.
+of 8 x 8 x 8 voxels that hold a voxel above 0.001, or lie beside one across a face. Cycles 5.0 has one box around
+all such voxels, from one voxel's size below the lowest's centre to two above the highest's.
 """
 
+import bpy
 import numpy as np
 
 LEAF = 8
+FIVE = bpy.app.version >= (5, 0, 0)
 CLIPPING = 1e-3
 
 
@@ -16,18 +19,34 @@ def leaves_around(grids: dict, low):
     low: int (3,), index of their first voxel in the file.
     """
     shape = np.array(next(iter(grids.values())).shape)
-    first = (np.asarray(low) - 1) // LEAF * LEAF
-    last = -((-np.asarray(low) - shape - 1) // LEAF) * LEAF
-    around = list(zip(np.asarray(low) - first, last - low - shape))
+    low, beside = np.asarray(low), 2 if FIVE else 1
+    first = (low - beside) // LEAF * LEAF
+    last = -((-low - shape - beside) // LEAF) * LEAF
+    around = list(zip(low - first, last - low - shape))
     return {name: np.pad(values, around) for name, values in grids.items()}, first
 
 
 def boxes(grids: dict) -> np.ndarray:
-    """float32 (nx, ny, nz): 1 in the leaves that Cycles fills, of grids from `leaves_around`."""
+    """float32 (nx, ny, nz): 1 where Cycles fills its boxes, of grids from `leaves_around`."""
     filled = np.any([values > CLIPPING for values in grids.values()], axis=0)
+    if FIVE:
+        return _one_box(filled)
     grown = filled.copy()
     for axis in range(3):
         grown |= np.roll(filled, 1, axis) | np.roll(filled, -1, axis)
     split = [size for n in grown.shape for size in (n // LEAF, LEAF)]
     leaves = grown.reshape(split).any(axis=(1, 3, 5))
     return np.kron(leaves, np.ones((LEAF,) * 3)).astype(np.float32)
+
+
+def _one_box(filled) -> np.ndarray:
+    share = np.ones(1, np.float32)
+    for axis in range(3):
+        found = np.flatnonzero(filled.any(axis=tuple(a for a in range(3) if a != axis)))
+        along = np.zeros(filled.shape[axis], np.float32)
+        if len(found):
+            # Voxels that the box ends in the middle of count half.
+            along[found[0] - 1:found[-1] + 3] = 0.5
+            along[found[0]:found[-1] + 2] = 1.0
+        share = share[..., None] * along
+    return share[0]
