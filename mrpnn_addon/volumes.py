@@ -157,10 +157,8 @@ def _read_file(path: str, shown: Shown):
         grids, first = leaves_around(grids, low)
         object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - low)
         filled = boxes(grids)
-    # Cycles interpolates the grids and then evaluates the nodes; finer voxels come close to that. From 5.0 on it evaluates
-    # them at one of the voxels around a point, drawn by its share: measured with 5.0.1.
-    bends = bpy.app.version < (5, 0, 0) and not is_linear(material, probe.names)
-    if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or bends):
+    # Cycles interpolates the grids and then evaluates the nodes; finer voxels come close to that.
+    if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe.names)):
         grids = {name: refine(values) for name, values in grids.items()}
         filled = None if filled is None else refine(filled)
         object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
