@@ -163,12 +163,19 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
     )
 
 
-def _ray_intervals(grids, sigma_t, origins, directions, clip_near, clip_far):
-    """Distances (P,) between which each ray meets any grid that attenuates or emits; near > far on a miss."""
+def _ray_intervals(plan, grids, sigma_t, origins, directions, clip_near, clip_far, report):
+    """Distances (P,) between which each ray meets any grid that attenuates or emits; near > far on a miss.
+
+    What begins between the camera and its clip start is warned of.
+    """
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-    for grid, extinction in zip(grids, sigma_t):
+    for (volume, _), grid, extinction in zip(plan.volumes, grids, sigma_t):
         if extinction > 0.0 or grid.emission:
             enter, leave = grid.interval(origins, directions)
+            warning = f"{volume.name}: begins before the camera's clip start and is shown from there on; Cycles would " \
+                "show nothing of it where it does"
+            if np.any((enter > 0.0) & (enter < clip_near) & (leave > clip_near)) and warning not in report.warnings:
+                report.warnings.append(warning)
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
             meets = enter < leave
             near[meets] = np.minimum(near[meets], enter[meets])
@@ -204,7 +211,7 @@ def _march_camera_rays(
     """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
     offsets = lookup_offsets(camera, settings.seed)
-    near, far = _ray_intervals(grids, channels.sigma_t, origins, directions, clip_near, clip_far)
+    near, far = _ray_intervals(plan, grids, channels.sigma_t, origins, directions, clip_near, clip_far, report)
     pixel, share = np.arange(len(near)), np.ones(len(near))
     if screen is not None:
         with report.stage("surfaces"):

@@ -66,7 +66,7 @@ class _Medium:
     def __init__(self, grids, sigma_t, steps: RaySteps, behind: float, always_first: bool):
         blocks = blocks_near_density(grids, steps, always_first)
         sigma = extinction(grids, sigma_t, steps, blocks, behind)
-        filled = sigma.any(axis=(0, 2)) | (always_first & (blocks.number == 0))
+        filled = (_of_blocks(sigma) > 0.0).any(axis=0) | (always_first & (blocks.number == 0))
         self.steps, self.blocks, self.sigma = steps, blocks.where(filled), sigma[:, filled]
         self.dt = steps.dt[self.blocks.ray][:, None]
         self.total = self.sigma[0] if len(grids) == 1 else self.sigma.sum(axis=0)
@@ -105,7 +105,7 @@ def march(
     alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
     # Mean distance within a step is left at its middle.
     scattered = transmitted * -np.expm1(-medium.tau)
-    reached = blocks.sums((scattered * (blocks.steps() + np.float32(0.5))).sum(axis=1))
+    reached = blocks.sums(_of_blocks(scattered * (blocks.steps() + np.float32(0.5)).astype(np.float32)))
     depth = steps.near + reached * steps.dt / np.maximum(alpha, 1e-30)
 
     shadows = _shadows(grids, medium, total > 0.0)
@@ -159,6 +159,11 @@ def _cut(
     return _Medium(grids, sigma_t, RaySteps(grids, origins, directions, near, far, count), behind, always_first)
 
 
+def _of_blocks(values: np.ndarray) -> np.ndarray:
+    """(..., P): sums over the steps of each block, (..., P, STEPS); as a product they cost a fifth."""
+    return values @ np.ones(STEPS, values.dtype)
+
+
 def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
     """Extinction (V, P, STEPS) at the middle of each step, 0 behind what is opaque and beyond the ray's end.
 
@@ -173,7 +178,7 @@ def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -
         for v, grid in enumerate(grids):
             density = grid.sample_density(steps.index(v, ray, step + np.float32(0.5)))
             sigma[v, now] = density.reshape(-1, STEPS) * within * np.float32(sigma_t[v])
-        tau += np.bincount(ray, sigma[:, now].sum(axis=(0, 2)), blocks.rays) * steps.dt
+        tau += np.bincount(ray, _of_blocks(sigma[:, now]).sum(axis=0), blocks.rays) * steps.dt
     return sigma
 
 
@@ -259,5 +264,5 @@ def _single(medium: _Medium, shadows, transmitted, lit):
         if lit is not None:
             light *= lit[l]
         for v in range(volumes):
-            single[:, v, l] = medium.blocks.sums((medium.sigma[v] * light).sum(axis=1))
+            single[:, v, l] = medium.blocks.sums(_of_blocks(medium.sigma[v] * light))
     return single

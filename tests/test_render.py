@@ -1,5 +1,7 @@
 """Whole renders against closed forms and symmetries."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -272,3 +274,13 @@ def test_tiles_join_without_a_seam(monkeypatch, suns):
     assert said == (["6 tiles of 3 rows"] if suns == 1 else [])
     for name in ("rgb", "alpha", "depth", "uncertainty"):
         np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
+
+
+def test_a_volume_cut_by_the_clip_start_is_warned_of():
+    """From there on it is rendered, which Cycles does not do; a camera inside a volume is not meant."""
+    scene, view = ([(cloud(), Medium(30.0, 0.9, 0.5))], [SUN]), camera()
+    distance = np.linalg.norm(view.world_matrix[:3, 3])
+    cut = render(*scene, replace(view, clip=(distance, 100.0)), Settings(1))
+    assert [warning.startswith("cloud: begins before") for warning in cut.report.warnings] == [True]
+    whole = render(*scene, view, Settings(1))
+    assert not whole.report.warnings and cut.alpha.max() < whole.alpha.max()
