@@ -1,6 +1,6 @@
 """How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
 
-    python -m benchmarks.scaling [--size 256] [--table]
+    python -m benchmarks.scaling [--size 256]
 
 Renders the cloud of benchmarks.speed with one thing changed at a time. Cost is processor seconds of all threads, which
 other work on the machine changes little, by stage and as a ratio to the first row of its table. The error of depth
@@ -93,8 +93,8 @@ def main():
     tables = {name: cost_table(name, rows) for name, rows in cases(arguments.size).items()}
     tables["error"] = depth_table()
     for name, table in tables.items():
-        mark = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
-        page = re.sub(mark, lambda found: found.group(1) + table + found.group(2), page, flags=re.S)
+        mark = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+        page = re.sub(mark, lambda found: found.group(1) + table + "\n" + found.group(2), page, flags=re.S)
     replace(PAGE, page)
 
 
