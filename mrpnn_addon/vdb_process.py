@@ -13,7 +13,7 @@ import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import FOLDERS
-from .read_vdb_alone import NO_MEMORY, NO_MODULE
+from .read_vdb_alone import NO_MEMORY
 
 PROGRAM = Path(__file__).with_name("read_vdb_alone.py")
 # Asked of Blender once, since threads read grids. One without an interpreter beside it would start another Blender.
