@@ -30,7 +30,8 @@ def test_the_error_told_is_none_for_a_line_and_that_of_noise_for_noise():
     rays, most = 4000, 8
     ray, opacity, weight = sample_opacities(np.ones(rays), most)
     nothing = np.zeros((rays, 3))
-    samples = DepthSamples(nothing, nothing, nothing[:, 0], ray, opacity, weight, nothing)
+    pixel = np.arange(rays)
+    samples = DepthSamples(pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1)))
     pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity))
     np.testing.assert_array_equal(pixels, np.arange(rays))
     assert straight.max() < 1e-12
