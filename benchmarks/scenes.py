@@ -2,7 +2,7 @@
 
     python -m benchmarks.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 24] [--table]
 
-One small scene a feature (`scene_features.py`). Figures go to OUT/results.json as they come, so that a run
+One small scene a feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run
 that was stopped goes on where it was; --table only writes the page anew.
 """
 

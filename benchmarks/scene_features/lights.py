@@ -1,0 +1,54 @@
+"""Suns and Worlds."""
+
+import math
+
+import bpy
+import numpy as np
+
+
+def two_suns(stage):
+    lamp = stage.sun.data.copy()
+    lamp.color, lamp.energy = (0.2, 0.4, 1.0), 5.0
+    stage.link("Second", lamp).rotation_euler = (0.3, 1.3, 0.0)
+
+
+def sun_of(degrees):
+    def soft(stage):
+        stage.sun.data.angle = math.radians(degrees)
+    return soft
+
+
+def even_world(stage):
+    bpy.data.objects.remove(stage.sun)
+    stage.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+
+
+def grey_world(stage):
+    node = stage.scene.world.node_tree.nodes["Background"]
+    node.inputs["Strength"].default_value, node.inputs["Color"].default_value = 0.3, (0.3, 0.5, 1.0, 1.0)
+
+
+def environment_image(stage):
+    bpy.data.objects.remove(stage.sun)
+    image = bpy.data.images.new("Around", 256, 128, float_buffer=True)
+    u, v = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(128) + 0.5) / 128)
+    glow = 60.0 * np.exp(-((u - 0.3) ** 2 * 4 + (v - 0.7) ** 2) / 0.003)
+    sky = np.where(v > 0.5, 0.3 + 0.5 * v, 0.15)
+    pixels = np.stack([sky * 0.6 + glow, sky * 0.8 + 0.9 * glow, sky * 1.2 + 0.7 * glow, np.ones_like(u)], axis=2)
+    image.pixels.foreach_set(pixels.astype(np.float32).ravel())
+    image.pack()
+    tree = stage.scene.world.node_tree
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    texture.image = image
+    tree.links.new(texture.outputs[0], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+
+
+MEASURED = {
+    "Two suns": two_suns,
+    "Sun of 10 degrees": sun_of(10.0),
+    "Sun of 40 degrees": sun_of(40.0),
+    "Sun and a grey-blue World": grey_world,
+    "Even World alone": even_world,
+    "Environment image alone": environment_image,
+}

@@ -1,0 +1,44 @@
+"""Opaque meshes that cover and shade volumes."""
+
+import bpy
+from mathutils import Vector
+
+from .stage import smooth_cube
+
+
+def black_ball(stage, location):
+    """A rounded cube that is held out of Cycles' image and reflects nothing."""
+    shown = smooth_cube(stage, "Ball")
+    shown.scale, shown.location = (0.5, 0.5, 0.5), location
+    material = bpy.data.materials.new("Black")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    black = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    tree.links.new(black.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    shown.data.materials.append(material)
+    shown.is_holdout = True
+    stage.surfaces.append(shown)
+    return shown
+
+
+def ball_before(stage):
+    black_ball(stage, (0.7, -1.6, 0.5)).visible_shadow = False
+
+
+def ball_inside(stage):
+    black_ball(stage, (0.15, -0.25, 0.1)).visible_shadow = False
+
+
+def ball_above(stage):
+    """Its shadow alone falls on the cloud."""
+    shown = black_ball(stage, Vector((-0.8, -0.3, 0.6)) * 2.2)
+    shown.scale = (0.35, 0.35, 0.35)
+
+
+MEASURED = {
+    "Opaque mesh before a volume, without its shadow": ball_before,
+    "Opaque mesh inside a volume, without its shadow": ball_inside,
+    "Shadow of an opaque mesh": ball_above,
+}
