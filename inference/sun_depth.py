@@ -74,8 +74,9 @@ class SunDepth:
         for _ in range(slices):
             depth[left] += self._through(start, way, thickest > STEEP_SLICE) * sigma_t
             start = start + way * self.move[:, None]
-            inside = np.all((start > 0.0) & (start < highest), axis=0)
-            follow = inside & (depth[left] < DARK)
+            # What begins on a face that the sun's rays enter by is not past the grid.
+            past = np.where(self.move[:, None] > 0.0, start >= highest, start <= 0.0).any(axis=0)
+            follow = ~past & (depth[left] < DARK)
             left, start = left[follow], start[:, follow]
             way = np.ones(len(left), np.float32)
         number = following[left] + self.step * (slices - 1)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from inference.grid import Grid
+from inference.scene import Volume
 from inference.transmittance import sun_optical_depth
 
 DIRECTIONS = [(0, 0, 1), (1, 1, 1), (0.3, -0.8, 0.5), (-0.9, 0.1, 0.2), (0.5, 0.45, -0.6)]
@@ -63,3 +65,20 @@ def test_shadow_edges_stay_sharp_far_from_the_caster():
     for i in (145, 20):
         row = depth[i, 20]
         assert np.count_nonzero((row > 0.1 * row.max()) & (row < 0.9 * row.max())) <= 3
+
+
+@pytest.mark.parametrize("thickness", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_points_outside_see_the_sun_through_the_whole_grid(direction, thickness):
+    """Another volume's points lie anywhere: what reaches them is what marching through this grid leaves."""
+    direction = np.array(direction) / np.linalg.norm(direction)
+    random = np.random.default_rng(0)
+    density = gaussian_filter(random.normal(size=(24, 20, 28)), 3).astype(np.float32)
+    density = np.maximum(density, 0) / density.max()
+    grid = Grid(Volume(density, np.eye(4)))
+    grid.add_sun(direction)
+    grid.set_extinction(thickness)
+    points = random.uniform(-20.0, 44.0, size=(400, 3))
+    found = np.exp(-grid.sun_depth(grid.index(points).astype(np.float32).T, 0, may_be_outside=True))
+    expected = np.exp(-thickness * march(density, direction, points))
+    assert np.sqrt(((found - expected) ** 2).mean()) < 0.03
