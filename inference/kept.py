@@ -10,7 +10,8 @@ import numpy as np
 from .grid import Grid
 from .multiple import MultipleField
 from .network import load_network
-from .scene import Medium, Sun, Volume
+from .overlap import merge
+from .scene import Sun, Volume
 from .work import Work
 
 SECONDS_A_LOOK = 0.05
@@ -61,15 +62,24 @@ class Kept:
         finally:
             self._lock.release()
 
-    def field(self, network, volumes, number: int, check=lambda: None) -> MultipleField:
-        """The field of one of a render's pairs of Volume and Medium. check: asked often while it is made."""
-        volume, medium = volumes[number]
-        self._fields = {n: field for n, field in self._fields.items()
-                        if n < len(volumes) and (n != number or _serves(field, network, volume, medium))}
+    def field(self, network, groups, number: int, grids, check=lambda: None) -> MultipleField:
+        """The field of one of a render's groups of volumes that are seen as one.
+
+        groups: lists of pairs of Volume and Medium; grids: a Grid of each of this group's; check: asked often while it
+        is made.
+        """
+        pairs = groups[number]
+        self._fields = {n: kept for n, kept in self._fields.items()
+                        if n < len(groups) and (n != number or _serves(*kept, network, pairs))}
         if number not in self._fields:
-            self._fields[number] = MultipleField(network, volume, medium, check)
-        field = self._fields[number]
-        field.volume, field.medium = volume, medium
+            volume, medium = pairs[0]
+            if len(pairs) > 1:
+                names = " and ".join(volume.name for volume, _ in pairs)
+                volume, medium = merge(grids, [medium for _, medium in pairs], names, check)
+            self._fields[number] = pairs, MultipleField(network, volume, medium, check)
+        field = self._fields[number][1]
+        if len(pairs) == 1:
+            field.volume, field.medium = pairs[0]
         return field
 
 
@@ -83,5 +93,13 @@ def _equal(a, b) -> bool:
     return a is b or (a is not None and b is not None and np.array_equal(a, b))
 
 
-def _serves(field: MultipleField, network, volume: Volume, medium: Medium) -> bool:
-    return (field.system is network and field.medium.anisotropy == medium.anisotropy and _same(field.volume, volume))
+def _serves(made_of, field: MultipleField, network, pairs) -> bool:
+    """Whether a field that was made of some pairs of Volume and Medium serves for others."""
+    if field.system is not network or len(made_of) != len(pairs):
+        return False
+    alike = all(_same(old, new) and before.anisotropy == after.anisotropy
+                for (old, before), (new, after) in zip(made_of, pairs))
+    # Of volumes that are seen as one, their shares in it count too.
+    return alike and (len(pairs) == 1 or all(
+        np.array_equal(before.sigma_t, after.sigma_t) and np.array_equal(before.albedo, after.albedo)
+        for (_, before), (_, after) in zip(made_of, pairs)))

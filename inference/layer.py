@@ -2,7 +2,7 @@
 
 import contextlib
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Optional, Tuple
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
             diffused = None
             if network is not None and network.needs_light:
                 with report.stage("fields"):
-                    diffused = _diffuse(plan, channels, network, kept, fields, work, report)
+                    diffused = _diffuse(plan, channels, network, kept, grids, fields, work, report)
             tiles = range(y0, y1, plan.tile_rows)
             share = 1.0 / len(plan.channels) / len(tiles)
             for tile, row in enumerate(tiles):
@@ -143,8 +143,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 )
                 if network is not None and samples is not None:
                     _add_multiple(
-                        plan, channels, network, kept, fields, samples, work, report, start + share * MARCH_SHARE,
-                        start + share, multiple[pixels], uncertainty[pixels], whole=len(tiles) > 1,
+                        plan, channels, network, kept, grids, fields, samples, work, report,
+                        start + share * MARCH_SHARE, start + share, multiple[pixels], uncertainty[pixels], whole=len(tiles) > 1,
                     )
 
     shape = (height, width)
@@ -183,23 +183,33 @@ def _ray_intervals(plan, grids, sigma_t, origins, directions, clip_near, clip_fa
     return near, far
 
 
-def _field(plan, network, kept, fields, v, sigma_t, work, report) -> MultipleField:
-    """The field of one volume, made once."""
-    if v not in fields:
+def _scatters(plan, channels, g) -> bool:
+    """Whether multiple scattering is predicted in a group of volumes, in these channels."""
+    return plan.multiple[g] and any(
+        channels.sigma_t[v] > 0.0 and plan.volumes[v][1].albedo[channels.indices].any() for v in plan.groups[g])
+
+
+def _field(plan, channels, network, kept, grids, fields, g, work, report) -> Tuple[MultipleField, float]:
+    """The field of one group of volumes, made once, and its extinction in these channels."""
+    made = g not in fields
+    if made:
         work.check()
-        fields[v] = kept.field(network, plan.volumes, v, work.check)
-        report.warnings += fields[v].warnings(sigma_t)
+        groups = [[plan.volumes[v] for v in group] for group in plan.groups]
+        fields[g] = kept.field(network, groups, g, [grids[v] for v in plan.groups[g]], work.check)
     work.check()
-    return fields[v]
+    sigma_t = float(fields[g].medium.sigma_t[channels.indices[0]])
+    if made:
+        report.warnings += fields[g].warnings(sigma_t)
+    return fields[g], sigma_t
 
 
-def _diffuse(plan, channels, network, kept, fields, work, report):
-    """DiffusedLight of each volume in which multiple scattering is predicted, else None."""
+def _diffuse(plan, channels, network, kept, grids, fields, work, report):
+    """DiffusedLight of each group of volumes in which multiple scattering is predicted, else None."""
     diffused = []
-    for v, needed in enumerate(plan.multiple):
-        light, sigma_t = None, float(channels.sigma_t[v])
-        if needed and sigma_t > 0.0 and distinct_albedos(plan.volumes[v][1], channels.indices):
-            field = _field(plan, network, kept, fields, v, sigma_t, work, report)
+    for g in range(len(plan.groups)):
+        light = None
+        if _scatters(plan, channels, g):
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
             light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.each)
         diffused.append(light)
     return diffused
@@ -238,7 +248,7 @@ def _march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            settings.depth_samples, diffused, sun_maps,
+            settings.depth_samples, diffused, sun_maps, plan.groups,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
@@ -285,7 +295,7 @@ def _cut(screen, window, near, far):
 
 
 def _add_multiple(
-    plan, channels, network, kept, fields, samples, work, report, start, end, multiple, uncertainty, whole: bool
+    plan, channels, network, kept, grids, fields, samples, work, report, start, end, multiple, uncertainty, whole: bool
 ):
     """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty.
 
@@ -293,21 +303,20 @@ def _add_multiple(
     """
     # What each sample adds to the mean of the three channels.
     parts = np.zeros(len(samples.ray), np.float32)
-    jobs = [(v, l) for v, needed in enumerate(plan.multiple) if needed for l in range(len(plan.suns))]
-    for number, (v, l) in enumerate(jobs):
-        sun = plan.suns[l]
-        volume, medium = plan.volumes[v]
-        sigma_t = float(channels.sigma_t[v])
-        albedos = distinct_albedos(medium, channels.indices)
-        inside = np.flatnonzero(samples.fraction[:, v] > 0.0)
-        if not albedos or not len(inside) or sigma_t == 0.0:
+    jobs = [(g, l) for g in range(len(plan.groups)) if _scatters(plan, channels, g) for l in range(len(plan.suns))]
+    for number, (g, l) in enumerate(jobs):
+        sun, group = plan.suns[l], plan.groups[g]
+        inside = np.flatnonzero(samples.fraction[:, group].any(axis=1))
+        if not len(inside):
             continue
+        # Of each volume in the group, (V, 3).
+        scattered = np.array([plan.volumes[v][1].albedo for v in group], np.float32)
         tasks = [inside[i : i + POINTS_A_TASK] for i in range(0, len(inside), POINTS_A_TASK)]
         first, last = (start + (end - start) * n / len(jobs) for n in (number, number + 1))
-        message = f"multiple scattering of {volume.name}"
+        message = "multiple scattering of " + " and ".join(plan.volumes[v][0].name for v in group)
         work.progress(first, message)
         with report.stage("fields"):
-            field = _field(plan, network, kept, fields, v, sigma_t, work, report)
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
             if kept.any_view or whole:
                 low, high = field.extent()
             else:
@@ -315,21 +324,23 @@ def _add_multiple(
                 low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
             field.light(sigma_t, sun.direction, low, high, work.each)
             work.check()
+        albedos = distinct_albedos(field.medium, channels.indices)
         values = [value for value, _ in albedos]
 
-        def task(points, field=field, v=v, l=l):
+        def task(points, field=field, g=g, l=l):
             directions = samples.directions[samples.ray[points]]
-            light = samples.light.of(points, v, l) if samples.light else None
+            light = samples.light.of(points, g, l) if samples.light else None
             return points, field.predict(samples.positions(points), directions, values, samples.jitter(points), light)
 
         with report.stage("network"):
             for points, radiance in work.map(task, tasks, first, last, message):
-                weight = samples.weight[points] * samples.fraction[points, v]
+                weight = samples.weight[points, None] * (samples.fraction[points][:, group] @ scattered)
                 pixel = samples.pixel[samples.ray[points]]
-                for (value, members), row in zip(albedos, radiance):
-                    added = np.bincount(pixel - pixel[0], weight * row * value)
+                for (_, members), row in zip(albedos, radiance):
                     for c in members:
-                        multiple[pixel[0] : pixel[0] + len(added), c] += added * sun.irradiance[c]
-                    parts[points] += weight * row * value * sun.irradiance[members].sum() / 3.0
+                        part = weight[:, c] * row * sun.irradiance[c]
+                        added = np.bincount(pixel - pixel[0], part)
+                        multiple[pixel[0] : pixel[0] + len(added), c] += added
+                        parts[points] += part / 3.0
         report.count("network points", len(inside))
     np.add.at(uncertainty, *samples.standard_error(parts))

@@ -89,14 +89,15 @@ class _Medium:
 
 def march(
     grids: List[Grid], sigma_t, origins, directions, near, far, depth_samples: int,
-    diffused: Optional[List[Optional[DiffusedLight]]] = None, sun_maps: Optional[List[SunMap]] = None,
+    diffused: Optional[List[Optional[DiffusedLight]]] = None, sun_maps: Optional[List[SunMap]] = None, groups=None,
 ) -> RaySegment:
     """March rays through all grids.
 
     grids: with this extinction set; sigma_t: (V,) extinction per unit density of each, one
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
-    grids; depth_samples: of an opaque ray; diffused: of each volume, for `sample_light`, or None where that is not
-    wanted; a volume's is None where nothing is predicted in it; sun_maps: of each sun, where surfaces shade.
+    grids; depth_samples: of an opaque ray; diffused: of each group, for `sample_light`, or None where that is not
+    wanted; a group's is None where nothing is predicted in it; sun_maps: of each sun, where surfaces shade; groups: lists
+    of numbers of volumes that networks see as one, each alone where None.
     """
     behind = BEHIND if diffused is None else REACH
     medium = _cut(grids, sigma_t, origins, directions, near, far, behind)
@@ -117,8 +118,9 @@ def march(
     light = None
     if diffused is not None:
         frames = _frames(diffused, origins, directions, steps)
-        fluence = _fluence(diffused, frames, len(grids[0].sun_depths), medium)
-        light = ray_light(blocks, medium.sigma, shadows, fluence, dt, block, step, inside)
+        sigma, shadows = _together(medium.sigma, groups), _together(shadows, groups)
+        fluence = _fluence(diffused, frames, sigma, shadows.shape[1], medium)
+        light = ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside)
     return RaySegment(
         alpha,
         depth,
@@ -143,7 +145,7 @@ def light_at(grid: Grid, sigma_t: float, positions, directions, diffused: Diffus
     known[start, 0] = True
     shadows = _shadows([grid], medium, known, may_be_outside=True)
     frames = _frames([diffused], positions, directions, medium.steps)
-    fluence = _fluence([diffused], frames, len(grid.sun_depths), medium)
+    fluence = _fluence([diffused], frames, medium.sigma, shadows.shape[1], medium)
     return ray_light(blocks, medium.sigma, shadows, fluence, medium.dt, start, nothing, np.zeros(len(positions)))
 
 
@@ -223,15 +225,25 @@ def _frames(diffused, origins, directions, steps: RaySteps) -> RaySteps:
     return RaySteps(known, origins, directions, steps.near, steps.far, steps.count)
 
 
-def _fluence(diffused, frames: RaySteps, suns: int, medium: _Medium) -> np.ndarray:
-    """(V, L, P, STEPS) fluence of each sun at the middle of each filled step, 0 where nothing is predicted."""
+def _together(values, groups):
+    """Sums (G, ...) over groups of volumes of values (V, ...)."""
+    if groups is None or groups == [[v] for v in range(len(values))]:
+        return values
+    return np.stack([values[group].sum(axis=0) for group in groups])
+
+
+def _fluence(diffused, frames: RaySteps, sigma, suns: int, medium: _Medium) -> np.ndarray:
+    """(G, L, P, STEPS) fluence of each sun at the middle of each filled step, 0 where nothing is predicted.
+
+    sigma: (G, P, STEPS) extinction of each group.
+    """
     fluence = np.zeros((len(diffused), suns, *medium.total.shape), np.float32)
     ray, step = medium.blocks.ray, medium.blocks.steps()
     known = 0
     for v, light in enumerate(diffused):
         if light is None:
             continue
-        filled = np.flatnonzero(medium.sigma[v])
+        filled = np.flatnonzero(sigma[v])
         places = frames.index(known, np.repeat(ray, STEPS)[filled], step.reshape(-1)[filled] + np.float32(0.5))
         cells = light.cells(places)
         for l, values in enumerate(light.fluences):

@@ -5,6 +5,7 @@ from typing import List, Tuple
 
 import numpy as np
 
+from .overlap import overlapping
 from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
 from .stencil import LEVEL0_CELLS
@@ -15,6 +16,8 @@ PARALLEL = 1e-6
 FIELD_BYTES = 56 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
+# Bytes that volumes that are seen as one need on top.
+MERGED_BYTES = 12 * LEVEL0_CELLS**3
 # Bytes of a voxel that emits, on top.
 VOXEL_EMISSION_BYTES = 24
 # Bytes of a pixel's images; of its ray while it is rendered; and of each of its depth samples, where every pixel shows
@@ -52,7 +55,8 @@ class Plan:
     volumes: List[Tuple[Volume, Medium]]
     suns: List[Sun]
     channels: List[Channels]
-    multiple: List[bool]  # (V,), whether the network runs for a volume
+    groups: List[List[int]]  # (G,), volumes that the network sees as one
+    multiple: List[bool]  # (G,), whether the network runs for them
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)
     memory: int = 0  # bytes, estimated peak on top of the input
@@ -148,21 +152,29 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if len(channels) == 1:
         left_out.append("two of three colour channels' rays and fields: extinction is grey")
 
-    multiple = [settings.multiple and bool(np.any(m.albedo > 0.0)) and bool(merged) and attenuates(v, m)
-                for v, m in kept]
-    for (volume, medium), needed in zip(kept, multiple):
-        if not needed:
-            reason = "its albedo or density is 0" if merged else "no sun shines"
+    dense = [v for v, pair in enumerate(kept) if attenuates(*pair)]
+    groups = [[dense[n] for n in group] for group in overlapping([kept[v][0] for v in dense])[0]]
+    multiple = []
+    left_out += [f"{volume.name}: multiple scattering, its density is 0" for volume, medium in kept
+                 if not attenuates(volume, medium)]
+    for group in groups:
+        names = " and ".join(kept[v][0].name for v in group)
+        multiple.append(settings.multiple and any(np.any(kept[v][1].albedo > 0.0) for v in group) and bool(merged))
+        if not multiple[-1]:
+            reason = "its albedo is 0" if merged else "no sun shines"
             reason = reason if settings.multiple else "the settings say so"
-            left_out.append(f"{volume.name}: multiple scattering, {reason}")
-            continue
-        stages = len(distinct_albedos(medium, [0, 1, 2]))
-        planned.append(f"{volume.name}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
+            left_out.append(f"{names}: multiple scattering, {reason}")
+        elif len(group) > 1:
+            planned.append(f"{names}: network, as one medium")
+        else:
+            stages = len(distinct_albedos(kept[group[0]][1], [0, 1, 2]))
+            planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
 
     voxels = sum(volume.density.size for volume, _ in kept)
     voxels_that_glow = sum(volume.density.size for volume, medium in kept if glows(volume, medium))
     memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
     memory += voxels_that_glow * VOXEL_EMISSION_BYTES
+    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
     x0, y0, x1, y1 = camera.window
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     sample = SAMPLE_BYTES + LIGHT_BYTES * len(kept) * len(merged)
@@ -181,4 +193,4 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(kept, merged, channels, multiple, planned, left_out, memory, rows)
+    return Plan(kept, merged, channels, groups, multiple, planned, left_out, memory, rows)

@@ -23,7 +23,7 @@ REACH = 20.0
 
 @dataclass
 class RayLight:
-    """At M points of camera rays, in each of V volumes alone, for each of L suns of irradiance 1.
+    """At M points of camera rays, in each of V media alone, for each of L suns of irradiance 1.
 
     values: float32 (M, V, L, COLUMNS): optical depth towards the sun, optical depth ahead, and along the ray
         ahead, where tau counts from the point, for each scale a the integral of exp(-a (tau + tau_sun)) a d(tau),
@@ -33,9 +33,9 @@ class RayLight:
 
     values: np.ndarray
 
-    def of(self, points, volume: int, sun: int) -> np.ndarray:
-        """float32 (N, COLUMNS) of some points, in one volume and for one sun."""
-        return self.values[points, volume, sun]
+    def of(self, points, medium: int, sun: int) -> np.ndarray:
+        """float32 (N, COLUMNS) of some points, in one medium and for one sun."""
+        return self.values[points, medium, sun]
 
 
 def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside) -> RayLight:

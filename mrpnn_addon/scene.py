@@ -8,9 +8,10 @@ from ..inference.surfaces import Surface
 from .camera import read_camera
 from .lights import read_suns
 from .material import SURFACES, shows_volume
+from .overlap_warnings import overlap_warnings
 from .surfaces import read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
-from .volumes import VolumeReader, outside_sequence, overlap_warnings
+from .volumes import VolumeReader, outside_sequence
 from .world import read_world
 
 
@@ -54,7 +55,7 @@ def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     description.warnings += _view_layer_warnings(depsgraph.view_layer)
     for shown in shown_objects(depsgraph):
         _add(description, shown, reader, depsgraph.view_layer)
-    description.warnings += overlap_warnings([volume for volume, _ in description.volumes])
+    description.warnings += overlap_warnings(description.volumes)
     description.warnings += surface_warnings(description.surfaces, camera.projection == "equirectangular")
     lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
     description.environment = bool(lights)

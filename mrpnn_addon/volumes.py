@@ -76,28 +76,6 @@ def _key(shown: Shown) -> tuple:
     return shown.object.data.name_full, shown.object.as_pointer()
 
 
-def overlap_warnings(volumes: List[Volume]) -> List[str]:
-    """Says so where the bounds of volumes meet: the network sees each of them alone."""
-    if len(volumes) < 2:
-        return []
-    corners = np.array([_bounds(volume) for volume in volumes])
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    meets = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
-    first, second = np.nonzero(np.triu(meets, 1))
-    if not len(first):
-        return []
-    more = f", and {len(first) - 1} more pairs" if len(first) > 1 else ""
-    return [f"volumes \"{volumes[first[0]].name}\" and \"{volumes[second[0]].name}\" overlap{more}; light that is "
-            "scattered several times is predicted as if each were alone"]
-
-
-def _bounds(volume: Volume) -> np.ndarray:
-    """World corners (8, 3) of a grid."""
-    ends = np.array([(x, y, z, 1.0) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    index = ends * [*(np.array(volume.density.shape) - 1.0), 1.0]
-    return (index @ volume.world_from_index.T)[:, :3]
-
-
 def outside_sequence(volume_object) -> bool:
     """Whether the object's file sequence has no file for this frame, so that it is invisible."""
     data = volume_object.data

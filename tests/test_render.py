@@ -138,7 +138,7 @@ def test_turning_moving_and_scaling_the_scene_changes_nothing():
 
 
 def test_a_volume_in_two_parts_casts_the_same_shadows():
-    """Single scattering and alpha of two overlapping halves equal those of the sum."""
+    """Alpha, single and multiple scattering of two overlapping parts equal those of the sum."""
     whole = cloud()
     parts = []
     for share in (0.3, 0.7):
@@ -148,6 +148,8 @@ def test_a_volume_in_two_parts_casts_the_same_shadows():
     np.testing.assert_allclose(two.alpha, one.alpha, atol=1e-5)
     # The shadows of thin halves are interpolated where those of the sum are integrated.
     np.testing.assert_allclose(two.single, one.single, rtol=0.03, atol=1e-4)
+    # The network sees one medium.
+    np.testing.assert_allclose(two.multiple, one.multiple, rtol=0.01, atol=1e-3 * one.multiple.max())
 
 
 def test_one_volume_shadows_another():

@@ -57,8 +57,14 @@ def test_shift_moves_the_window_by_its_width():
     np.testing.assert_allclose(shifted - plain, np.broadcast_to([2.0, -1.0, 0.0], plain.shape))
 
 
+def placed(x):
+    matrix = np.eye(4)
+    matrix[0, 3] = x
+    return matrix
+
+
 def plan_of(media, suns):
-    volumes = [(Volume(GRID, np.eye(4), f"v{i}"), m) for i, m in enumerate(media)]
+    volumes = [(Volume(GRID, placed(10.0 * i), f"v{i}"), m) for i, m in enumerate(media)]
     return make_plan(volumes, suns, Camera(np.eye(4), resolution=(4, 4)), Settings())
 
 

@@ -137,15 +137,26 @@ def test_instances_are_volumes_of_their_own(addon, scene, tmp_path):
     assert {item.name for item in shown} == {"At -2", "At 2", "Sun"}
 
 
-def test_volumes_that_overlap_are_named(addon, scene, tmp_path):
+def test_what_is_approximated_where_volumes_overlap_is_named(addon, scene, tmp_path):
     cloud = blender_scenes.cloud_scene(scene, tmp_path)
     other = cloud.copy()
     scene.collection.objects.link(other)
     other.location.x = 1.5
+    # The network sees them as one.
+    assert not read(addon).warnings
+    other.scale = (0.05, 0.05, 0.05)
+    other.location.x = 0.0
     (warning,) = read(addon).warnings
-    assert "\"Cloud\" and \"Cloud.001\" overlap" in warning
+    assert "\"Cloud\" and \"Cloud.001\" overlap" in warning and "as if each were alone" in warning
     other.location.x = 2.5
     assert not read(addon).warnings
+    other.scale, other.location.x = (1.0, 1.0, 1.0), 1.5
+    material = cloud.data.materials[0].copy()
+    other.data = cloud.data.copy()
+    other.data.materials[0] = material
+    next(node for node in material.node_tree.nodes if "Anisotropy" in node.inputs).inputs["Anisotropy"].default_value = 0.9
+    (warning,) = read(addon).warnings
+    assert "\"Cloud\" and \"Cloud.001\" overlap" in warning and "mean anisotropy" in warning
 
 
 def test_a_sequence_reads_the_frames_file(addon, scene, tmp_path):

@@ -1,0 +1,111 @@
+"""Volumes that overlap: what the network sees as one medium."""
+
+from typing import List, Tuple
+
+import numpy as np
+
+from .scene import Medium, Volume
+from .stencil import LEVEL0_CELLS
+
+# Volumes are joined until what holds them is so many times as long as the least of them: beyond, the network would
+# see too little of that one.
+MOST_EXTENT = 4.0
+# Points at which density is looked up at a time.
+POINTS_AT_ONCE = 1 << 20
+
+
+def overlapping(volumes: List[Volume]) -> Tuple[List[List[int]], List[Tuple[int, int]]]:
+    """Numbers of volumes that are seen as one, and pairs that overlap and are too different in size for it.
+
+    Every volume is in one group; groups and their members are in the order of the volumes.
+    """
+    corners = np.array([_corners(volume) for volume in volumes]).reshape(-1, 8, 3)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    extent = (high - low).max(axis=1)
+    meets = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
+    pairs = np.argwhere(np.triu(meets, 1)).tolist()
+    groups = [[v] for v in range(len(volumes))]
+    for first, second in pairs:
+        a, b = (next(group for group in groups if v in group) for v in (first, second))
+        joined = sorted(a + b)
+        edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
+        if a is not b and edge <= MOST_EXTENT * extent[joined].min():
+            groups = sorted([group for group in groups if group is not a and group is not b] + [joined])
+    apart = [(first, second) for first, second in pairs
+             if not any(first in group and second in group for group in groups)]
+    return groups, apart
+
+
+def _corners(volume: Volume) -> np.ndarray:
+    """World corners (8, 3) of a grid, from centre to centre of its voxels."""
+    ends = np.array([(x, y, z, 1.0) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    index = ends * [*(np.array(volume.density.shape) - 1.0), 1.0]
+    return (index @ volume.world_from_index.T)[:, :3]
+
+
+def merge(grids, media: List[Medium], name: str, check=lambda: None) -> Tuple[Volume, Medium]:
+    """One Volume and Medium with the extinction of all of them, and their mean albedo and mean cosine.
+
+    grids: a Grid of each; check: asked often. Voxels are those of the grid with the finest, or as many of
+    them together as leave at most 256 along an edge; their extinction is exact in grey media and, in each colour, in
+    proportion to that. The means are weighted with what scatters.
+    """
+    finest = min(grids, key=lambda grid: grid.voxel)
+    # All grids' corners as indices of the finest's voxels.
+    ends = np.concatenate([finest.index(grid.corners()) for grid in grids])
+    low, high = np.floor(ends.min(axis=0)), np.ceil(ends.max(axis=0))
+    together = int(np.ceil((high - low + 1.0).max() / LEVEL0_CELLS))
+    low = np.floor(low / together).astype(int)
+    shape = np.ceil((high + 1.0) / together).astype(int) - low
+    world_from_index = np.eye(4)
+    turn = np.linalg.inv(finest.linear)
+    # The middle of a voxel that `together`^3 make lies between them.
+    first = low * together + 0.5 * (together - 1)
+    world_from_index[:3, :3], world_from_index[:3, 3] = turn * together, turn @ (first - finest.offset)
+
+    sigma_t = np.array([medium.sigma_t for medium in media])
+    grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
+    density, amounts = np.zeros(shape, np.float32), []
+    for grid, factor in zip(grids, grey):
+        values = resampled(grid, world_from_index, shape, check)
+        amounts.append(float(values.sum(dtype=np.float64)))
+        density += np.float32(factor) * values
+    amounts = np.array(amounts)[:, None]
+    extinction = (amounts * sigma_t).sum(axis=0)
+    scattering = amounts * sigma_t * [medium.albedo for medium in media]
+    albedo = np.divide(scattering.sum(axis=0), extinction, out=np.zeros(3), where=extinction > 0.0)
+    weights = scattering.sum(axis=1) / max(scattering.sum(), 1e-30)
+    cosine = float(weights @ [medium.anisotropy for medium in media])
+    medium = Medium(extinction / float((amounts[:, 0] * grey).sum()), np.clip(albedo, 0.0, 1.0), cosine)
+    return Volume(density, world_from_index, name), medium
+
+
+def resampled(grid, world_from_index, shape, check=lambda: None) -> np.ndarray:
+    """Density of a Grid in the voxels of another: float32 `shape`.
+
+    The interpolant at their centres, or where they are the larger at 2x2x2 places in each.
+    """
+    values = np.zeros(shape, np.float32)
+    index_from_other = grid.linear @ world_from_index[:3, :3]
+    offset = grid.linear @ world_from_index[:3, 3] + grid.offset
+    # Voxels of the other that the grid's support can reach.
+    back = (grid.corners() - world_from_index[:3, 3]) @ np.linalg.inv(world_from_index[:3, :3]).T
+    low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
+    high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
+    size = np.linalg.norm(index_from_other, axis=0).max()
+    places = np.array([0.0]) if size < 1.5 else np.array([-0.25, 0.25])
+    inner = np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
+    axes = [np.arange(l, h) for l, h in zip(low, high)]
+    rows = max(POINTS_AT_ONCE // max(len(axes[1]) * len(axes[2]), 1), 1)
+    for start in range(0, len(axes[0]), rows):
+        check()
+        slab = np.stack(np.meshgrid(axes[0][start:start + rows], *axes[1:], indexing="ij"), axis=-1)
+        centre = slab.reshape(-1, 3) @ index_from_other.T + offset
+        found = np.zeros(len(centre), np.float32)
+        for place in inner @ index_from_other.T:
+            index = (centre + place).T.astype(np.float32)
+            filled = np.flatnonzero(grid.occupancy.near(index))
+            found[filled] += grid.sample_density(index[:, filled]) / len(inner)
+        x = slice(low[0] + start, low[0] + start + len(slab))
+        values[x, low[1]:high[1], low[2]:high[2]] = found.reshape(slab.shape[:3])
+    return values
