@@ -10,7 +10,7 @@ import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import load_openvdb
-from .read_vdb_alone import read_grid
+from .read_vdb_alone import SCALAR_GRIDS, read_grid
 from .vdb_process import read_alone
 
 # 2 GiB as float32; the render needs several times its input.
@@ -19,7 +19,6 @@ MAX_VOXELS = 1 << 29
 SMALL = 1 << 20
 # What OpenVDB's exceptions become in Python.
 READ_ERRORS = (OSError, LookupError, RuntimeError, ValueError, TypeError)
-SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
 # Index coordinate at which Blender draws the centre of voxel 0, on each axis. OpenVDB puts it at 0. Blender before 5.0
 # draws voxel i over [i, i + 1], so its centre lies at 1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 gives 0.
 VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
@@ -65,8 +64,8 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     key = _key(path, grid_name)
     if key in _empty:
         raise _nothing(key, grid_name, where)
-    notes = _require_density(path, grid_name, where)
     facts, values = _read(path, grid_name, where, key, started)
+    notes = _require_density(facts["grids"], path, grid_name, where)
     # The background is only known once the tree is read.
     if facts["background"] != 0.0:
         raise SceneError(
@@ -120,11 +119,6 @@ def _key(path: str, grid_name: str):
     return path, facts.st_mtime_ns, facts.st_size, grid_name
 
 
-def grid_names(path: str, owner: str) -> List[str]:
-    """Names of all grids in the file, in its order. Raises SceneError as read_density_grid."""
-    return [grid.name for grid in _metadata(path, f"Volume object \"{owner}\"")]
-
-
 def unreadable(path: str, reason: str) -> str:
     """Why a volume file cannot be read, for a message."""
     if not os.path.isfile(path):
@@ -135,29 +129,19 @@ def unreadable(path: str, reason: str) -> str:
     return f"cannot read {path} as OpenVDB ({reason})"
 
 
-def _metadata(path, where):
-    openvdb = load_openvdb()
-    try:
-        # Never readAll: it can end the whole process on unusual files.
-        return openvdb.readAllGridMetadata(path)
-    except READ_ERRORS as error:
-        raise SceneError(f"{where}: {unreadable(path, error)}") from error
-
-
-def _require_density(path, grid_name, where) -> List[str]:
-    """Raise SceneError unless a file's header promises a grid of density; notes."""
-    headers = _metadata(path, where)
-    found = [header for header in headers if header.name == grid_name]
+def _require_density(grids, path, grid_name, where) -> List[str]:
+    """Raise SceneError unless a file promises a grid of density; notes. grids: as `read_grid` tells them."""
+    found = [(kind, use) for name, kind, use in grids if name == grid_name]
     if not found:
-        names = ", ".join(f"\"{header.name}\"" for header in headers) or "none"
+        names = ", ".join(f"\"{name}\"" for name, *_ in grids) or "none"
         raise SceneError(
             f"{where}: {os.path.basename(path)} has no grid \"{grid_name}\" (grids: {names}); "
             "set the density attribute in the volume's material to one of them"
         )
-    kind = type(found[0]).__name__
+    kind, use = found[0]
     if kind not in SCALAR_GRIDS:
         raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a grid of float density")
-    if found[0].gridClass == "level set":
+    if use == "level set":
         raise SceneError(
             f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
             "convert it to a fog volume"
@@ -177,7 +161,7 @@ def _read(path, grid_name, where, key, started):
         except READ_ERRORS as error:
             found = {"error": error}, None
     if "error" in found[0]:
-        raise SceneError(f"{where}: cannot read grid \"{grid_name}\" of {path} ({found[0]['error']})")
+        raise SceneError(f"{where}: {unreadable(path, found[0]['error'])}")
     return found
 
 

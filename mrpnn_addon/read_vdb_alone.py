@@ -11,27 +11,39 @@ import json
 import sys
 
 NO_MODULE, NO_MEMORY = 77, 78
+SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
 
 
 def read_grid(openvdb, path: str, name: str, most_voxels: int):
     """(facts, values) of a grid.
 
-    facts: "background"; "low", "shape": lower index and size of the box of active voxels, inverted where there are
+    facts: "grids": [name, type, class] of each in the file. Where the first one of that name is fog besides,
+    "background"; "low", "shape": lower index and size of the box of active voxels, inverted where there are
     none; "matrix": 4 lists of 4, index to object space, None for a frustum.
     values: float32 array of that shape, None where the box is inverted or holds more than `most_voxels`.
 
     Raises what OpenVDB raises.
     """
     import numpy
+    # Never readAll: it can end the whole process on unusual files.
+    headers = [(grid.name, type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
+    if not is_fog(next((header for header in headers if header[0] == name), None)):
+        return {"grids": headers}, None
     grid = openvdb.read(path, name)
     low, high = grid.evalActiveVoxelBoundingBox()
     shape = [b - a + 1 for a, b in zip(low, high)]
-    facts = {"background": float(grid.background), "low": list(low), "shape": shape, "matrix": _matrix(grid.transform)}
+    facts = {"grids": headers, "background": float(grid.background), "low": list(low), "shape": shape,
+             "matrix": _matrix(grid.transform)}
     if min(shape) < 1 or shape[0] * shape[1] * shape[2] > most_voxels:
         return facts, None
     values = numpy.empty(shape, numpy.float32)
     grid.copyToArray(values, ijk=tuple(low))
     return facts, values
+
+
+def is_fog(header) -> bool:
+    """Whether a grid, as "grids" tells it, can be a density."""
+    return header is not None and header[1] in SCALAR_GRIDS and header[2] != "level set"
 
 
 def _matrix(transform):
@@ -52,6 +64,9 @@ def limit(seconds: int, size: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform.startswith("linux"):
         resource.setrlimit(resource.RLIMIT_AS, (size, size))
+        # Where the machine's memory ends before, this process is the one to go.
+        with open("/proc/self/oom_score_adj", "w") as file:
+            file.write("1000")
 
 
 def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:

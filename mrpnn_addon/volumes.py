@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import MAX_VOXELS, EmptyGrid, grid_names, needs_reading, read_density_grid, unreadable
+from .density_grid import MAX_VOXELS, EmptyGrid, needs_reading, read_density_grid, unreadable
 from .grid_loading import Wanted
 from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial, first_material
@@ -64,7 +64,7 @@ class VolumeReader:
             for shown in shown_objects(depsgraph):
                 if shown.object.type == 'VOLUME' and _key(shown) not in self.known:
                     path = None if why_unseen(shown, depsgraph.view_layer) else _own_file(shown.object)
-                    for name in _material_and_grids(path, shown)[1].names if path else ():
+                    for name in _material_and_grids(shown)[1].names if path else ():
                         found[path, name] = Wanted(path, name, shown.name)
         except SceneError:
             return []
@@ -114,15 +114,16 @@ def _load_problem(data) -> str:
     return unreadable(bpy.path.abspath(data.filepath, library=data.library), data.grids.error_message)
 
 
-def _material_and_grids(path: str, shown: Shown):
-    """The material, the Probe that knows which grids of the file it reads, and the Shading where they are 0."""
+def _material_and_grids(shown: Shown):
+    """The material, the Probe that knows which of its grids it reads, and the Shading where they are 0."""
     material = VolumeMaterial(first_material(shown.object), f"Volume object \"{shown.name}\"")
-    probe = Probe(grid_names(path, shown.name), fills_its_bounds=False)
+    # As Blender has read them: files' own descriptions are read by another process alone.
+    probe = Probe([grid.name for grid in shown.object.data.grids], fills_its_bounds=False)
     return material, probe, material.at(probe)
 
 
 def _read_file(path: str, shown: Shown):
-    material, probe, at_zero = _material_and_grids(path, shown)
+    material, probe, at_zero = _material_and_grids(shown)
     if not probe.names:
         material.refuse("the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
                         f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")

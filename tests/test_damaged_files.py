@@ -19,6 +19,8 @@ from . import blender_scenes
 
 # Damaged files to try: for so many seconds, and at least so many.
 CAMPAIGN, FEWEST = 15, 16
+# Bytes at the beginning of the files to damage that describe the file and its grid.
+DESCRIPTIONS = 700
 CORPUS = pathlib.Path(__file__).parent / "corpus"
 
 
@@ -39,11 +41,13 @@ def lit(scene):
 
 
 def damaged(whole: bytes, number: int) -> bytes:
-    """The file with a few bits flipped or bytes replaced behind its header, or cut off, as the number says."""
+    """The file with a few bits flipped or bytes replaced, or cut off, as the number says: the tree, or what describes it.
+    """
     random, changed = np.random.default_rng(number), bytearray(whole)
+    low, high = (20, DESCRIPTIONS) if number // 4 % 4 == 3 else (DESCRIPTIONS, len(whole) - 8)
     if number % 4 == 0:
-        return whole[: random.integers(len(whole) // 4, len(whole))]
-    for place in random.integers(700, len(whole) - 8, 1 + number % 3):
+        return whole[: random.integers(low, high)]
+    for place in random.integers(low, high, 1 + number % 3):
         if number % 4 == 1:
             changed[place] ^= 1 << random.integers(8)
         else:
@@ -67,12 +71,13 @@ def wholes(folder):
         yield path.read_bytes()
 
 
-def test_a_damaged_tree_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
+def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
     """Whatever happens to the process that reads it, this one goes on. As many as CAMPAIGN allows, always in one order.
 
     A file that ends badly here belongs into CORPUS.
     """
-    monkeypatch.setattr(trial, "SECONDS", 3)
+    monkeypatch.setattr(trial, "SECONDS", 2)
+    monkeypatch.setattr(trial, "MEMORY", 2 << 30)
     read, files, outcomes = addon.mrpnn_addon.density_grid.read_density_grid, list(wholes(tmp_path)), []
     start = time.monotonic()
     for number in range(1000):
@@ -97,6 +102,20 @@ def test_files_that_kept_openvdb_busy_for_ever_end_the_trial_alone(addon, trial)
         ended = subprocess.run([sys.executable, "-I", trial.PROGRAM, path, "density", "1000000", "1", str(4 << 30),
                                 *addon.mrpnn_addon.openvdb_module.FOLDERS], capture_output=True)
         assert trial._died(ended.returncode), path.name
+
+
+def test_a_file_that_is_being_written_again_ends_the_trial_alone(addon, scene, tmp_path, trial, monkeypatch):
+    """Blender has read its descriptions while they were whole; OpenVDB would read them cut off for ever."""
+    path = blender_scenes.write_vdb(tmp_path, blender_scenes.blob())
+    blender_scenes.add_volume(scene, path)
+    lit(scene)
+    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+    whole = pathlib.Path(path).read_bytes()
+    pathlib.Path(path).write_bytes((CORPUS / "cut_in_its_descriptions.vdb").read_bytes())
+    monkeypatch.setattr(trial, "SECONDS", 1)
+    assert f"\"Cloud\": grid \"density\" of {path} is damaged" in refusal(addon)
+    pathlib.Path(path).write_bytes(whole)
+    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
 
 
 def test_a_process_that_dies_over_a_grid_is_a_message(addon, scene, tmp_path, trial, monkeypatch):
