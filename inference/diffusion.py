@@ -37,6 +37,14 @@ def diffusion_equation(density, tau, reduced: float):
     half = 0.5 * h * extinction
     beam = reduced * tau
     source = h * (np.exp(-np.maximum(beam - half, 0.0)) - np.exp(-(beam + half)))
+    return *couple(spread, h), source
+
+
+def couple(spread, h: float):
+    """What -div(D grad phi) is on cells of edge h, times h^2: diagonal (x, y, z), and couplings (3, x, y, z).
+
+    spread: D of each cell, float64.
+    """
     diagonal, couplings = np.zeros_like(spread), np.zeros((3, *spread.shape))
     for axis in range(3):
         d = np.moveaxis(spread, axis, 0)
@@ -48,7 +56,7 @@ def diffusion_equation(density, tau, reduced: float):
         total[1:] += coupling[:-1]
         for side in (0, -1):
             total[side] += 0.5 * h / (1.0 + h / (4.0 * d[side]))
-    return diagonal, couplings, source
+    return diagonal, couplings
 
 
 def _apply(diagonal, couplings, x):
@@ -60,8 +68,8 @@ def _apply(diagonal, couplings, x):
     return y
 
 
-def solve(diagonal, couplings, source):
-    """Conjugate gradients with the diagonal as preconditioner; float64 (32, 32, 32), >= 0."""
+def solve(diagonal, couplings, source, least: float = 0.0):
+    """Conjugate gradients with the diagonal as preconditioner; float64 (x, y, z), >= least."""
     x = np.zeros_like(source)
     residual = source.copy()
     z = residual / diagonal
@@ -77,7 +85,7 @@ def solve(diagonal, couplings, source):
         z = residual / diagonal
         rz, before = float(np.vdot(residual, z)), rz
         p = z + (rz / before) * p
-    return np.maximum(x, 0.0)
+    return np.maximum(x, least)
 
 
 def log_fluence(density, sun, reduced: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import List
 
 import numpy as np
 
+from .glow import Glow
 from .grid import Grid
 from .multiple import MultipleField
 from .network import load_network
@@ -27,7 +28,7 @@ class Kept:
     def __init__(self, any_view: bool = True):
         self.any_view = any_view
         self._lock = threading.Lock()
-        self._networks, self._grids, self._fields = {}, [], {}
+        self._networks, self._grids, self._fields, self._glows = {}, [], {}, {}
 
     def network(self, name: str):
         """As `load_network`."""
@@ -82,6 +83,15 @@ class Kept:
             field.volume, field.medium = pairs[0]
         return field
 
+    def glow(self, groups, number: int, grids, check=lambda: None) -> Glow:
+        """The light that one of a render's groups of volumes emits and scatters; arguments as of `field`."""
+        pairs = groups[number]
+        self._glows = {n: kept for n, kept in self._glows.items()
+                       if n < len(groups) and (n != number or _alike(kept[0], pairs))}
+        if number not in self._glows:
+            self._glows[number] = pairs, Glow(grids, [medium for _, medium in pairs], check)
+        return self._glows[number][1]
+
 
 def _same(a: Volume, b: Volume) -> bool:
     """Whether two volumes hold the same density and emission in the same place."""
@@ -97,9 +107,15 @@ def _serves(made_of, field: MultipleField, network, pairs) -> bool:
     """Whether a field that was made of some pairs of Volume and Medium serves for others."""
     if field.system is not network or len(made_of) != len(pairs):
         return False
-    alike = all(_same(old, new) and before.anisotropy == after.anisotropy
-                for (old, before), (new, after) in zip(made_of, pairs))
-    # Of volumes that are seen as one, their shares in it count too.
-    return alike and (len(pairs) == 1 or all(
-        np.array_equal(before.sigma_t, after.sigma_t) and np.array_equal(before.albedo, after.albedo)
-        for (_, before), (_, after) in zip(made_of, pairs)))
+    if len(pairs) > 1:
+        return _alike(made_of, pairs)
+    (old, before), (new, after) = made_of[0], pairs[0]
+    return _same(old, new) and before.anisotropy == after.anisotropy
+
+
+def _alike(made_of, pairs) -> bool:
+    """Whether pairs of Volume and Medium are the same, in every number."""
+    return len(made_of) == len(pairs) and all(
+        _same(old, new) and before.anisotropy == after.anisotropy and before.emission == after.emission
+        and np.array_equal(before.sigma_t, after.sigma_t) and np.array_equal(before.albedo, after.albedo)
+        for (old, before), (new, after) in zip(made_of, pairs))

@@ -26,6 +26,8 @@ from .work import Work
 STEPS_A_TASK = 600_000
 # Steps of one ray beyond which a task's memory would no longer be small.
 MOST_STEPS = 1 << 18
+# Depth samples whose scattered emission is looked up at a time.
+GLOW_POINTS = 1 << 16
 # Share of the progress bar that marching takes.
 MARCH_SHARE = 0.4
 
@@ -124,7 +126,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
             corners = np.concatenate([grid.corners() for grid in grids])
             sun_maps = [SunMap(shading, sun.direction, corners) for sun in plan.suns]
             sun_maps = None if all(sun_map.empty for sun_map in sun_maps) else sun_maps
-    with kept.predicting(work) if network else contextlib.nullcontext():
+    with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
             if network is not None and network.needs_light:
@@ -141,6 +143,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                     start, start + share * MARCH_SHARE, single[pixels], emission[pixels], alpha[pixels],
                     depth[pixels],
                 )
+                if samples is not None and any(plan.scattered_glow):
+                    _add_glow(plan, channels, kept, grids, samples, work, report, multiple[pixels])
                 if network is not None and samples is not None:
                     _add_multiple(
                         plan, channels, network, kept, grids, fields, samples, work, report,
@@ -189,13 +193,17 @@ def _scatters(plan, channels, g) -> bool:
         channels.sigma_t[v] > 0.0 and plan.volumes[v][1].albedo[channels.indices].any() for v in plan.groups[g])
 
 
+def _pairs(plan):
+    """The Volume and Medium of each volume in each group."""
+    return [[plan.volumes[v] for v in group] for group in plan.groups]
+
+
 def _field(plan, channels, network, kept, grids, fields, g, work, report) -> Tuple[MultipleField, float]:
     """The field of one group of volumes, made once, and its extinction in these channels."""
     made = g not in fields
     if made:
         work.check()
-        groups = [[plan.volumes[v] for v in group] for group in plan.groups]
-        fields[g] = kept.field(network, groups, g, [grids[v] for v in plan.groups[g]], work.check)
+        fields[g] = kept.field(network, _pairs(plan), g, [grids[v] for v in plan.groups[g]], work.check)
     work.check()
     sigma_t = float(fields[g].medium.sigma_t[channels.indices[0]])
     if made:
@@ -292,6 +300,27 @@ def _cut(screen, window, near, far):
         distances[top:bottom, left:right] = found.reshape(bottom - top, right - left, -1)
     pixel, far, share = rays_to_surfaces(near, far, distances.reshape(len(near), -1))
     return pixel, share, far
+
+
+def _add_glow(plan, channels, kept, grids, samples, work, report, multiple):
+    """Add what the volumes scatter of light that they emit to the image."""
+    for g, group in enumerate(plan.groups):
+        if not plan.scattered_glow[g]:
+            continue
+        with report.stage("emission"):
+            glow = kept.glow(_pairs(plan), g, [grids[v] for v in group], work.check)
+        warnings = glow.warnings(" and ".join(plan.volumes[v][0].name for v in group))
+        report.warnings += [warning for warning in warnings if warning not in report.warnings]
+        for v in group:
+            medium, inside = plan.volumes[v][1], np.flatnonzero(samples.fraction[:, v] > 0.0)
+            for start in range(0, len(inside), GLOW_POINTS):
+                work.check()
+                points = inside[start : start + GLOW_POINTS]
+                positions, directions = samples.positions(points), samples.directions[samples.ray[points]]
+                weight = samples.weight[points] * samples.fraction[points, v]
+                for c in channels.indices:
+                    light = glow.scattered(c, positions, directions, medium.anisotropy) * medium.albedo[c]
+                    np.add.at(multiple, (samples.pixel[samples.ray[points]], c), weight * light)
 
 
 def _add_multiple(

@@ -67,7 +67,7 @@ def merge(grids, media: List[Medium], name: str, check=lambda: None) -> Tuple[Vo
     grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
     density, amounts = np.zeros(shape, np.float32), []
     for grid, factor in zip(grids, grey):
-        values = resampled(grid, world_from_index, shape, check)
+        values = resampled(grid, grid.sample_density, world_from_index, shape, check)
         amounts.append(float(values.sum(dtype=np.float64)))
         density += np.float32(factor) * values
     amounts = np.array(amounts)[:, None]
@@ -80,8 +80,8 @@ def merge(grids, media: List[Medium], name: str, check=lambda: None) -> Tuple[Vo
     return Volume(density, world_from_index, name), medium
 
 
-def resampled(grid, world_from_index, shape, check=lambda: None) -> np.ndarray:
-    """Density of a Grid in the voxels of another: float32 `shape`.
+def resampled(grid, sample, world_from_index, shape, check=lambda: None) -> np.ndarray:
+    """Values of a Grid in the voxels of another: float32 `shape`. sample: its method that gives them.
 
     The interpolant at their centres, or where they are the larger at 2x2x2 places in each.
     """
@@ -105,7 +105,7 @@ def resampled(grid, world_from_index, shape, check=lambda: None) -> np.ndarray:
         for place in inner @ index_from_other.T:
             index = (centre + place).T.astype(np.float32)
             filled = np.flatnonzero(grid.occupancy.near(index))
-            found[filled] += grid.sample_density(index[:, filled]) / len(inner)
+            found[filled] += sample(index[:, filled]) / len(inner)
         x = slice(low[0] + start, low[0] + start + len(slab))
         values[x, low[1]:high[1], low[2]:high[2]] = found.reshape(slab.shape[:3])
     return values

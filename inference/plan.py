@@ -57,6 +57,7 @@ class Plan:
     channels: List[Channels]
     groups: List[List[int]]  # (G,), volumes that the network sees as one
     multiple: List[bool]  # (G,), whether the network runs for them
+    scattered_glow: List[bool]  # (G,), whether they scatter light that they emit
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)
     memory: int = 0  # bytes, estimated peak on top of the input
@@ -152,16 +153,17 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if len(channels) == 1:
         left_out.append("two of three colour channels' rays and fields: extinction is grey")
 
-    dense = [v for v, pair in enumerate(kept) if attenuates(*pair)]
-    groups = [[dense[n] for n in group] for group in overlapping([kept[v][0] for v in dense])[0]]
-    multiple = []
-    left_out += [f"{volume.name}: multiple scattering, its density is 0" for volume, medium in kept
-                 if not attenuates(volume, medium)]
+    groups, _ = overlapping([volume for volume, _ in kept])
+    multiple, scattered_glow = [], []
     for group in groups:
         names = " and ".join(kept[v][0].name for v in group)
-        multiple.append(settings.multiple and any(np.any(kept[v][1].albedo > 0.0) for v in group) and bool(merged))
+        scatters = any(attenuates(*kept[v]) and bool(np.any(kept[v][1].albedo > 0.0)) for v in group)
+        multiple.append(settings.multiple and scatters and bool(merged))
+        scattered_glow.append(settings.multiple and scatters and any(glows(*kept[v]) for v in group))
+        if scattered_glow[-1]:
+            planned.append(f"{names}: emission, scattered")
         if not multiple[-1]:
-            reason = "its albedo is 0" if merged else "no sun shines"
+            reason = "its albedo or density is 0" if not scatters else "no sun shines"
             reason = reason if settings.multiple else "the settings say so"
             left_out.append(f"{names}: multiple scattering, {reason}")
         elif len(group) > 1:
@@ -193,4 +195,4 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(kept, merged, channels, groups, multiple, planned, left_out, memory, rows)
+    return Plan(kept, merged, channels, groups, multiple, scattered_glow, planned, left_out, memory, rows)

@@ -45,7 +45,8 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     use_pass_volume_direct: BoolProperty(
         name="Volume Direct", description="Light scattered once; with Volume Indirect and Emission it is Combined")
     use_pass_volume_indirect: BoolProperty(
-        name="Volume Indirect", description="Light scattered more than once, which the network predicts")
+        name="Volume Indirect", description="Light scattered more than once, which the network predicts, and "
+        "what volumes scatter of their own light")
     use_pass_emission: BoolProperty(
         name="Emission", description="Light that volumes emit, dimmed by what lies before it and not scattered")
     use_pass_uncertainty: BoolProperty(

@@ -89,8 +89,6 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
     if emission is not None and (inside is not None or boxes is not None):
         emission *= (inside if boxes is None else boxes)[..., None]
-    if emission is not None and scatter.max() > 0.0:
-        notes = notes + ["the light it emits is rendered as the camera sees it; that it lights the volume is not"]
     if len(means) > 1:
         notes = notes + ["phase functions of several shaders are rendered as one with their mean cosine"]
     weight = sum(means.values())
