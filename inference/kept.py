@@ -30,11 +30,11 @@ class Kept:
         self._lock = threading.Lock()
         self._networks, self._grids, self._fields, self._glows = {}, [], {}, {}
 
-    def network(self, name: str):
+    def network(self, name: str, provider: str):
         """As `load_network`."""
-        if name not in self._networks:
-            self._networks = {name: load_network(name)}
-        return self._networks[name]
+        if (name, provider) not in self._networks:
+            self._networks = {(name, provider): load_network(name, provider)}
+        return self._networks[name, provider]
 
     def grids(self, volumes: List[Volume], suns: List[Sun], work: Work) -> List[Grid]:
         """A Grid of each volume with all suns, for the caller alone. Raises Cancelled."""

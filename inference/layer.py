@@ -105,8 +105,10 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
     network = None
     if any(plan.multiple):
         with report.stage("network loading"):
-            network = kept.network(settings.model)
+            network = kept.network(settings.model, settings.provider)
         report.model, report.checksum = network.name, network.checksum
+        report.provider = getattr(network, "provider", "CPU")
+        report.warnings += getattr(network, "warnings", ())
 
     x0, y0, x1, y1 = camera.window
     height, width = y1 - y0, x1 - x0

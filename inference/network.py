@@ -2,18 +2,21 @@
 
 A system has a name, a checksum, the ranges that it was made for, and `field(volume, cube, anisotropy)`,
 which gives what MultipleField asks: `light` and `predict`, as in StencilField. Nearly all are
-networks on onnxruntime: file, checksum, provider and threads are in this one place.
+networks on onnxruntime: file, checksum and threads are in this one place, and providers in `provider`.
 """
 
 import base64
+import contextlib
 import hashlib
 import json
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import List
 
 import numpy as np
 
 from .lattice_field import LatticeField
+from .provider import open_session
 from .scene import SceneError
 from .stencil_field import RayField, StencilField
 
@@ -44,7 +47,8 @@ class Network:
     """A loaded network with the points around x that it was trained with.
 
     field_type: of FIELDS. points: its stencil or lattice, from the weights file. configuration: how it was
-    trained. checksum: sha256 of the file.
+    trained. checksum: sha256 of the file. provider: of onnxruntime, that runs it; warnings: where it is not the wanted one.
+    alone: held while it runs, where a provider takes one call at a time.
     """
 
     session: object
@@ -53,6 +57,9 @@ class Network:
     configuration: dict
     checksum: str
     name: str
+    provider: str = "CPU"
+    warnings: List[str] = field(default_factory=list)
+    alone: object = field(default_factory=contextlib.nullcontext)
 
     @property
     def needs_light(self) -> bool:
@@ -81,15 +88,18 @@ class Network:
     def run(self, **inputs) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
 
-        inputs: arrays by name, converted to float32; albedo (A,) among them. Runs on the calling thread
-        alone, so results do not depend on how many threads call.
+        inputs: arrays by name, converted to float32; albedo (A,) among them. On the processor it runs on the calling
+        thread alone, so results do not depend on how many threads call.
         """
         inputs = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
-        return self.session.run(["radiance"], inputs)[0]
+        with self.alone:
+            return self.session.run(["radiance"], inputs)[0]
 
 
-def load_network(name: str):
+def load_network(name: str, provider: str = "CPU"):
     """A registered system, or the network in inference/weights/NAME.onnx.
+
+    provider: of `provider.PROVIDERS`, for networks; where it cannot be had the processor runs them, and a warning says so.
 
     Raises SceneError where the name is unknown, the file is damaged or not the one that its checksum
     promises, its points do not belong to it, it refers to other files, or onnxruntime is missing.
@@ -106,24 +116,20 @@ def load_network(name: str):
         raise SceneError(f"there is no network called {name!r}; available: {available}")
     content = _read_weights(name)
     try:
-        import onnxruntime
-    except ImportError as error:
-        raise SceneError(f"onnxruntime cannot be imported ({error}); reinstall the extension") from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        opened = open_session(content, provider)
+        session = opened.session
         metadata = session.get_modelmeta().custom_metadata_map
         kind = metadata["kind"]
         points = FIELDS[kind].read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
         configuration = json.loads(metadata["configuration"])
         promised = metadata["points_sha256"]
-        network = Network(session, FIELDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name)
+        network = Network(session, FIELDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name,
+                          opened.provider, opened.warnings, opened.alone)
         for low, high in (network.anisotropy_range, network.sigma_hat_range, network.albedo_range):
             if not low <= high:
                 raise ValueError(f"its range from {low} to {high} is empty")
+    except SceneError:
+        raise
     except Exception as error:  # onnxruntime raises types of its own, all meaning an unusable file
         raise SceneError(f"the weights of {name!r} cannot be read ({error}); reinstall the extension") from error
     if points.digest != promised:

@@ -11,7 +11,7 @@ from typing import Dict, List, Optional
 class Report:
     """Filled while a render runs.
 
-    model, checksum: the network's name and sha256. planned, left_out: sentences.
+    model, checksum: the network's name and sha256; provider: of onnxruntime, that ran it. planned, left_out: sentences.
     warnings: what the user should know, naming objects. counts: pixels, rays, points.
     seconds: by stage; "march" and "network" overlap on several threads, so that "total" is measured
     apart. cpu_seconds: by stage, of all threads of the process. peak_memory: bytes, of the whole process, None
@@ -20,6 +20,7 @@ class Report:
 
     model: str = ""
     checksum: str = ""
+    provider: str = ""
     threads: int = 0
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)

@@ -210,6 +210,7 @@ class Settings:
     memory_limit: bytes the render may use on top of its input; it is refused
         with a message where it would need more.
     multiple: whether to predict multiple scattering; without, the layer is darker.
+    provider: of onnxruntime, that runs the network: one of `provider.PROVIDERS`.
     """
 
     depth_samples: int = 4
@@ -218,6 +219,7 @@ class Settings:
     threads: int = 0
     memory_limit: int = 8 << 30
     multiple: bool = True
+    provider: str = "CPU"
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -1,11 +1,26 @@
 """What holds for this machine, whatever scene is open: the extension's preferences."""
 
+from dataclasses import dataclass
+
 import bpy
-from bpy.props import IntProperty
+from bpy.props import EnumProperty, IntProperty
+
+from ..inference import Settings
+from .models import model_items, model_number
 
 # The extension's own package, under which Blender keeps its preferences.
 EXTENSION = __package__.rpartition(".")[0]
 DEFAULT_THREADS, DEFAULT_MEMORY = 0, 8
+
+# Names and descriptions of `inference.provider.PROVIDERS`. Numbers stand in files: new ones go to the end.
+_OTHER = "; needs an onnxruntime that has it, else the processor runs the network and a warning says so"
+_PROVIDER_ITEMS = [
+    ('CPU', "Processor", "The shipped onnxruntime's", 0),
+    ('CUDA', "CUDA", f"NVIDIA graphics{_OTHER}", 1),
+    ('DIRECTML', "DirectML", f"Graphics on Windows{_OTHER}", 2),
+    ('COREML', "CoreML", f"On macOS{_OTHER}", 3),
+    ('OPENVINO', "OpenVINO", f"Intel processors and graphics{_OTHER}", 4),
+]
 
 
 class PreferenceProperties:
@@ -18,14 +33,31 @@ class PreferenceProperties:
         name="Memory Limit", default=DEFAULT_MEMORY, min=1, max=1024,
         description="GiB that a render may use where the scene says nothing else; one that needs more is refused "
         "before it starts")
+    model: EnumProperty(
+        name="Network", items=model_items, default=model_number(Settings.model),
+        description="Network that predicts multiple scattering where the scene says nothing else")
+    provider: EnumProperty(
+        name="Provider", items=_PROVIDER_ITEMS, default='CPU', description="What of onnxruntime runs the network")
 
 
-def machine_settings():
-    """(threads, memory limit in GiB): from the preferences, or their defaults where there are none.
+@dataclass
+class Machine:
+    """memory_limit: GiB. model: of a weights file. provider: of `inference.provider.PROVIDERS`."""
+
+    threads: int = DEFAULT_THREADS
+    memory_limit: int = DEFAULT_MEMORY
+    model: str = Settings.model
+    provider: str = 'CPU'
+
+
+def machine() -> Machine:
+    """What the preferences say, or their defaults where there are none.
 
     Blender keeps no preferences of an extension that a script registered, or --addons enabled.
     """
     entry = bpy.context.preferences.addons.get(EXTENSION)
     if entry is None or entry.preferences is None:
-        return DEFAULT_THREADS, DEFAULT_MEMORY
-    return entry.preferences.threads, entry.preferences.memory_limit
+        return Machine()
+    found = entry.preferences
+    # A number that stands for no network, as a later version may have left, reads as "".
+    return Machine(found.threads, found.memory_limit, found.model or Settings.model, found.provider)

@@ -1,12 +1,11 @@
 """What a scene remembers about rendering with MRPNN: `scene.mrpnn`."""
 
-import zlib
-
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
-from ..inference import Settings, available_models
-from .preferences import machine_settings
+from ..inference import Settings
+from .models import model_items
+from .preferences import machine
 
 # Of the properties, in files. 0: before the networks had numbers of their own.
 VERSION = 1
@@ -23,21 +22,13 @@ _PRESET_ITEMS = [
     ('CUSTOM', "Custom", "None of the presets"),
 ]
 
-# Blender keeps no reference to the strings of a dynamic enum, so they live here.
+# Of the scene's network: the preferences' one.
+AS_PREFERRED = ('PREFERENCES', "As in the Preferences", "The network that the preferences name", 'NONE', 0)
 _model_items = []
 
 
-def _model_number(name: str) -> int:
-    """What files hold for a network: it must not depend on which other networks there are."""
-    return zlib.crc32(name.encode()) & 0x7FFFFFFF
-
-
-def model_items(_owner=None, _context=None):
-    """Enum items: the networks in inference/weights."""
-    _model_items[:] = [
-        (name, name.upper().replace("_", " "), "Network that predicts multiple scattering", "NONE", _model_number(name))
-        for name in available_models()
-    ]
+def _scene_models(_owner=None, _context=None):
+    _model_items[:] = [AS_PREFERRED, *model_items()]
     return _model_items
 
 
@@ -62,7 +53,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Points along each camera ray at which the network predicts multiple scattering",
     )
     model: EnumProperty(
-        name="Network", items=model_items, default=_model_number(Settings.model),
+        name="Network", items=_scene_models, default=AS_PREFERRED[-1],
         description="Network that predicts multiple scattering")
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Of the lookups' random offsets; the same seed gives the same image")
@@ -85,10 +76,13 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
 
     def settings(self) -> Settings:
         """As `inference.render` takes them."""
-        threads, memory_limit = machine_settings()
+        preferred = machine()
+        # A number that stands for no network, as another version may have left, reads as "".
+        model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
-            depth_samples=self.depth_samples, model=self.model or Settings.model, seed=self.seed,
-            threads=self.threads or threads, memory_limit=(self.memory_limit or memory_limit) << 30)
+            depth_samples=self.depth_samples, model=model, seed=self.seed,
+            threads=self.threads or preferred.threads, provider=preferred.provider,
+            memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
 
 
 def migrate(scene) -> None:
@@ -97,7 +91,8 @@ def migrate(scene) -> None:
     if settings.version >= VERSION:
         return
     # Networks were numbered by their place in the list, and there was one.
-    settings.model = Settings.model
+    if settings.is_property_set("model"):
+        settings.model = Settings.model
     settings.version = VERSION
 
 

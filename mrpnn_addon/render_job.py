@@ -1,17 +1,17 @@
 """One render of a scene that has been read: on a worker thread, or at once."""
 
 import json
-import threading
 from dataclasses import dataclass
 from typing import List, Optional
 
 from .. import inference
 from ..inference.layer import Layer
-from ..inference.scene import Cancelled, SceneError, Settings
+from ..inference.scene import SceneError, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
 from .runtime import check_runtime
 from .scene import SceneDescription
+from .worker import Worker
 
 
 @dataclass
@@ -57,6 +57,7 @@ def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
         "mrpnn.seed": settings.seed,
         "mrpnn.model": report.model,
         "mrpnn.modelChecksum": report.checksum,
+        "mrpnn.provider": report.provider,
         "mrpnn.report": json.dumps(report.to_dict()),
     }
     for stage, seconds in report.seconds.items():
@@ -71,44 +72,21 @@ def stamp(settings: Settings, report) -> dict:
         "seed": str(settings.seed),
         "model": report.model or "none",
         "modelChecksum": report.checksum,
+        "provider": report.provider,
         "seconds": f"{report.seconds['total']:.2f}",
     }
 
 
-class RenderJob:
-    """render_scene on a worker thread, watched from Blender's main thread.
-
-    fraction, message: how far it is. result: once done, a Finished, or None with `error` set.
-    """
+class RenderJob(Worker):
+    """render_scene on a worker thread. result: once done, a Finished, or None with `error` set."""
 
     def __init__(self, scene: SceneDescription, settings: Settings, exr_path: Optional[str]):
-        self.fraction, self.message = 0.0, ""
         self.result: Optional[Finished] = None
-        self.error: Optional[BaseException] = None
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(scene, settings, exr_path), name="mrpnn render")
-        self._thread.start()
+        self._task = scene, settings, exr_path
+        self._start("mrpnn render", awaited=True)
 
-    def _run(self, scene, settings, exr_path):
-        try:
-            self.result = render_scene(scene, settings, exr_path, self._progress, self._stop.is_set)
-        except BaseException as error:  # Carried to the main thread, which knows how to show it.
-            self.error = error
+    def _work(self):
+        self.result = render_scene(*self._task, self._progress, lambda: self.stopped)
 
     def _progress(self, fraction: float, message: str):
         self.fraction, self.message = fraction, message
-
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    @property
-    def cancelled(self) -> bool:
-        return isinstance(self.error, Cancelled)
-
-    def stop(self):
-        """Ask the worker to end; it does within a second."""
-        self._stop.set()
-
-    def wait(self):
-        self._thread.join()

@@ -2,22 +2,27 @@
 
 import importlib.metadata
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Optional
 
+from ..inference.provider import PROVIDERS
 from ..inference.scene import SceneError
 
 # The wheels in blender_manifest.toml, and the oldest release that runs the networks' ONNX opset 17.
 SHIPPED = "1.24.4"
 OLDEST = (1, 12)
+# Packages that bring the module onnxruntime, with other providers.
+PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
 
 
 def runtime_version() -> Optional[str]:
     """Version of the onnxruntime that an import would find, None where there is none."""
-    try:
-        return importlib.metadata.version("onnxruntime")
-    except importlib.metadata.PackageNotFoundError:
-        return None
+    folder = runtime_folder()
+    for package in PACKAGES if folder else ():
+        for found in importlib.metadata.distributions(name=package, path=[str(Path(folder).parent)]):
+            return found.version
+    return None
 
 
 def runtime_folder() -> str:
@@ -44,3 +49,11 @@ def check_runtime() -> list:
                          "another extension or Python's user packages brought it: remove it there")
     return [f"onnxruntime {version} in {folder} is used, which another extension brought; "
             f"{SHIPPED} is what this one was tested with"]
+
+
+def missing_provider(provider: str) -> list:
+    """That the loaded onnxruntime lacks a provider of `inference.provider.PROVIDERS`; nothing while none is loaded."""
+    loaded = sys.modules.get("onnxruntime")
+    if loaded is None or PROVIDERS[provider] in loaded.get_available_providers():
+        return []
+    return [f"this onnxruntime has no {PROVIDERS[provider]}: the processor runs the network"]

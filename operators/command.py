@@ -10,6 +10,7 @@ import time
 import bpy
 
 from ..inference import available_models
+from ..inference.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison_run import REPORT_FOLDER
 from ..mrpnn_addon.json_file import write_json
@@ -63,9 +64,10 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument("--json", metavar="FILE", help="file for everything that is known at the end")
         action.add_argument("--progress", choices=("text", "json"), default="text",
                             help="json: one object a line on standard output")
+        choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("memory-limit", float),
-                           ("model", str), ("resolution-percentage", _positive), ("camera", str), ("view-layer", str)):
-            action.add_argument(f"--{name}", type=kind, choices=available_models() if name == "model" else None,
+                           ("model", str), ("provider", str), ("resolution-percentage", _positive), ("camera", str), ("view-layer", str)):
+            action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")
     return parser

@@ -3,7 +3,7 @@
 import bpy
 
 from ..mrpnn_addon.preferences import EXTENSION, PreferenceProperties
-from ..mrpnn_addon.runtime import check_runtime, runtime_version
+from ..mrpnn_addon.runtime import check_runtime, missing_provider, runtime_version
 from ..inference.scene import SceneError
 from ..operators.documentation import MRPNN_OT_documentation
 from .text import draw_text
@@ -18,9 +18,11 @@ class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
         column.use_property_split = True
         column.prop(self, "threads")
         column.prop(self, "memory_limit")
+        column.prop(self, "model")
+        column.prop(self, "provider")
         try:
-            problems = check_runtime()
-            layout.label(text=f"onnxruntime {runtime_version()}, on the processor", icon='CHECKMARK')
+            problems = check_runtime() + missing_provider(self.provider)
+            layout.label(text=f"onnxruntime {runtime_version()}", icon='CHECKMARK')
         except SceneError as error:
             problems = [str(error)]
         for problem in problems:

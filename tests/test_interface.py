@@ -34,13 +34,20 @@ def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
     entry.module = "mrpnn"
     try:
         entry.preferences.threads, entry.preferences.memory_limit = 3, 5
+        entry.preferences.model, entry.preferences.provider = "mrpnn-narrow", 'OPENVINO'
         found = scene.mrpnn.settings()
         assert (found.threads, found.memory_limit) == (3, 5 << 30)
-        scene.mrpnn.threads, scene.mrpnn.memory_limit = 2, 4
+        assert (found.model, found.provider) == ("mrpnn-narrow", "OPENVINO")
+        scene.mrpnn.threads, scene.mrpnn.memory_limit, scene.mrpnn.model = 2, 4, "mrpnn-wide"
         found = scene.mrpnn.settings()
-        assert (found.threads, found.memory_limit) == (2, 4 << 30)
+        assert (found.threads, found.memory_limit, found.model) == (2, 4 << 30, "mrpnn-wide")
     finally:
         bpy.context.preferences.addons.remove(entry)
+
+
+def test_the_preferences_offer_every_provider(addon, scene):
+    items = addon.mrpnn_addon.preferences._PROVIDER_ITEMS
+    assert [item[0] for item in items] == list(addon.inference.provider.PROVIDERS)
 
 
 def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_path, capfd):

@@ -2,7 +2,7 @@
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
 Screenshots are left in build/window, from where docs/images takes its own. Those Blenders see the folder `work` of
-BLENDER_ROOTS as /mnt/work: the tools' convention, the same on every machine.
+BLENDER_ROOTS as WORK: the tools' convention, the same on every machine.
 """
 
 import inspect
@@ -23,6 +23,8 @@ TOOLS = ROOT.parent / "shared" / "blender"
 SUITES = os.environ.get("MRPNN_WINDOWS", "").split()
 # Seconds until what must happen has happened, on whatever else the machine is doing.
 LONG = 300
+# The code that runs in Blender knows it by the same name.
+WORK = "/mnt/work"
 
 pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
 
@@ -37,9 +39,9 @@ x, y, z = numpy.meshgrid(axis, axis, axis, indexing="ij")
 puffs = 0.6 - numpy.sqrt(x**2 + y**2 + z**2) + 0.35 * numpy.sin(7 * x) * numpy.sin(6 * y + 1) * numpy.sin(8 * z + 2)
 grid.copyFromArray(numpy.clip(8 * puffs, 0, 2).astype(numpy.float32), ijk=(-24, -24, -24))
 grid.name, grid.transform = "density", openvdb.createLinearTransform(1 / 12)
-openvdb.write("/mnt/work/window.vdb", grids=[grid])
+openvdb.write(WORK + "/window.vdb", grids=[grid])
 for item in list(bpy.data.objects): bpy.data.objects.remove(item)
-volume = bpy.data.volumes.new("Ball"); volume.filepath = "/mnt/work/window.vdb"
+volume = bpy.data.volumes.new("Ball"); volume.filepath = WORK + "/window.vdb"
 sun = bpy.data.lights.new("Sun", "SUN"); sun.energy, sun.color = 10, (1, 0.5, 0.3)
 for name, data in (("Ball", volume), ("Sun", sun), ("Camera", bpy.data.cameras.new("Camera"))):
     bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, data))
@@ -53,7 +55,7 @@ bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
 outliner, panels = area("OUTLINER"), area("PROPERTIES")
 with over(outliner):
     bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))
-bpy.ops.wm.save_as_mainfile(filepath="/mnt/work/window.blend")
+bpy.ops.wm.save_as_mainfile(filepath=WORK + "/window.blend")
 print("made")
 """
 THREADS = "[t.name for t in threading.enumerate() if t.name.startswith('mrpnn')]"
@@ -129,7 +131,8 @@ def window(request, linux_zip):
     shutil.copy(linux_zip, window.work / "window.zip")
     window.start()
     try:
-        window.do("bpy.ops.extensions.package_install_files(filepath='/mnt/work/window.zip', repo='user_default', "
+        window.do(f"WORK = '{WORK}'")
+        window.do("bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
                   "enable_on_install=True, overwrite=True)")
         made = window.do(SCENE)
         assert made.endswith("made"), made
@@ -186,7 +189,7 @@ def test_a_comparison_goes_on_beside_the_interface_and_esc_keeps_what_is_finishe
     window.do(LOOKS)
     window.mouse("mousemove", 600, 400)
     window.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.compare('INVOKE_DEFAULT', samples=65536, ladder=1, "
-              "denoised=False, bounces=8, scale=10, budget=0, folder='/mnt/work/comparison')")
+              "denoised=False, bounces=8, scale=10, budget=0, folder=WORK + '/comparison')")
     time.sleep(1.0)
     window.shot("compare-dialog")
     window.mouse("key", "Return")
@@ -227,9 +230,9 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
               "grid.transform = openvdb.createLinearTransform(4 / 320)\n"
               "for low in ((-160,) * 3, (60,) * 3):\n"
               "    grid.copyFromArray(numpy.random.default_rng(0).random((100,) * 3, numpy.float32), ijk=low)\n"
-              "openvdb.write('/mnt/work/large.vdb', grids=[grid])\n"
+              "openvdb.write(WORK + '/large.vdb', grids=[grid])\n"
               "area('VIEW_3D').type = 'IMAGE_EDITOR'\n"
-              "bpy.data.volumes['Ball'].filepath = '/mnt/work/large.vdb'")
+              "bpy.data.volumes['Ball'].filepath = WORK + '/large.vdb'")
     try:
         window.do(LOOKS)
         window.do("with over(area('IMAGE_EDITOR')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
@@ -237,7 +240,7 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
         assert float(window.do(LONGEST)) < BLOCKED
     finally:
         window.do("area('IMAGE_EDITOR').type = 'VIEW_3D'\n"
-                  "bpy.data.volumes['Ball'].filepath = '/mnt/work/window.vdb'\n"
+                  "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'\n"
                   "for image in [i for i in bpy.data.images if i.name == 'MRPNN']: bpy.data.images.remove(image)")
         window.until(f"not {THREADS}")
 
@@ -279,7 +282,7 @@ def test_f12_renders_and_esc_stops(window):
     window.until(RENDERING)
     window.until(f"not {RENDERING}")
     window.shot("render")
-    window.do("bpy.data.images['Render Result'].save_render('/mnt/work/window-result.png')")
+    window.do("bpy.data.images['Render Result'].save_render(WORK + '/window-result.png')")
     with Image.open(window.work / "window-result.png") as picture:
         assert picture.size == (160, 120)
         grey = picture.convert("L")
@@ -309,9 +312,9 @@ LEFT_BEHIND = ("sum(len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handl
 
 def test_fifty_switches_of_engine_scene_and_file_leave_nothing_behind(window):
     """With the preview running whenever it can."""
-    window.do("import threading; bpy.ops.wm.open_mainfile(filepath='/mnt/work/window.blend')")
+    window.do("import threading; bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     window.do("area('VIEW_3D').spaces.active.shading.type = 'RENDERED'; bpy.ops.wm.save_mainfile()")
-    window.do("bpy.ops.wm.open_mainfile(filepath='/mnt/work/window.blend')")
+    window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     # The preview begins by itself, and ends.
     time.sleep(1.0)
     window.until(f"not {THREADS}")
@@ -321,7 +324,7 @@ def test_fifty_switches_of_engine_scene_and_file_leave_nothing_behind(window):
                    "bpy.context.scene.render.engine = 'MRPNN'",
                    "s = bpy.data.scenes.new('other'); win().scene = s",
                    "bpy.data.scenes.remove(bpy.data.scenes['other'])",
-                   "bpy.ops.wm.open_mainfile(filepath='/mnt/work/window.blend')")[turn % 5])
+                   "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")[turn % 5])
     window.until(f"not {THREADS}")
     assert window.do(f"print({LEFT_BEHIND})") == before
     said = window.console[len(said):]
