@@ -24,6 +24,9 @@ WEIGHTS = pathlib.Path(__file__).parent / "weights"
 # What reads a volume for a network, by the kind that its weights file states.
 FIELDS = {"stencil": StencilField, "ray": RayField, "lattice": LatticeField}
 
+# Points that any processor's vectors hold a whole number of times.
+WHOLE = 16
+
 _systems, _unlisted = {}, set()
 
 
@@ -89,11 +92,19 @@ class Network:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
 
         inputs: arrays by name, converted to float32; albedo (A,) among them. On the processor it runs on the calling
-        thread alone, so results do not depend on how many threads call.
+        thread alone, so results do not depend on how many threads call, nor on which other points they come with.
         """
         inputs = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
+        count = len(inputs["gamma"])
+        missing = -count % WHOLE
+        # What is left over at the end of a vector is rounded otherwise than what fills one.
+        for model_input in self.session.get_inputs() if missing else []:
+            if "N" in model_input.shape:
+                value, axis = inputs[model_input.name], model_input.shape.index("N")
+                more = value.take(np.zeros(missing, int), axis)
+                inputs[model_input.name] = np.concatenate([value, more], axis)
         with self.alone:
-            return self.session.run(["radiance"], inputs)[0]
+            return self.session.run(["radiance"], inputs)[0][:, :count]
 
 
 def load_network(name: str, provider: str = "CPU"):

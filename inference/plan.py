@@ -8,6 +8,7 @@ import numpy as np
 from .overlap import overlapping
 from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
+from .shared_pixels import BAND
 from .stencil import LEVEL0_CELLS
 
 # Suns count as parallel, and are merged, below this angle in radians.
@@ -61,7 +62,11 @@ class Plan:
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)
     memory: int = 0  # bytes, estimated peak on top of the input
-    tile_rows: int = 1  # rows of pixels that are rendered together
+    tiles: List[Tuple[int, int]] = field(default_factory=list)  # rows, first and end, that are rendered together
+
+    def pairs(self) -> List[List[Tuple[Volume, Medium]]]:
+        """The Volume and Medium of each volume in each group."""
+        return [[self.volumes[v] for v in group] for group in self.groups]
 
 
 def distinct_albedos(medium: Medium, indices: List[int]):
@@ -111,6 +116,13 @@ def glows(volume: Volume, medium: Medium) -> bool:
 def attenuates(volume: Volume, medium: Medium) -> bool:
     """Whether a volume takes light away or scatters it."""
     return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
+
+
+def tiles_of(y0: int, y1: int, rows: int) -> List[Tuple[int, int]]:
+    """Rows of pixels from y0 to y1 in tiles of about `rows`: whole bands of the image, in which pixels share."""
+    size = max(rows // BAND, 1) * BAND
+    starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
+    return list(zip(starts, [*starts[1:], y1]))
 
 
 def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
@@ -185,14 +197,14 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     if len(merged) > 1:
         # The fields of each sun are made for every tile: as few tiles as memory allows.
         rows = max(rows, int((settings.memory_limit - memory) // row))
-    rows = min(rows, y1 - y0)
-    memory += row * rows
-    if rows < y1 - y0:
-        planned.append(f"{-(-(y1 - y0) // rows)} tiles of {rows} rows")
+    tiles = tiles_of(y0, y1, rows)
+    memory += row * max(end - start for start, end in tiles)
+    if len(tiles) > 1:
+        planned.append(f"{len(tiles)} tiles of up to {max(end - start for start, end in tiles)} rows")
     if memory > settings.memory_limit:
         raise SceneError(
             f"the render needs about {memory / 2**30:.1f} GiB and the limit is "
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(kept, merged, channels, groups, multiple, scattered_glow, planned, left_out, memory, rows)
+    return Plan(kept, merged, channels, groups, multiple, scattered_glow, planned, left_out, memory, tiles)

@@ -211,6 +211,7 @@ class Settings:
         with a message where it would need more.
     multiple: whether to predict multiple scattering; without, the layer is darker.
     provider: of onnxruntime, that runs the network: one of `provider.PROVIDERS`.
+    share_pixels: whether pixels may take their multiple scattering from their neighbours where these agree.
     """
 
     depth_samples: int = 4
@@ -220,6 +221,7 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
+    share_pixels: bool = True
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -57,6 +57,9 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Network that predicts multiple scattering")
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Of the lookups' random offsets; the same seed gives the same image")
+    share_pixels: BoolProperty(
+        name="Share Between Pixels", default=Settings.share_pixels,
+        description="Let pixels take their multiple scattering from their neighbours where these agree")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
     memory_limit: IntProperty(
@@ -80,7 +83,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         # A number that stands for no network, as another version may have left, reads as "".
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
-            depth_samples=self.depth_samples, model=model, seed=self.seed,
+            depth_samples=self.depth_samples, model=model, seed=self.seed, share_pixels=self.share_pixels,
             threads=self.threads or preferred.threads, provider=preferred.provider,
             memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
 

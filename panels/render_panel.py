@@ -43,6 +43,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         column.prop(settings, "depth_samples")
         column.prop(settings, "model")
         column.prop(settings, "seed")
+        column.prop(settings, "share_pixels")
         column.prop(settings, "world_directions")
         _draw_last(context, layout, last_render())
 

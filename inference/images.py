@@ -1,0 +1,28 @@
+"""The images that a render fills."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+
+@dataclass
+class Images:
+    """Of P pixels, row after row: single, multiple and emission float32 (P, 3), alpha, depth and uncertainty float32 (P,).
+
+    As in `layer.Layer`, but for depth, which is the sum of distances times opacity.
+    """
+
+    single: np.ndarray
+    multiple: np.ndarray
+    emission: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    uncertainty: np.ndarray
+
+    @classmethod
+    def black(cls, pixels: int) -> "Images":
+        return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((3, pixels), np.float32))
+
+    def part(self, pixels: slice) -> "Images":
+        """The same memory, of some pixels only."""
+        return Images(*(getattr(self, field.name)[pixels] for field in fields(self)))

@@ -1,0 +1,166 @@
+"""The image of predicted multiple scattering: what each volume makes of each sun, at the camera rays' depth samples."""
+
+from typing import Tuple
+
+import numpy as np
+
+from .multiple import POINTS_A_TASK, MultipleField
+from .plan import distinct_albedos
+from .shared_pixels import Squares, agreeing
+
+
+def _scatters(plan, channels, g) -> bool:
+    """Whether multiple scattering is predicted in a group of volumes, in these channels."""
+    return plan.multiple[g] and any(
+        channels.sigma_t[v] > 0.0 and plan.volumes[v][1].albedo[channels.indices].any() for v in plan.groups[g])
+
+
+def _field(plan, channels, network, kept, grids, fields, g, work, report) -> Tuple[MultipleField, float]:
+    """The field of one group of volumes, made once, and its extinction in these channels."""
+    made = g not in fields
+    if made:
+        work.check()
+        fields[g] = kept.field(network, plan.pairs(), g, [grids[v] for v in plan.groups[g]], work.check)
+    work.check()
+    sigma_t = float(fields[g].medium.sigma_t[channels.indices[0]])
+    if made:
+        report.warnings += fields[g].warnings(sigma_t)
+    return fields[g], sigma_t
+
+
+def diffuse(plan, channels, network, kept, grids, fields, work, report):
+    """DiffusedLight of each group of volumes in which multiple scattering is predicted, else None."""
+    diffused = []
+    for g in range(len(plan.groups)):
+        light = None
+        if _scatters(plan, channels, g):
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
+            light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.each)
+        diffused.append(light)
+    return diffused
+
+
+def add_multiple(
+    plan, channels, network, kept, grids, fields, samples, window, settings, work, report, start, end, images, whole: bool
+):
+    """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty.
+
+    window: of the camera, whose pixels `images` are. whole: whether further samples may lie anywhere in the volumes.
+    """
+    squares = Squares(window) if settings.share_pixels else None
+    jobs = [(g, l) for g in range(len(plan.groups)) if _scatters(plan, channels, g) for l in range(len(plan.suns))]
+    for number, (g, l) in enumerate(jobs):
+        sun, group = plan.suns[l], plan.groups[g]
+        inside = np.flatnonzero(samples.fraction[:, group].any(axis=1))
+        if not len(inside):
+            continue
+        first, last = (start + (end - start) * n / len(jobs) for n in (number, number + 1))
+        message = "multiple scattering of " + " and ".join(plan.volumes[v][0].name for v in group)
+        work.progress(first, message)
+        with report.stage("fields"):
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
+            if kept.any_view or whole:
+                low, high = field.extent()
+            else:
+                bounds = [field.bounds(samples.positions(points)) for points in _tasks(inside)]
+                low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+            field.light(sigma_t, sun.direction, low, high, work.each)
+            work.check()
+        # Of each volume in the group, (V, 3), scaled by the sun.
+        scattered = np.array([plan.volumes[v][1].albedo * sun.irradiance for v in group], np.float32)
+        seen = _Seen(samples, group, g, l, field, channels.indices, scattered, len(images.alpha))
+        with report.stage("network"):
+            if squares is None:
+                seen.look(inside, work, report, first, last, message)
+            else:
+                once = images.single[:, channels.indices].T / len(plan.suns)
+                _look_and_share(seen, inside, squares, once, settings, work, report, first, last, message)
+        images.multiple[:, channels.indices] += seen.radiance.T
+        images.uncertainty += seen.error
+
+
+def _tasks(points):
+    return [points[i : i + POINTS_A_TASK] for i in range(0, len(points), POINTS_A_TASK)]
+
+
+class _Seen:
+    """What the network has seen of one group of volumes in the light of one sun.
+
+    radiance: (C, P), of the channels rendered together, in double precision, so that it does not show how points were
+    divided among calls. error: (P,) its standard error, as a mean over all three channels.
+    """
+
+    def __init__(self, samples, group, g, l, field, indices, scattered, pixels):
+        self.samples, self.g, self.l, self.field, self.indices = samples, g, l, field, indices
+        self.albedos = distinct_albedos(field.medium, indices)
+        self.fraction = samples.fraction[:, group]
+        self.scattered = scattered
+        self.pixel = samples.pixel[samples.ray]
+        self.radiance = np.zeros((len(indices), pixels))
+        self.error = np.zeros(pixels, np.float32)
+
+    def look(self, points, work, report, start, end, message):
+        """Predict at some samples and add what they show."""
+        values = [value for value, _ in self.albedos]
+        # What each sample adds to the mean of the three channels.
+        parts = np.zeros(len(self.pixel), np.float32)
+
+        def task(points):
+            directions = self.samples.directions[self.samples.ray[points]]
+            return points, self.field.predict(
+                self.samples.positions(points), directions, values, self.samples.jitter(points), self._light(points))
+
+        for seen, radiance in work.map(task, _tasks(points), start, end, message):
+            weight = self.samples.weight[seen, None] * (self.fraction[seen] @ self.scattered)
+            pixel = self.pixel[seen]
+            for (_, members), row in zip(self.albedos, radiance):
+                for c in members:
+                    part = weight[:, c] * row
+                    added = np.bincount(pixel - pixel[0], part)
+                    self.radiance[self.indices.index(c), pixel[0] : pixel[0] + len(added)] += added
+                    parts[seen] += part / 3.0
+        np.add.at(self.error, *self.samples.standard_error(parts))
+        report.count("network points", len(points))
+
+    def _light(self, points):
+        return self.samples.light.of(points, self.g, self.l) if self.samples.light else None
+
+    def opacity(self):
+        """(P,) of the group alone in each pixel, and the mean over it of the light ahead, float32, or None."""
+        weight = self.samples.weight * self.fraction.sum(axis=1)
+        opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
+        if not self.samples.light:
+            return opacity, None
+        ahead = self._light(slice(None))[:, -1]
+        return opacity, np.bincount(self.pixel, weight * ahead, len(opacity)) / np.maximum(opacity, np.float32(1e-30))
+
+
+def _look_and_share(seen, inside, squares, once, settings, work, report, start, end, message):
+    """Predict where neighbours do not tell, and share where they do.
+
+    once: (C, P), light of the sun scattered once.
+    """
+    look = squares.first_look()
+    first = look[seen.pixel[inside]]
+    middle = start + (end - start) * first.mean()
+    seen.look(inside[first], work, report, start, middle, message)
+
+    # Means over the volumes' opacity in a pixel are shared; the opacity is known of every pixel.
+    opacity, ahead = seen.opacity()
+    safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
+    mean, error = seen.radiance / safe, seen.error / safe
+    shared, surprise = agreeing(
+        squares, mean.mean(axis=0), opacity, once.mean(axis=0), ahead, settings.depth_samples)
+    # Where the rays of a pixel end at different surfaces, its neighbours do not speak for it.
+    shared &= ~squares.any(np.bincount(seen.samples.pixel, minlength=len(look)) > 1)
+    pixels = squares.between(shared)
+    seen.look(inside[~(look | pixels)[seen.pixel[inside]]], work, report, middle, end, message)
+
+    for values in (*mean, error):
+        squares.fill(values, shared, pixels)
+    off = np.zeros(len(look), np.float32)
+    off[squares.pixels[shared]] = surprise[shared, None]
+    pixels &= opacity > 0.0
+    seen.radiance[:, pixels] = (mean * opacity)[:, pixels]
+    seen.error[pixels] = ((error + off * (len(mean) / 3.0)) * opacity)[pixels]
+    report.count("pixels that share their neighbours' multiple scattering", pixels.sum())
