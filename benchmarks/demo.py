@@ -96,7 +96,7 @@ def parse(arguments):
     parser.add_argument("--optical-depth", type=float, default=100.0,
                         help="of the volume's longest edge at its densest (100)")
     parser.add_argument("--size", type=int, nargs=2, default=(768, 448), metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--depth-samples", type=int, default=8, help="network evaluations a pixel (8)")
+    parser.add_argument("--depth-samples", type=int, default=4, help="network evaluations a pixel (4)")
     parser.add_argument("--scale", type=int, default=25, help="size of the comparison in per cent (25)")
     parser.add_argument("--samples", type=int, default=48, help="samples a pixel in each of two Cycles renders (48)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")

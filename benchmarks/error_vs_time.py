@@ -25,7 +25,6 @@ from .extension import ROOT, load_extension
 from .page import replace
 
 DOCS = ROOT / "docs"
-DEPTH_SAMPLES = 8
 # Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow.
 LADDER, GROWTH_SAMPLES = 64, 16
 
@@ -74,7 +73,6 @@ def measured(case, options) -> dict:
     from mrpnn.mrpnn_addon.scene import read_scene
 
     scene = error_vs_time_cases.make(case, options.out, load_openvdb(), read_scene)
-    scene.mrpnn.depth_samples = DEPTH_SAMPLES
     bpy.context.view_layer.update()
     wanted = Options(samples=options.samples, ladder=LADDER, scale=100, folder=str(options.out / "images"))
     if case.growth:
