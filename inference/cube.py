@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .dense_grid import DenseGrid
 from .scene import SceneError, Volume
+from .sparse_grid import SparseGrid
 from .stencil import LEVEL0_CELLS
-from .trilinear import sample_trilinear
 
 # Columns of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
@@ -42,20 +43,29 @@ class Cube:
         return world @ self.rotation
 
 
-def active_bounds(density: np.ndarray):
-    """First and one past the last voxel above 0 on each axis: two int (3,).
+def filled_bounds(values):
+    """First and one past the last voxel that is not 0 on each axis: two int (3,), or None where there is none.
 
-    Raises SceneError where no voxel is above 0.
+    values: array (nx, ny, nz) or SparseGrid.
     """
+    if isinstance(values, SparseGrid):
+        return values.bounds()
     low, high = [], []
     for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        filled = np.flatnonzero(density.max(axis=others) > 0.0)
+        filled = np.flatnonzero(values.any(axis=tuple(a for a in range(3) if a != axis)))
         if filled.size == 0:
-            raise SceneError("the density grid is zero everywhere")
+            return None
         low.append(filled[0])
         high.append(filled[-1] + 1)
     return np.array(low), np.array(high)
+
+
+def active_bounds(density):
+    """As `filled_bounds`; raises SceneError where all is 0."""
+    bounds = filled_bounds(density)
+    if bounds is None:
+        raise SceneError("the density grid is zero everywhere")
+    return bounds
 
 
 def fit_cube(volume: Volume) -> Cube:
@@ -101,42 +111,60 @@ def level0_density(volume: Volume, cube: Cube, check=lambda: None) -> np.ndarray
     Exact means of the trilinear interpolant where grid and cube share axes; otherwise
     (shear) the interpolant at 2x2x2 points a cell. check: asked often.
     """
-    active = volume.density[tuple(slice(l, h) for l, h in zip(cube.low, cube.high))]
     index_from_world = np.linalg.inv(volume.world_from_index)
     index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
     origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
     scale = np.diag(index_from_cube)
     if np.abs(index_from_cube - np.diag(scale)).max() > PERPENDICULAR * np.abs(scale).max():
-        return _resample_sheared(active, index_from_cube, origin, check)
+        return _resample_sheared(volume.density, index_from_cube, origin + cube.low, check)
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
-    cells = active
-    for axis in range(3):
-        along = edges * scale[axis] + origin[axis]
-        weights = _cell_weights(along, active.shape[axis])
-        cells = _weighted(weights, cells, axis, check)
-    return np.ascontiguousarray(np.maximum(cells, 0.0))
+    weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]
+    cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
+    for low, slab in _slabs(volume.density, cube):
+        check()
+        x, y, z = (part[:, start:start + n] for part, start, n in zip(weights, low - cube.low, slab.shape))
+        _add_weighted(cells, x, _weighted(y, _weighted(z, slab, 2), 1), 0)
+    return np.maximum(cells, 0.0)
 
 
-def _weighted(weights, values, axis: int, check) -> np.ndarray:
-    """Sums along one axis of values (x, y, z) with weights (cells, voxels), slab by slab of another."""
-    across = 0 if axis else 1
+def _slabs(density, cube):
+    """Yield boxes of voxels that hold all that is not 0, and of each its first voxel (3,)."""
+    if isinstance(density, SparseGrid):
+        yield from density.slabs()
+        return
+    inside = tuple(map(slice, cube.low, cube.high))
+    for start in range(cube.low[0], cube.high[0], SLAB):
+        yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + SLAB, cube.high[0])), *inside[1:])]
+
+
+def _weighted(weights, values, axis: int) -> np.ndarray:
+    """Sums along one axis of values (x, y, z) with weights (cells, voxels)."""
     shape = list(values.shape)
     shape[axis] = len(weights)
-    sums = np.empty(shape, np.float32)
-    for start in range(0, shape[across], SLAB):
-        check()
-        slab = (slice(None),) * across + (slice(start, start + SLAB),)
-        sums[slab] = np.moveaxis(np.tensordot(weights, values[slab], axes=(1, axis)), 0, axis)
+    sums = np.zeros(shape, np.float32)
+    _add_weighted(sums, weights, values, axis)
     return sums
 
 
-def _resample_sheared(active, index_from_cube, origin, check):
+def _add_weighted(sums, weights, values, axis: int) -> None:
+    """Add sums along one axis of values (x, y, z) with weights (cells, voxels), most of which are 0."""
+    for start in range(0, values.shape[axis], SLAB):
+        few = (slice(None),) * axis + (slice(start, start + SLAB),)
+        part = weights[:, few[-1]]
+        met = np.flatnonzero(part.any(axis=1))
+        if len(met):
+            cells = slice(met[0], met[-1] + 1)
+            sums[(*few[:-1], cells)] += np.moveaxis(np.tensordot(part[cells], values[few], axes=(1, axis)), 0, axis)
+
+
+def _resample_sheared(density, index_from_cube, origin, check):
+    grid = density if isinstance(density, SparseGrid) else DenseGrid(density)
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
     for i in range(LEVEL0_CELLS):
         check()
         points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
         index = index_from_cube @ points.reshape(-1, 3).T + origin[:, None]
-        fine = sample_trilinear(active, index.astype(np.float32))
+        fine = grid.sample(index.astype(np.float32))
         cells[i] = fine.reshape(2, LEVEL0_CELLS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
     return cells

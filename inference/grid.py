@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from .cube import active_bounds
+from .cube import filled_bounds
+from .dense_grid import DenseGrid
 from .occupancy import Occupancy
 from .rays import box_interval
-from .scene import Volume
+from .scene import SceneError, Volume
+from .sparse_grid import SparseGrid
 from .sun_depth import SunDepth
-from .trilinear import pad_with_zeros, sample_padded
 
 
 class Grid:
@@ -19,16 +20,19 @@ class Grid:
     """
 
     def __init__(self, volume: Volume):
-        filled = volume.density if volume.emission is None else _anything(volume)
-        low, high = active_bounds(filled)
-        box = tuple(slice(l, h) for l, h in zip(low, high))
-        active = volume.density[box]
-        self.density = pad_with_zeros(active)
-        self.occupancy = Occupancy(self.density if volume.emission is None else pad_with_zeros(filled[box]))
-        # One array a colour channel, or none.
-        self.emission = [] if volume.emission is None else [
-            pad_with_zeros(volume.emission[(*box, channel)]) for channel in range(3)]
-        self.box = np.full(3, -1.0), np.array(active.shape, np.float64)
+        emission = volume.emission_channels()
+        bounds = [found for found in map(filled_bounds, (volume.density, *emission)) if found is not None]
+        if not bounds:
+            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+        low = np.min([first for first, _ in bounds], axis=0)
+        high = np.max([end for _, end in bounds], axis=0)
+        self.density = _part(volume.density, low, high)
+        # One grid a colour channel, or none.
+        self.emission = [_part(channel, low, high) for channel in emission]
+        filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
+        self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
+        self.shape = self.density.shape
+        self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
         self.offset = index_from_world[:3, 3] - low
@@ -64,15 +68,15 @@ class Grid:
 
     def sample_density(self, index: np.ndarray) -> np.ndarray:
         """Density (N,) at continuous indices float32 (3, N)."""
-        return sample_padded(self.density, index)
+        return self.density.sample(index)
 
     def sample_emission(self, channel: int, index: np.ndarray) -> np.ndarray:
         """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
-        return sample_padded(self.emission[channel], index)
+        return self.emission[channel].sample(index)
 
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel, along its longest edge."""
-        return float(self.density.max()) * sigma_t * self.longest
+        return self.density.peak * sigma_t * self.longest
 
     def set_extinction(self, sigma_t: float):
         """Choose the extinction per unit density of what follows."""
@@ -93,6 +97,8 @@ class Grid:
         return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth
 
 
-def _anything(volume: Volume) -> np.ndarray:
-    """float32 (nx, ny, nz) above 0 where a volume has density or emission."""
-    return np.maximum(volume.density, np.abs(volume.emission).max(axis=3))
+def _part(values, low, high):
+    """DenseGrid or SparseGrid of voxels from low (3,) to before high (3,)."""
+    if isinstance(values, SparseGrid):
+        return values.crop(low, high)
+    return DenseGrid(values[tuple(map(slice, low, high))])

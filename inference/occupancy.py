@@ -2,19 +2,19 @@
 
 import numpy as np
 
-# Voxels an edge of a cell; also how near density must lie for a point to count as filled, interpolation included.
-CELL = 3
-#: Voxels from a point, along any axis, within which nothing is missed.
-REACH = CELL - 1
+#: Voxels from a point, along any axis, within which nothing is missed, interpolation included.
+REACH = 2
 
 
 class Occupancy:
-    """Of a padded density: a point whose surroundings hold density lies in a filled cell."""
+    """A point whose surroundings hold something lies in a filled cell.
 
-    def __init__(self, padded: np.ndarray):
-        filled = padded > 0.0
-        for axis in range(3):
-            filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], CELL), axis=axis)
+    filled: bool (cx, cy, cz), cells that hold something; cell: voxels an edge of them, more than REACH; first: (3,),
+    where the cells have voxel 0.
+    """
+
+    def __init__(self, filled: np.ndarray, cell: int, first):
+        self.cell, self.first = cell, first
         # A cell counts as its neighbours do.
         for axis in range(3):
             around = np.moveaxis(filled, axis, 0)
@@ -25,10 +25,10 @@ class Occupancy:
         self.filled = np.ascontiguousarray(filled)
 
     def near(self, index: np.ndarray) -> np.ndarray:
-        """bool (N,): False only where no density lies within REACH of continuous indices float32 (3, N)."""
+        """bool (N,): False only where nothing lies within REACH of continuous indices float32 (3, N)."""
         base = 0
-        for at, size in zip(index, self.filled.shape):
-            # Voxel 0 lies at 1 of the padded grid. Points beyond it take the rim's answer.
-            cell = np.clip((at + np.float32(1.0)) * np.float32(1.0 / CELL), np.float32(0.0), np.float32(size - 1))
+        for at, first, size in zip(index, self.first, self.filled.shape):
+            # Points beyond the cells take the rim's answer.
+            cell = np.clip((at + np.float32(first)) * np.float32(1.0 / self.cell), np.float32(0.0), np.float32(size - 1))
             base = base * np.intp(size) + cell.astype(np.int32)
         return self.filled.reshape(-1).take(base)

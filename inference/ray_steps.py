@@ -28,7 +28,7 @@ def voxel_thickness(grids, sigma_t) -> float:
 
 def steps_a_voxel(grids, sigma_t) -> int:
     """Two steps for each optical depth that a voxel may hold, within bounds."""
-    coarse = -(-STEPS_AN_EDGE // max(max(grid.density.shape) for grid in grids))
+    coarse = -(-STEPS_AN_EDGE // max(max(grid.shape) for grid in grids))
     return max(int(np.clip(np.ceil(2 * voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL)), coarse)
 
 

@@ -5,9 +5,11 @@ radiance in W/(m^2 sr). Arrays are float32 unless stated; nothing here knows Ble
 """
 
 from dataclasses import dataclass
-from typing import Literal, Optional, Tuple
+from typing import Literal, Optional, Tuple, Union
 
 import numpy as np
+
+from .sparse_grid import SparseGrid
 
 # Cycles' own limit: the phase function degenerates at -1 and 1.
 ANISOTROPY_MOST = 0.999
@@ -47,27 +49,29 @@ def _affine(matrix, name: str) -> np.ndarray:
 class Volume:
     """A density grid placed in the world.
 
-    density: float32 (nx, ny, nz), value at voxel centres, trilinear in between,
+    density: float32 (nx, ny, nz) or SparseGrid, value at voxel centres, trilinear in between,
         0 outside the grid.
     world_from_index: float64 (4, 4) affine; voxel (i, j, k) has its centre at
         world_from_index @ (i, j, k, 1).
     name: used in messages.
     emission: float32 (nx, ny, nz, 3), radiance that a world unit of the way through it adds, in
-        W/(m^2 sr) a unit, interpolated as the density and wanted whether there is any; or None.
+        W/(m^2 sr) a unit, interpolated as the density and wanted whether there is any; or None. Three SparseGrids, one a
+        channel, with the density's blocks where that is a SparseGrid.
 
     Raises SceneError for an empty or non-finite grid, negative density, or a
     singular transform.
     """
 
-    density: np.ndarray
+    density: Union[np.ndarray, SparseGrid]
     world_from_index: np.ndarray
     name: str = "volume"
-    emission: Optional[np.ndarray] = None
+    emission: Union[None, np.ndarray, Tuple[SparseGrid, SparseGrid, SparseGrid]] = None
 
     def __post_init__(self):
-        self.density = np.ascontiguousarray(self.density, dtype=np.float32)
-        if self.density.ndim != 3 or self.density.size == 0:
-            raise SceneError(f"{self.name}: density must be a 3D grid with at least one voxel")
+        if not isinstance(self.density, SparseGrid):
+            self.density = np.ascontiguousarray(self.density, dtype=np.float32)
+            if self.density.ndim != 3 or self.density.size == 0:
+                raise SceneError(f"{self.name}: density must be a 3D grid with at least one voxel")
         low, high = float(self.density.min()), float(self.density.max())
         if not (np.isfinite(low) and np.isfinite(high)):
             raise SceneError(f"{self.name}: density holds NaN or infinite values")
@@ -75,11 +79,24 @@ class Volume:
             raise SceneError(f"{self.name}: density holds negative values (lowest {low:g})")
         self.world_from_index = _affine(self.world_from_index, f"{self.name}: transform")
         if self.emission is not None:
+            self._check_emission()
+
+    def _check_emission(self):
+        if isinstance(self.density, SparseGrid):
+            matches = len(self.emission) == 3 and all(channel.table is self.density.table for channel in self.emission)
+        else:
             self.emission = np.asarray(self.emission, dtype=np.float32)
-            if self.emission.shape != (*self.density.shape, 3):
-                raise SceneError(f"{self.name}: emission must have the density's shape and three channels")
-            if not np.isfinite(self.emission.min() + self.emission.max()):
-                raise SceneError(f"{self.name}: emission holds NaN or infinite values")
+            matches = self.emission.shape == (*self.density.shape, 3)
+        if not matches:
+            raise SceneError(f"{self.name}: emission must have the density's shape and three channels")
+        if not all(np.isfinite(channel.min() + channel.max()) for channel in self.emission_channels()):
+            raise SceneError(f"{self.name}: emission holds NaN or infinite values")
+
+    def emission_channels(self):
+        """Three grids as the density is one, or none."""
+        if self.emission is None:
+            return []
+        return list(self.emission) if isinstance(self.density, SparseGrid) else list(np.moveaxis(self.emission, 3, 0))
 
 
 @dataclass

@@ -7,8 +7,7 @@ are optically thick that is too much, and the first slices are integrated instea
 
 import numpy as np
 
-from .transmittance import sweep
-from .trilinear import between, sample_padded
+from .trilinear import between
 
 # Optical depth from slice to slice above which slices are integrated; how many, for each unit of it, and at most.
 THIN_SLICE = 0.35
@@ -22,30 +21,23 @@ GAUSS = (np.float32(0.5 - 0.5 / np.sqrt(3.0)), np.float32(0.5 + 0.5 / np.sqrt(3.
 
 
 class SunDepth:
-    """Of one padded density towards one sun, for an extinction of 1 per unit density and world unit.
+    """Of one DenseGrid or SparseGrid towards one sun, for an extinction of 1 per unit density and world unit.
 
-    padded: float32, from `pad_with_zeros`; direction: (3,) the sun's direction, d(index)/d(world unit). check:
-    called once a slice; what it raises ends the work.
+    direction: (3,) the sun's direction, d(index)/d(world unit). check: asked often; what it raises ends the work.
     """
 
-    def __init__(self, padded: np.ndarray, direction: np.ndarray, check=lambda: None):
-        self.padded, self.main = padded, int(np.abs(direction).argmax())
-        self.peak = float(padded.max())
+    def __init__(self, grid, direction: np.ndarray, check=lambda: None):
+        self.grid, self.main = grid, int(np.abs(direction).argmax())
+        self.peak = grid.peak
         self.others = [axis for axis in range(3) if axis != self.main]
         self.step = 1 if direction[self.main] > 0.0 else -1
         # From slice to slice: the way in indices, and its length in world units.
         self.move = (direction / abs(direction[self.main])).astype(np.float32)
         self.length = np.float32(1.0 / abs(direction[self.main]))
-        shape = [padded.shape[axis] + 1 for axis in self.others]
-        # A slice more at either end, where nothing is left to pass.
-        self.depths = np.zeros((padded.shape[self.main] + 2, *shape), np.float32)
-        self.fractions = np.zeros((len(self.depths), 2), np.float32)
-        for number, columns, *fractions in sweep(padded, direction):
-            check()
-            self.depths[number + 1], self.fractions[number + 1] = columns, fractions
+        self.columns = grid.columns(direction, check)
 
     def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
-        """Optical depth float32 (N,) at continuous indices float32 (3, N) of the unpadded grid."""
+        """Optical depth float32 (N,) at continuous indices float32 (3, N)."""
         sigma_t, thickest = np.float32(sigma_t), self.peak * sigma_t * float(self.length)
         place = index + np.float32(1.0)
         along = place[self.main]
@@ -70,7 +62,7 @@ class SunDepth:
             left = np.flatnonzero(depth < DARK)
         depth[left] = 0.0
         start, way = place[:, left], ahead[left]
-        highest = np.array(self.padded.shape, np.float32)[:, None] - 2
+        highest = np.array(self.grid.shape, np.float32)[:, None] + 1
         for _ in range(slices):
             depth[left] += self._through(start, way, thickest > STEEP_SLICE) * sigma_t
             start = start + way * self.move[:, None]
@@ -101,7 +93,7 @@ class SunDepth:
             part = last - first
             for share in GAUSS:
                 place = start + (first + share * part) * self.move[:, None]
-                total += sample_padded(self.padded, place - np.float32(1.0)) * part
+                total += self.grid.sample(place - np.float32(1.0)) * part
         return total * (np.float32(0.5) * self.length)
 
     def _on_slice(self, place, ahead, number, lowest=False):
@@ -109,19 +101,16 @@ class SunDepth:
 
         lowest: that of the least deep of the four columns around, not what lies between them.
         """
-        number = np.clip(number + 1, 0, len(self.depths) - 1)
-        base, parts = number, []
-        for column, (axis, size) in enumerate(zip(self.others, self.depths.shape[1:])):
+        number = self.columns.slices(number)
+        cells, parts = [], []
+        for column, (axis, size) in enumerate(zip(self.others, self.columns.size)):
             at = ahead * self.move[axis] + place[axis]
-            at += np.float32(1.0) - self.fractions[:, column].take(number)
+            at += self.columns.offsets[:, column].take(number)
             np.clip(at, np.float32(0.0), np.float32(size - 1), out=at)
             cell = np.minimum(at.astype(np.int32), size - 2)
             parts.append(np.subtract(at, cell, out=at))
-            base = base * np.intp(size) + cell
-        flat, row = self.depths.reshape(-1), self.depths.shape[2]
-        u, v = parts
+            cells.append(cell)
+        corners, (u, v) = self.columns.corners(number, *cells), parts
         if lowest:
-            return np.min([flat[offset:].take(base) for offset in (0, 1, row, row + 1)], axis=0)
-        a = between(flat.take(base), flat[1:].take(base), v)
-        b = between(flat[row:].take(base), flat[row + 1 :].take(base), v)
-        return between(a, b, u)
+            return np.min(corners, axis=0)
+        return between(between(corners[0], corners[1], v), between(corners[2], corners[3], v), u)

@@ -9,20 +9,54 @@ over the grid whatever the direction.
 import numpy as np
 
 
-def _split(offset: float):
-    whole = int(np.floor(offset))
-    return whole, np.float32(offset - whole)
+class Shear:
+    """Columns along the sun's rays through slices across its main axis.
+
+    shape: (3,) cells; direction: (3,) the sun's, in index units; low, high: the lowest and the highest slice of the main
+    axis; on the one farther from the sun columns lie on cells. All others may lie between them, alike wherever the
+    cells begin. main, others: axes; slopes: of the columns, cells of
+    the other axes a slice; first: the least column of each, over which columns are counted; size: how many; half_step:
+    half a slice's way, in the direction's unit of length.
+    """
+
+    def __init__(self, shape, direction, low=None, high=None):
+        direction = np.asarray(direction, np.float64)
+        self.main = int(np.abs(direction).argmax())
+        self.others = [axis for axis in range(3) if axis != self.main]
+        self.rising, count = direction[self.main] > 0.0, shape[self.main]
+        self.farthest = (low or 0) if self.rising else (count - 1 if high is None else high)
+        self.half_step = 0.5 / abs(direction[self.main])
+        # A column passes cell (b, c) of the k-th slice towards the sun at b = p + slope * k.
+        self.slopes = [direction[axis] / abs(direction[self.main]) for axis in self.others]
+        # Cells that columns shift by on the way through all slices.
+        ends = [sorted(slope * self.number(index) for index in (0, count - 1)) for slope in self.slopes]
+        self.first = [int(np.floor(-last)) - 1 for _, last in ends]
+        self.size = [shape[axis] + int(np.ceil(last - first)) + 4 for axis, (first, last) in zip(self.others, ends)]
+
+    def towards_sun(self, first: int, end: int) -> range:
+        """Numbers from first to before end in the order in which the sun's light passes them."""
+        return range(end - 1, first - 1, -1) if self.rising else range(first, end)
+
+    def number(self, index: int) -> int:
+        """Of a slice: by how many it is nearer to the sun than the farthest."""
+        return index - self.farthest if self.rising else self.farthest - index
+
+    def shift(self, index: int):
+        """How far columns have moved on a slice: whole cells on both other axes, and fractions."""
+        shifts = [slope * self.number(index) for slope in self.slopes]
+        whole = [int(np.floor(shift)) for shift in shifts]
+        return whole, [np.float32(shift - n) for shift, n in zip(shifts, whole)]
 
 
-def _shift_up(plane, f_b, f_c):
-    """Resample a (b, c) plane at points `fraction` above each cell: shape grows by one."""
-    b = np.pad(plane, 1)
-    b = b[:-1] * (1 - f_b) + b[1:] * f_b
-    return b[:, :-1] * (1 - f_c) + b[:, 1:] * f_c
+def shift_up(planes, f_b, f_c):
+    """Resample planes (..., b, c) at points `fraction` above each cell: b and c grow by one."""
+    b = np.pad(planes, [(0, 0)] * (planes.ndim - 2) + [(1, 1)] * 2)
+    b = b[..., :-1, :] * (1 - f_b) + b[..., 1:, :] * f_b
+    return b[..., :-1] * (1 - f_c) + b[..., 1:] * f_c
 
 
 def _shift_back(columns, f_b, f_c):
-    """Inverse placement of `_shift_up`: columns (b + 1, c + 1) back at the cells (b, c)."""
+    """Inverse placement of `shift_up`: columns (b + 1, c + 1) back at the cells (b, c)."""
     b = columns[1:] * (1 - f_b) + columns[:-1] * f_b
     return b[:, 1:] * (1 - f_c) + b[:, :-1] * f_c
 
@@ -49,30 +83,18 @@ def sweep(density, index_direction, step_length: float = 1.0):
     at places that lie by the fractions beyond b - 1 and c - 1: a column keeps to its own ray, whatever the slice.
     The array is used again for the next slice.
     """
-    direction = np.asarray(index_direction, np.float64)
-    main = int(np.abs(direction).argmax())
-    b_axis, c_axis = (axis for axis in range(3) if axis != main)
-    slices = np.moveaxis(density, main, 0)
-    count, nb, nc = slices.shape
-    # Half a slice's path length: each slice gives to the points before and after it.
-    half_step = np.float32(0.5 * step_length / abs(direction[main]))
-    slope_b = direction[b_axis] / abs(direction[main])
-    slope_c = direction[c_axis] / abs(direction[main])
-    # A column passes cell (b, c) of the k-th slice towards the sun at b = p + slope * k.
-    span_b, span_c = slope_b * (count - 1), slope_c * (count - 1)
-    first_b, first_c = int(np.floor(-max(span_b, 0.0))) - 1, int(np.floor(-max(span_c, 0.0))) - 1
-    size_b = nb + int(np.ceil(abs(span_b))) + 4
-    size_c = nc + int(np.ceil(abs(span_c))) + 4
-    columns = np.zeros((size_b, size_c), np.float32)
-    towards_sun = range(count - 1, -1, -1) if direction[main] > 0 else range(count)
-    for index in towards_sun:
-        k = index if direction[main] > 0 else count - 1 - index
-        whole_b, f_b = _split(slope_b * k)
-        whole_c, f_c = _split(slope_c * k)
+    shear = Shear(density.shape, index_direction)
+    slices = np.moveaxis(density, shear.main, 0)
+    nb, nc = slices.shape[1:]
+    # Half a slice's way: each slice gives to the points before and after it.
+    half_step = np.float32(shear.half_step * step_length)
+    columns = np.zeros(shear.size, np.float32)
+    for index in shear.towards_sun(0, len(slices)):
+        (whole_b, whole_c), (f_b, f_c) = shear.shift(index)
         # Column p reads the slice at p + slope * k, so cells 0..n-1 lie at columns -whole-1..n-1-whole.
-        start_b, start_c = -whole_b - 1 - first_b, -whole_c - 1 - first_c
+        start_b, start_c = -whole_b - 1 - shear.first[0], -whole_c - 1 - shear.first[1]
         window = columns[start_b : start_b + nb + 1, start_c : start_c + nc + 1]
-        half_slice = _shift_up(slices[index], f_b, f_c)
+        half_slice = shift_up(slices[index], f_b, f_c)
         half_slice *= half_step
         window += half_slice
         yield index, window, f_b, f_c

@@ -40,8 +40,3 @@ def between(low, high, fraction):
     high *= fraction
     high += low
     return high
-
-
-def sample_trilinear(grid: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """As `sample_padded`, for a grid that is not padded."""
-    return sample_padded(pad_with_zeros(grid), index)

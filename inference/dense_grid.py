@@ -1,0 +1,34 @@
+"""A grid with all its voxels."""
+
+import numpy as np
+
+from .dense_columns import DenseColumns
+from .trilinear import pad_with_zeros, sample_padded
+
+
+class DenseGrid:
+    """As SparseGrid, of float32 values (nx, ny, nz)."""
+
+    CELL = 3
+    # Voxel 0 lies at 1 of the padded grid.
+    cells_first = np.ones(3, int)
+
+    def __init__(self, values: np.ndarray):
+        self.shape = values.shape
+        self.padded = pad_with_zeros(values)
+        self.peak = float(values.max())
+
+    def sample(self, index: np.ndarray) -> np.ndarray:
+        """Values float32 (N,) at continuous indices float32 (3, N), trilinear, 0 outside."""
+        return sample_padded(self.padded, index)
+
+    def cells(self) -> np.ndarray:
+        """bool, which cells hold anything."""
+        filled = self.padded != 0.0
+        for axis in range(3):
+            filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], self.CELL), axis=axis)
+        return filled
+
+    def columns(self, direction: np.ndarray, check) -> DenseColumns:
+        """Optical depths towards a sun; direction: (3,) d(index)/d(world unit)."""
+        return DenseColumns(self.padded, direction, check)
