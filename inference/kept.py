@@ -13,6 +13,7 @@ from .multiple import MultipleField
 from .network import load_network
 from .overlap import merge
 from .scene import Sun, Volume
+from .sparse_grid import SparseGrid
 from .work import Work
 
 SECONDS_A_LOOK = 0.05
@@ -96,11 +97,12 @@ class Kept:
 def _same(a: Volume, b: Volume) -> bool:
     """Whether two volumes hold the same density and emission in the same place."""
     return a is b or (np.array_equal(a.world_from_index, b.world_from_index)
-                      and _equal(a.density, b.density) and _equal(a.emission, b.emission))
+                      and _equal([a.density, *a.emission_channels()], [b.density, *b.emission_channels()]))
 
 
-def _equal(a, b) -> bool:
-    return a is b or (a is not None and b is not None and np.array_equal(a, b))
+def _equal(some, others) -> bool:
+    return len(some) == len(others) and all(
+        a is b or (a.equals(b) if isinstance(a, SparseGrid) else np.array_equal(a, b)) for a, b in zip(some, others))
 
 
 def _serves(made_of, field: MultipleField, network, pairs) -> bool:

@@ -9,6 +9,8 @@ from .overlap import overlapping
 from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
 from .shared_pixels import BAND
+from .sparse_columns import column_bytes
+from .sparse_grid import SparseGrid
 from .stencil import LEVEL0_CELLS
 
 # Suns count as parallel, and are merged, below this angle in radians.
@@ -21,6 +23,8 @@ VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 MERGED_BYTES = 12 * LEVEL0_CELLS**3
 # Bytes of a voxel that emits, on top.
 VOXEL_EMISSION_BYTES = 24
+# Bytes for a block of a sparse grid's largest slab, and for any of its blocks.
+SLAB_BYTES, CELLS_BYTES = 3 * 4 * 512, 3 * 8
 # Bytes of a pixel's images; of its ray while it is rendered; and of each of its depth samples, where every pixel shows
 # a volume.
 IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
@@ -93,14 +97,19 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
 
     Raises SceneError for a grid of more voxels than can be counted.
     """
-    if np.prod([n + 3.0 for n in volume.density.shape]) > MOST_VOXELS:
+    sparse = isinstance(volume.density, SparseGrid)
+    if (volume.density.values.size if sparse else np.prod([n + 3.0 for n in volume.density.shape])) > MOST_VOXELS:
         raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
     density, sigma_t, peak = volume.density, medium.sigma_t, float(volume.density.max())
     if peak == 0.0:
         return volume, medium
     if not USUAL_DENSITY[0] < peak < USUAL_DENSITY[1]:
         exponent = int(np.frexp(peak)[1])
-        density, sigma_t, peak = np.ldexp(density, -exponent), np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
+        sigma_t, peak = np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
+        if sparse:
+            density = density.with_values(np.ldexp(density.values, -exponent))
+        else:
+            density = np.ldexp(density, -exponent)
         volume = Volume(density, volume.world_from_index, volume.name, volume.emission)
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
     sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
@@ -110,7 +119,7 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
 
 def glows(volume: Volume, medium: Medium) -> bool:
     """Whether a volume emits light."""
-    return volume.emission is not None and medium.emission > 0.0 and bool(np.any(volume.emission))
+    return volume.emission is not None and medium.emission > 0.0 and any(channel.any() for channel in volume.emission_channels())
 
 
 def attenuates(volume: Volume, medium: Medium) -> bool:
@@ -123,6 +132,18 @@ def tiles_of(y0: int, y1: int, rows: int) -> List[Tuple[int, int]]:
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
     return list(zip(starts, [*starts[1:], y1]))
+
+
+def grid_bytes(volume: Volume, glows: bool, suns: List[Sun]) -> int:
+    """Bytes that a volume's grid needs on top of the volume, for itself and its optical depths towards suns."""
+    if not isinstance(volume.density, SparseGrid):
+        voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * glows
+        return volume.density.size * voxel
+    linear = np.linalg.inv(volume.world_from_index)[:3, :3]
+    depths = sum(column_bytes(volume.density, linear @ sun.direction) for sun in suns)
+    # A row of blocks as an array, and the cells that rays skip.
+    blocks = volume.density.table.shape
+    return depths + SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
 
 
 def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
@@ -184,10 +205,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
             stages = len(distinct_albedos(kept[group[0]][1], [0, 1, 2]))
             planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
 
-    voxels = sum(volume.density.size for volume, _ in kept)
-    voxels_that_glow = sum(volume.density.size for volume, medium in kept if glows(volume, medium))
-    memory = FIELD_BYTES + voxels * (VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(merged), 1))
-    memory += voxels_that_glow * VOXEL_EMISSION_BYTES
+    memory = FIELD_BYTES + sum(grid_bytes(volume, glows(volume, medium), merged) for volume, medium in kept)
     memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
     x0, y0, x1, y1 = camera.window
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES

@@ -1,20 +1,25 @@
-"""One density grid of one .vdb file as a dense array; no bpy, once imported."""
+"""One density grid of one .vdb file; no bpy, once imported."""
 
 import os
 import weakref
 from dataclasses import dataclass, field
-from typing import List, Optional
+from typing import List, Optional, Union
 
 import bpy
 import numpy as np
 
 from ..inference.scene import SceneError
+from ..inference.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
-from .read_vdb_alone import SCALAR_GRIDS, read_grid
+from .read_vdb_alone import LEAF, SCALAR_GRIDS, read_grid
 from .vdb_process import read_alone
 
-# 2 GiB as float32; the render needs several times its input.
+# Of an array of all voxels, and of leaves that hold something: 2 GiB as float32.
 MAX_VOXELS = 1 << 29
+# Of the box around all of them, 4096 x 2048 x 2048.
+MAX_SPAN = 1 << 34
+# Smaller boxes, and those of which a larger share of leaves holds something, become an array: that is faster.
+DENSE_SPAN, DENSE_SHARE = 1 << 24, 0.5
 # Bytes of a file that is read here rather than by another process, once that process has read it.
 SMALL = 1 << 20
 # What OpenVDB's exceptions become in Python.
@@ -30,13 +35,13 @@ class EmptyGrid(SceneError):
 
 @dataclass
 class DensityGrid:
-    """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0; not to be written to.
+    """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0; not to be written to. Or a SparseGrid.
     low: int (3,), the file's index of its first voxel.
     object_from_index: float64 (4, 4), index of `density` to the object's own space.
     warnings: what was changed in the data, naming the object.
     """
 
-    density: np.ndarray
+    density: Union[np.ndarray, SparseGrid]
     object_from_index: np.ndarray
     low: np.ndarray
     warnings: List[str] = field(default_factory=list)
@@ -55,7 +60,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     how many there were. started: see `read_alone`. Any thread may call; other threads run meanwhile.
 
     Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, a grid
-    that holds no scalar fog, or one too large to hold densely; EmptyGrid for one that holds nothing.
+    that holds no scalar fog, or one too large; EmptyGrid for one that holds nothing.
     """
     where = f"Volume object \"{owner}\""
     known = density_grid_in_use(path, grid_name, owner)
@@ -64,7 +69,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     key = _key(path, grid_name)
     if key in _empty:
         raise _nothing(key, grid_name, where)
-    facts, values = _read(path, grid_name, where, key, started)
+    facts, leaves = _read(path, grid_name, where, key, started)
     notes = _require_density(facts["grids"], path, grid_name, where)
     # The background is only known once the tree is read.
     if facts["background"] != 0.0:
@@ -73,21 +78,22 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
             "outside its voxels; save it with background 0"
         )
     _require_box(facts["shape"], grid_name, where)
-    notes += _clean(values, grid_name) if values is not None else []
-    if values is None or not values.any():
+    numbers, values = leaves
+    notes += _clean(values, grid_name)
+    if not values.any():
         raise _nothing(key, grid_name, where)
     if facts["matrix"] is None:
         raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
     matrix = np.array(facts["matrix"])
     # Index 0 of the array is the box's lower voxel.
     matrix[:3, 3] += matrix[:3, :3] @ (np.array(facts["low"]) + VOXEL_CENTRE)
-    values.flags.writeable = False
+    density = _arranged(facts, numbers, values)
     for old in [old for old, (density, *_) in list(_in_use.items()) if density() is None]:
         _in_use.pop(old, None)
     low = np.array(facts["low"])
-    _in_use[key] = weakref.ref(values), matrix, low, notes
+    _in_use[key] = weakref.ref(density), matrix, low, notes
     _harmless.add(key)
-    return DensityGrid(values, matrix.copy(), low, [f"{where}: {note}" for note in notes])
+    return DensityGrid(density, matrix.copy(), low, [f"{where}: {note}" for note in notes])
 
 
 def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[DensityGrid]:
@@ -151,18 +157,60 @@ def _require_density(grids, path, grid_name, where) -> List[str]:
 
 
 def _read(path, grid_name, where, key, started):
-    """(facts, values) as `read_grid`: by another process, or here where that is not to be had or a small file harmless."""
+    """(facts, leaves) as `read_grid` and `_collect` have them: by another process, or here where that is not to be had
+    or a small file harmless."""
+    def collect(pieces):
+        return _collect(pieces, grid_name, where)
+
     found = None
     if key not in _harmless or key[2] > SMALL:
-        found = read_alone(path, grid_name, MAX_VOXELS, where, started)
+        found = read_alone(path, grid_name, MAX_SPAN, where, collect, started)
     if found is None:
         try:
-            found = read_grid(load_openvdb(), path, grid_name, MAX_VOXELS)
+            facts, pieces = read_grid(load_openvdb(), path, grid_name, MAX_SPAN)
+            found = facts, collect(pieces)
+        except SceneError:
+            raise
         except READ_ERRORS as error:
             found = {"error": error}, None
     if "error" in found[0]:
         raise SceneError(f"{where}: {unreadable(path, found[0]['error'])}")
     return found
+
+
+def _collect(pieces, grid_name, where):
+    """(numbers, values) of all pieces; a row of values more, the first, which is 0.
+
+    Raises SceneError where they are too many.
+    """
+    parts, count = [], 0
+    for part in pieces:
+        parts.append(part)
+        count += len(part[0])
+        if count * LEAF**3 > MAX_VOXELS:
+            raise SceneError(f"{where}: grid \"{grid_name}\" holds more than the {MAX_VOXELS} voxels that can be "
+                             "rendered; crop or resample it")
+    numbers = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in parts)])
+    values = np.zeros((1 + count, LEAF, LEAF, LEAF), np.float32)
+    # Each piece is dropped once it is copied, so that memory holds them once.
+    while parts:
+        part = parts.pop()[1]
+        values[1 + count - len(part):1 + count] = part
+        count -= len(part)
+    return numbers, values
+
+
+def _arranged(facts, numbers, values):
+    """The grid as a SparseGrid or, where that is better, an array."""
+    first = np.subtract(facts["low"], facts["first"])
+    sparse = SparseGrid.of_blocks(facts["shape"], first, facts["count"], numbers, values)
+    span = np.prod(np.array(facts["shape"], float))
+    if span <= DENSE_SPAN or (len(numbers) > DENSE_SHARE * np.prod(facts["count"]) and span <= MAX_VOXELS):
+        dense = sparse.dense()
+        dense.flags.writeable = False
+        return dense
+    values.flags.writeable = False
+    return sparse
 
 
 def _require_box(shape, grid_name, where) -> None:
@@ -171,16 +219,16 @@ def _require_box(shape, grid_name, where) -> None:
     if min(shape) < 1:
         return
     count = shape[0] * shape[1] * shape[2]
-    if count > MAX_VOXELS:
+    if count > MAX_SPAN:
         raise SceneError(
             f"{where}: grid \"{grid_name}\" spans {shape[0]} x {shape[1]} x {shape[2]} = {count} voxels, "
-            f"more than the {MAX_VOXELS} that can be rendered; crop or resample it"
+            f"more than the {MAX_SPAN} that can be rendered; crop or resample it"
         )
 
 
 def _clean(values, grid_name) -> List[str]:
     """Make negative and non-finite voxels 0, and say so."""
-    # NaN goes through both.
+    # NaN goes through both. The values are those of `_collect`.
     if values.min() >= 0.0 and values.max() < np.inf:
         return []
     invalid, negative = ~np.isfinite(values), values < 0.0

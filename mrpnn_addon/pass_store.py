@@ -9,6 +9,7 @@ from typing import List, Optional
 
 import numpy as np
 
+from ..inference.sparse_grid import SparseGrid
 from .whole_file import whole_file
 
 # Of what is stored, and of how it was rendered: another number finds nothing of the last.
@@ -59,10 +60,12 @@ def scene_key(description, bounces: int, version: str) -> str:
     digest = hashlib.sha256(repr((FORMAT, bounces, version, description.frame, description.environment)).encode())
     for volume, medium in description.volumes:
         digest.update(repr(volume.density.shape).encode())
-        for array in (volume.density, volume.world_from_index, medium.sigma_t, medium.albedo):
+        for grid in (volume.density, *volume.emission_channels()):
+            for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
+                digest.update(np.ascontiguousarray(array))
+        for array in (volume.world_from_index, medium.sigma_t, medium.albedo):
             digest.update(np.ascontiguousarray(array))
         if volume.emission is not None:
-            digest.update(np.ascontiguousarray(volume.emission))
             digest.update(repr(medium.emission).encode())
         digest.update(repr(medium.anisotropy).encode())
     for sun in description.suns:

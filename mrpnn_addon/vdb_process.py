@@ -13,7 +13,7 @@ import numpy as np
 
 from ..inference.scene import SceneError
 from .openvdb_module import FOLDERS
-from .read_vdb_alone import NO_MEMORY
+from .read_vdb_alone import LEAF, NO_MEMORY
 
 PROGRAM = Path(__file__).with_name("read_vdb_alone.py")
 # Asked of Blender once, since threads read grids. One without an interpreter beside it would start another Blender.
@@ -27,13 +27,14 @@ PATIENCE = 10
 WINDOWS_CRASH = 0xC0000000
 
 
-def read_alone(path: str, grid_name: str, most_voxels: int, where: str, started=lambda process: None):
-    """(facts, values) as `read_vdb_alone.read_grid` gives them, facts {"error": reason} for what OpenVDB refuses.
+def read_alone(path: str, grid_name: str, most_voxels: int, where: str, collect, started=lambda process: None):
+    """(facts, collect(pieces)) with `read_vdb_alone.read_grid`'s, facts {"error": reason} for what OpenVDB refuses.
 
     None where Python cannot be started, or has no OpenVDB module outside Blender. started: called with the process,
     which may be killed; then this raises. Any thread may call.
 
-    Raises SceneError, beginning with `where`, for a grid that Blender's own process had better not read.
+    Raises SceneError, beginning with `where`, for a grid that Blender's own process had better not read, and what
+    `collect` raises.
     """
     if not INTERPRETER or not os.path.isfile(path):
         return None
@@ -49,7 +50,7 @@ def read_alone(path: str, grid_name: str, most_voxels: int, where: str, started=
         impatient = threading.Timer(PATIENCE * seconds, process.kill)
         impatient.start()
         try:
-            found = _receive(process.stdout)
+            found = _receive(process.stdout, collect)
         finally:
             process.stdout.close()
             status, late = process.wait(), impatient.finished.is_set()
@@ -62,24 +63,35 @@ def read_alone(path: str, grid_name: str, most_voxels: int, where: str, started=
     return None
 
 
-def _receive(stream):
-    """(facts, values) from a process' output, None where it ends too early."""
+class _Short(Exception):
+    """Output that ends too early."""
+
+
+def _receive(stream, collect):
+    """(facts, collected pieces) from a process' output, None where it ends too early."""
     line = stream.readline()
     if not line.endswith(b"\n"):
         return None
-    facts = json.loads(line)
-    rest = stream.read(1)
-    if not rest:
-        return facts, None
-    values = np.empty(facts["shape"], np.float32)
-    place = memoryview(values).cast("B")
-    place[:1], place = rest, place[1:]
+    try:
+        return json.loads(line), collect(_pieces(stream))
+    except _Short:
+        return None
+
+
+def _pieces(stream):
+    """Yield what `read_vdb_alone.main` wrote. Raises _Short."""
+    while count := int(_fill(stream, np.empty(1, np.int64))[0]):
+        yield _fill(stream, np.empty(count, np.int64)), _fill(stream, np.empty((count, LEAF, LEAF, LEAF), np.float32))
+
+
+def _fill(stream, array):
+    place = memoryview(array).cast("B")
     while len(place):
-        count = stream.readinto(place)
-        if not count:
-            return None
-        place = place[count:]
-    return facts, values
+        read = stream.readinto(place)
+        if not read:
+            raise _Short
+        place = place[read:]
+    return array
 
 
 def _died(status) -> bool:

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from inference import Volume
+from inference.dense_grid import DenseGrid
 from inference.grid import Grid
 from inference.march import march
 from inference.occupancy import REACH, Occupancy
 from inference.ray_steps import Blocks
-from inference.trilinear import pad_with_zeros, sample_padded
+from inference.sparse_grid import SparseGrid
 
 
 def sparse(shape=(31, 24, 40), share=0.002):
@@ -16,16 +17,17 @@ def sparse(shape=(31, 24, 40), share=0.002):
     return np.where(random.random(shape) < share, random.random(shape), 0.0).astype(np.float32)
 
 
-def test_nothing_lies_within_reach_of_what_is_empty():
-    padded = pad_with_zeros(sparse())
+@pytest.mark.parametrize("storage", [DenseGrid, SparseGrid.of_dense])
+def test_nothing_lies_within_reach_of_what_is_empty(storage):
+    grid = storage(sparse())
     random = np.random.default_rng(1)
-    index = random.uniform(-3.0, np.array(padded.shape) + 1.0, (4000, 3)).T.astype(np.float32)
-    near = Occupancy(padded).near(index)
+    index = random.uniform(-3.0, np.array(grid.shape) + 4.0, (4000, 3)).T.astype(np.float32)
+    near = Occupancy(grid.cells(), grid.CELL, grid.cells_first).near(index)
     assert 0.1 < near.mean() < 0.9
     empty = index[:, ~near]
     for _ in range(20):
         moved = empty + random.uniform(-REACH, REACH, empty.shape).astype(np.float32)
-        assert np.all(sample_padded(padded, moved) == 0.0)
+        assert np.all(grid.sample(moved) == 0.0)
 
 
 def rays(count=60):

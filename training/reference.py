@@ -11,6 +11,7 @@ import numpy as np
 
 from inference.network import register_system
 from inference.scene import SceneError
+from inference.sparse_grid import SparseGrid
 from training.path_tracer import trace_points
 from training.transport import prepare
 
@@ -53,8 +54,8 @@ class TracedField:
         size = cube.high - cube.low
         cells = int(size.max()) + 2
         density = np.zeros((cells,) * 3, np.float32)
-        active = volume.density[tuple(slice(l, h) for l, h in zip(cube.low, cube.high))]
-        density[tuple(slice(1, n + 1) for n in size)] = active
+        whole = volume.density.dense() if isinstance(volume.density, SparseGrid) else volume.density
+        density[tuple(slice(1, n + 1) for n in size)] = whole[tuple(map(slice, cube.low, cube.high))]
         self.grid, self.paths, self.anisotropy = prepare(density), paths, anisotropy
         # From the working cube's frame to the tracer's [-1/2, 1/2]^3, whose cell 1 is voxel `low`.
         index_from_world = np.linalg.inv(volume.world_from_index)
