@@ -74,6 +74,10 @@ class SparseGrid:
         """Other values (1 + M, 8, 8, 8) in the same blocks."""
         return SparseGrid(self.shape, self.table, values, self.first)
 
+    def with_rows(self, rows: np.ndarray) -> "SparseGrid":
+        """As `with_values`, without the first, which is 0."""
+        return self.with_values(np.concatenate([np.zeros((1, EDGE, EDGE, EDGE), np.float32), rows]))
+
     def equals(self, other) -> bool:
         return (isinstance(other, SparseGrid) and self.shape == other.shape and np.array_equal(self.first, other.first)
                 and np.array_equal(self.table, other.table) and np.array_equal(self.values, other.values))

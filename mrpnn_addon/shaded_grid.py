@@ -1,10 +1,11 @@
 """A volume shader evaluated at every voxel: one density grid with one extinction and albedo, and emission."""
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional
+from typing import Dict, List, Optional, Tuple, Union
 
 import numpy as np
 
+from ..inference.sparse_grid import SparseGrid
 from .material import VolumeMaterial
 from .voxel_points import VoxelPoints
 
@@ -15,25 +16,25 @@ ONE_COLOUR = 0.01
 
 @dataclass
 class ShadedGrid:
-    """density: float32 (nx, ny, nz). sigma_t, albedo: float64 (3,), extinction per unit density.
+    """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t, albedo: float64 (3,), extinction per unit density.
     anisotropy: mean cosine. placed: whether the shader depends on where the voxels are.
-    notes: what is not rendered as Cycles renders it. emission: float32 (nx, ny, nz, 3) or None.
+    notes: what is not rendered as Cycles renders it. emission: as Volume has it.
     """
 
-    density: np.ndarray
+    density: Union[np.ndarray, SparseGrid]
     sigma_t: np.ndarray
     albedo: np.ndarray
     anisotropy: float
     placed: bool
     notes: List[str]
-    emission: Optional[np.ndarray] = None
+    emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
 
 
 def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
-          boxes: Optional[np.ndarray] = None):
-    """The ShadedGrid of a material.
+          boxes: Optional[np.ndarray] = None, index=None):
+    """The ShadedGrid of a material, in arrays of the shape that it is given.
 
-    grids: float32 arrays of one shape by name. frames: see `VoxelPoints`. inside: float32, the share of
+    grids: float32 arrays of one shape by name. index: see `VoxelPoints`; None for boxes of voxels. frames: see `VoxelPoints`. inside: float32, the share of
     each voxel that a mesh encloses, None for grids. boxes: float32, 1 where a shader shines that does so
     where all grids are 0.
 
@@ -41,9 +42,10 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     absorbs where every grid is 0, or has colours that vary from voxel to voxel.
     """
     shape = next(iter(grids.values())).shape if inside is None else inside.shape
+    index = index or (lambda voxels: np.stack(np.unravel_index(voxels, shape), axis=1))
 
     def at(voxels):
-        points = VoxelPoints(grids, shape, voxels, frames, fills_its_bounds=inside is not None)
+        points = VoxelPoints(grids, index, voxels, frames, fills_its_bounds=inside is not None)
         return points, material.at(points)
 
     # Two voxels tell what is the same in all of them.
@@ -106,17 +108,13 @@ def _emission(at, shape, chunks) -> Optional[np.ndarray]:
 
 def _chunks(grids, placed: bool, inside):
     """Yield the voxels to shade, int64 (n,) at a time: where the mesh or any grid is, or all where places count."""
-    if placed and inside is None:
-        size = next(iter(grids.values())).size
-        for start in range(0, size, VOXELS_AT_ONCE):
-            yield np.arange(start, min(start + VOXELS_AT_ONCE, size))
-        return
-    filled = np.zeros(next(iter(grids.values())).shape if inside is None else inside.shape, bool)
-    for values in grids.values() if inside is None else (inside,):
-        filled |= values != 0.0
-    voxels = np.flatnonzero(filled)
-    for start in range(0, len(voxels), VOXELS_AT_ONCE):
-        yield voxels[start:start + VOXELS_AT_ONCE]
+    arrays = [values.reshape(-1) for values in (grids.values() if inside is None else (inside,))]
+    for start in range(0, arrays[0].size, VOXELS_AT_ONCE):
+        parts = [values[start:start + VOXELS_AT_ONCE] for values in arrays]
+        everywhere = placed and inside is None
+        voxels = np.arange(len(parts[0])) if everywhere else np.flatnonzero(np.any([part != 0.0 for part in parts], axis=0))
+        if len(voxels):
+            yield start + voxels
 
 
 def _plain(shading) -> bool:
@@ -164,7 +162,7 @@ def _coefficients_at(material, names, value: float) -> np.ndarray:
     """(6,) extinction and emission where every grid has one value."""
     grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
-    points = VoxelPoints(grids, (1, 1, 1), np.zeros(1, int), frames, fills_its_bounds=False)
+    points = VoxelPoints(grids, lambda voxels: np.zeros((1, 3)), np.zeros(1, int), frames, fills_its_bounds=False)
     shading = material.at(points)
     return np.concatenate([_coefficients(shading)[0, :3], shading.emission[0]])
 

@@ -9,7 +9,9 @@ import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import MAX_VOXELS, EmptyGrid, needs_reading, read_density_grid, unreadable
+from ..inference.sparse_grid import SparseGrid
+from .common_blocks import CommonBlocks
+from .density_grid import MAX_SPAN, MAX_VOXELS, EmptyGrid, needs_reading, read_density_grid, unreadable
 from .grid_loading import Wanted
 from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial, first_material
@@ -129,10 +131,18 @@ def _read_file(path: str, shown: Shown):
                         f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")
     if not probe.placed:
         require_empty_background(material, at_zero)
-    grids, object_from_index, low, warnings = _aligned(path, probe.names, shown, material)
+    read, offsets, shape, object_from_index, low, warnings = _aligned(path, probe.names, shown, material)
+    shines = bool(at_zero.emission.any())
+    if not shines and (np.prod(shape.astype(float)) > MAX_VOXELS or any(isinstance(g, SparseGrid) for g in read.values())):
+        frames = {"object": object_from_index, "world": shown.matrix @ object_from_index}
+        return _shade_blocks(material, read, probe.names, offsets, shape, frames), object_from_index, warnings
+    if np.prod(shape.astype(float)) > MAX_VOXELS:
+        material.refuse(f"it shines where its grids are 0, and the box around them has more than {MAX_VOXELS} voxels")
+    grids = {name: _placed(grid, offsets[name], shape) for name, grid in read.items()}
+    grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in read})
     filled = None
     # What shines where the grids are 0 fills Cycles' boxes.
-    if at_zero.emission.any():
+    if shines:
         grids, first = leaves_around(grids, low)
         object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - low)
         filled = boxes(grids)
@@ -146,10 +156,27 @@ def _read_file(path: str, shown: Shown):
     return shade(material, grids, frames, boxes=filled), object_from_index, warnings
 
 
-def _aligned(path, names, shown, material):
-    """Grids by name in the box that holds them all, its index to object space, and the file's index of its first voxel.
+def _shade_blocks(material, read, names, offsets, shape, frames) -> ShadedGrid:
+    """As `shade`, of grids by name in a box that is empty for the most part."""
+    try:
+        blocks = CommonBlocks(read, offsets, shape)
+    except ValueError:
+        material.refuse(f"grids {', '.join(read)} are shifted against each other by a part of a leaf; save them with one "
+                        "transform")
+    nothing = np.zeros_like(next(iter(blocks.arrays.values()))) if len(read) < len(names) else None
+    grids = {name: blocks.arrays.get(name, nothing) for name in names}
+    shaded = shade(material, grids, frames, index=blocks.index)
+    shaded.density = blocks.grid(shaded.density)
+    if shaded.emission is not None:
+        shaded.emission = tuple(shaded.density.with_rows(shaded.emission[..., channel]) for channel in range(3))
+    return shaded
 
-    A grid without a voxel above 0 is 0 everywhere. Raises EmptyGrid where all are.
+
+def _aligned(path, names, shown, material):
+    """Grids by name, where each lies in the box that holds them all, the box's shape and its index to object space, and
+    the file's index of its first voxel.
+
+    A grid without a voxel above 0 is left out. Raises EmptyGrid where all are.
     """
     read, empty = {}, None
     for name in names:
@@ -171,16 +198,18 @@ def _aligned(path, names, shown, material):
     warnings = [warning for grid in read.values() for warning in grid.warnings]
     low = np.min(list(offsets.values()), axis=0)
     high = np.max([offsets[name] + grid.density.shape for name, grid in read.items()], axis=0)
-    if np.prod((high - low).astype(float)) > MAX_VOXELS:
-        material.refuse(f"its grids lie so far apart that the box around them has more than {MAX_VOXELS} voxels")
+    if np.prod((high - low).astype(float)) > MAX_SPAN:
+        material.refuse(f"its grids lie so far apart that the box around them has more than {MAX_SPAN} voxels")
     object_from_index = first.copy()
     object_from_index[:3, 3] += first[:3, :3] @ low
-    grids = {name: _placed(grid.density, offsets[name] - low, high - low) for name, grid in read.items()}
-    grids.update({name: np.zeros(high - low, np.float32) for name in names if name not in read})
-    return grids, object_from_index, reference.low + low, warnings
+    grids = {name: grid.density for name, grid in read.items()}
+    offsets = {name: offset - low for name, offset in offsets.items()}
+    return grids, offsets, high - low, object_from_index, reference.low + low, warnings
 
 
 def _placed(values, offset, shape):
+    """An array of a box's shape that holds a grid."""
+    values = values.dense() if isinstance(values, SparseGrid) else values
     if tuple(shape) == values.shape:
         return values
     placed = np.zeros(shape, np.float32)

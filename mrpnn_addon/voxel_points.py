@@ -45,13 +45,13 @@ class Probe:
 class VoxelPoints(Probe):
     """Some voxels of aligned grids.
 
-    grids: float32 arrays of one shape by name. voxels: int64 (n,), places in the flattened arrays.
-    frames: (4, 4) matrices by kind of coordinates, voxel index to place.
+    grids: float32 arrays of one shape by name. voxels: int64 (n,), places in the flattened arrays. index: of such
+    places (n,), gives int (n, 3). frames: (4, 4) matrices by kind of coordinates, voxel index to place.
     """
 
-    def __init__(self, grids: Dict[str, np.ndarray], shape, voxels: np.ndarray, frames, fills_its_bounds: bool):
+    def __init__(self, grids: Dict[str, np.ndarray], index, voxels: np.ndarray, frames, fills_its_bounds: bool):
         super().__init__(grids, fills_its_bounds)
-        self.grids, self.shape, self.voxels, self.frames = grids, shape, voxels, frames
+        self.grids, self.index, self.voxels, self.frames = grids, index, voxels, frames
 
     def _read(self, name):
         return self.grids[name].reshape(-1)[self.voxels].astype(np.float64)[:, None]
@@ -60,6 +60,5 @@ class VoxelPoints(Probe):
         if kind not in self.frames:
             raise Unsupported(f"node \"{node.name}\" uses {kind} coordinates, which are not supported in a Volume "
                               "object; link Object coordinates")
-        index = np.stack(np.unravel_index(self.voxels, self.shape), axis=1)
         frame = self.frames[kind]
-        return index @ frame[:3, :3].T + frame[:3, 3]
+        return self.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]

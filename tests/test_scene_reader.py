@@ -226,18 +226,30 @@ def test_of_equal_names_the_first_grid_is_read_and_said_so(addon, scene, shared_
     assert "3 grids are named \"density\"" in described.warnings[0]
 
 
-def test_a_grid_too_large_to_hold_is_refused_with_its_size(addon, scene, tmp_path):
+def two_voxels(scene, folder, far):
     vdb = blender_scenes.openvdb()
     grid = vdb.FloatGrid()
     grid.name = "density"
     accessor = grid.getAccessor()
-    for corner in ((0, 0, 0), (2000, 2000, 2000)):
+    for corner in ((0, 0, 0), (far, far, far)):
         accessor.setValueOn(corner, 1.0)
-    path = tmp_path / "two_voxels.vdb"
+    path = folder / "two_voxels.vdb"
     vdb.write(str(path), grids=[grid])
     blender_scenes.add_volume(scene, path)
     lit(scene)
-    assert "2001 x 2001 x 2001 = 8012006001 voxels" in refusal(addon)
+
+
+def test_a_large_grid_takes_the_memory_of_what_it_holds(addon, scene, tmp_path):
+    two_voxels(scene, tmp_path, 2000)
+    density = only_volume(addon).density
+    assert density.shape == (2001, 2001, 2001) and density.nbytes < 1e8
+    ends = np.array([[0.0, 2000.0, 1000.0]] * 3, np.float32)
+    np.testing.assert_array_equal(density.sample(ends), [1.0, 1.0, 0.0])
+
+
+def test_a_grid_too_large_is_refused_with_its_size(addon, scene, tmp_path):
+    two_voxels(scene, tmp_path, 4000)
+    assert "4001 x 4001 x 4001 = 64048012001 voxels" in refusal(addon)
 
 
 def test_real_volumes_are_read_whole(addon, scene, shared_volumes):
