@@ -79,7 +79,8 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     volume.location = -scale * centre
     # Densities of the material per world unit, whatever the object's scale.
     volume.data.render.space = 'WORLD'
-    densest = np.percentile(grid.density[grid.density > 0], 99.9)
+    values = getattr(grid.density, "values", grid.density)
+    densest = np.percentile(values[values > 0], 99.9)
     shader.inputs["Density"].default_value = optical_depth / (EDGE * densest)
     _frame(scene, (corners - np.array(centre)) * scale)
 
