@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .dense_grid import DenseGrid
+from .occupancy import Occupancy
 from .scene import SceneError, Volume
 from .sparse_grid import SparseGrid
 from .stencil import LEVEL0_CELLS
@@ -130,7 +131,8 @@ def level0_density(volume: Volume, cube: Cube, check=lambda: None) -> np.ndarray
 def _slabs(density, cube):
     """Yield boxes of voxels that hold all that is not 0, and of each its first voxel (3,)."""
     if isinstance(density, SparseGrid):
-        yield from density.slabs()
+        for low, slab in density.crop(cube.low, cube.high).slabs():
+            yield low + cube.low, slab
         return
     inside = tuple(map(slice, cube.low, cube.high))
     for start in range(cube.low[0], cube.high[0], SLAB):
@@ -159,12 +161,14 @@ def _add_weighted(sums, weights, values, axis: int) -> None:
 
 def _resample_sheared(density, index_from_cube, origin, check):
     grid = density if isinstance(density, SparseGrid) else DenseGrid(density)
+    occupancy = Occupancy(grid.cells(), grid.CELL, grid.cells_first)
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
     for i in range(LEVEL0_CELLS):
         check()
         points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
-        index = index_from_cube @ points.reshape(-1, 3).T + origin[:, None]
-        fine = grid.sample(index.astype(np.float32))
+        index = (index_from_cube @ points.reshape(-1, 3).T + origin[:, None]).astype(np.float32)
+        near, fine = np.flatnonzero(occupancy.near(index)), np.zeros(index.shape[1], np.float32)
+        fine[near] = grid.sample(index[:, near])
         cells[i] = fine.reshape(2, LEVEL0_CELLS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
     return cells

@@ -118,7 +118,8 @@ class SparseGrid:
             low = np.maximum(self.first, [EDGE * number, EDGE * y.min(), EDGE * z.min()])
             high = np.minimum(last, [EDGE * (number + 1), EDGE * (y.max() + 1), EDGE * (z.max() + 1)])
             inside = (slice(low[0] - EDGE * number, high[0] - EDGE * number), *map(slice, low[1:], high[1:]))
-            yield low - self.first, room[inside]
+            if np.all(low < high):
+                yield low - self.first, room[inside]
             blocks[:, y, :, z, :] = 0.0
 
     def dense(self) -> np.ndarray:
