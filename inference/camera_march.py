@@ -67,7 +67,8 @@ def march_camera_rays(
             settings.depth_samples, diffused, sun_maps, plan.groups,
         )
         cosine = directions[rays] @ suns.T
-        phase = np.stack([henyey_greenstein(cosine, m.anisotropy) for _, m in plan.volumes], axis=1)
+        phase = np.stack([m.phase(cosine) if m.phase else henyey_greenstein(cosine, m.anisotropy)
+                          for _, m in plan.volumes], axis=1)
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
                        near[rays], far[rays])
         return rays, segment, segment.single * phase, glow

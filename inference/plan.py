@@ -114,7 +114,7 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
     sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
     sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)
-    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission)
+    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
 
 
 def glows(volume: Volume, medium: Medium) -> bool:

@@ -9,6 +9,7 @@ from typing import Literal, Optional, Tuple, Union
 
 import numpy as np
 
+from .phase_function import PhaseFunction
 from .sparse_grid import SparseGrid
 
 # Cycles' own limit: the phase function degenerates at -1 and 1.
@@ -107,6 +108,8 @@ class Medium:
     albedo: single-scattering albedo, scalar or RGB, in [0, 1].
     anisotropy: mean cosine of the Henyey-Greenstein phase function, in [-0.999, 0.999].
     emission: what the volume's emission is multiplied by, >= 0.
+    phase: what light that is scattered once follows; None is Henyey and Greenstein's. More scattering knows its mean
+        cosine alone, the anisotropy.
 
     Raises SceneError outside these ranges.
     """
@@ -115,6 +118,7 @@ class Medium:
     albedo: np.ndarray = 1.0
     anisotropy: float = 0.0
     emission: float = 1.0
+    phase: Optional[PhaseFunction] = None
 
     def __post_init__(self):
         self.sigma_t = _rgb(self.sigma_t, "extinction")

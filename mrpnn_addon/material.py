@@ -5,9 +5,10 @@ from typing import List
 
 import numpy as np
 
+from ..inference.phase_function import PhaseFunction
 from ..inference.scene import SceneError
 from .node_values import NodeValues
-from .phase_functions import mean_cosine
+from .phase_functions import phase_function
 from .sockets import Unsupported, active_output, input_of, source_of
 from .volume_emission import blackbody, strength_and_colour
 
@@ -20,7 +21,7 @@ class Closure:
 
     weight: float64 (n, 1) or (1, 1), what scales both coefficients.
     scatter, absorb: (n, 3) or (1, 3), per world unit.
-    anisotropy: mean cosine of its phase function.
+    phase: its phase function.
     grid: whose values `weight` holds as they are, or "".
     emission: (n, 3) or (1, 3), radiance per world unit; the weight does not scale it.
     """
@@ -28,7 +29,7 @@ class Closure:
     weight: np.ndarray
     scatter: np.ndarray
     absorb: np.ndarray
-    anisotropy: float = 0.0
+    phase: PhaseFunction = phase_function('HENYEY_GREENSTEIN', 0.0)
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
 
@@ -154,7 +155,7 @@ def _principled(shading, values, node, groups):
         weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _anisotropy(shading, values, node, groups), grid, emission)
+    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
@@ -180,7 +181,7 @@ def _scatter(shading, values, node, groups):
     # Volume Scatter takes nothing away.
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
     return Closure(_density(values, node, groups), colour, np.zeros((1, 3)),
-                   _anisotropy(shading, values, node, groups))
+                   _phase(shading, values, node, groups))
 
 
 def _absorption(shading, values, node, groups):
@@ -191,7 +192,7 @@ def _absorption(shading, values, node, groups):
 def _coefficients(shading, values, node, groups):
     scatter, absorb, emission = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
                                  for kind in ("Scatter", "Absorption", "Emission"))
-    return Closure(np.ones((1, 1)), scatter, absorb, _anisotropy(shading, values, node, groups), emission=emission)
+    return Closure(np.ones((1, 1)), scatter, absorb, _phase(shading, values, node, groups), emission=emission)
 
 
 def _emission(shading, values, node, groups):
@@ -208,17 +209,17 @@ CLOSURES = {
 }
 
 
-def _anisotropy(shading, values, node, groups) -> float:
-    """Mean cosine of the node's phase function; notes where it is not Henyey-Greenstein."""
-    phase = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
+def _phase(shading, values, node, groups) -> PhaseFunction:
+    """The node's phase function; notes where it is not Henyey-Greenstein."""
+    kind = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
     sockets = {'HENYEY_GREENSTEIN': ("Anisotropy",), 'DRAINE': ("Anisotropy", "Alpha"), 'RAYLEIGH': (),
-               'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[phase]
+               'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[kind]
     found = [values.number(node, name, groups) for name in sockets]
     if any(len(value) > 1 for value in found):
         raise Unsupported(f"the phase function of node \"{node.name}\" varies in space, which is not supported")
-    cosine = float(mean_cosine(phase, *(float(value[0, 0]) for value in found)))
-    if phase != 'HENYEY_GREENSTEIN':
+    phase = phase_function(kind, *(float(value[0, 0]) for value in found))
+    if kind != 'HENYEY_GREENSTEIN':
         shading.notes.append(
-            f"node \"{node.name}\" has phase function {phase.replace('_', '-').title()}; rendered as "
-            f"Henyey-Greenstein with the same mean cosine, {cosine:.3f}")
-    return cosine
+            f"node \"{node.name}\" has phase function {kind.replace('_', '-').title()}; light that is scattered several "
+            f"times follows Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}")
+    return phase

@@ -67,7 +67,7 @@ def scene_key(description, bounces: int, version: str) -> str:
             digest.update(np.ascontiguousarray(array))
         if volume.emission is not None:
             digest.update(repr(medium.emission).encode())
-        digest.update(repr(medium.anisotropy).encode())
+        digest.update(repr((medium.anisotropy, medium.phase)).encode())
     for sun in description.suns:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
     camera = asdict(description.camera)

@@ -1,36 +1,22 @@
-"""Mean cosines of the phase functions that Cycles' volume nodes offer.
-
-The renderer knows Henyey-Greenstein alone; of another phase function it keeps the mean cosine, on
-which multiple scattering depends most.
-"""
+"""The phase functions that Cycles' volume nodes offer."""
 
 import math
 
-import numpy as np
-
-from ..inference.scene import ANISOTROPY_MOST
-
-ANGLES = 20000
+from ..inference.phase_function import PhaseFunction
 
 
-def mean_cosine(kind: str, *parameters: float) -> float:
-    """Mean cosine of a phase function, within [-0.999, 0.999].
+def phase_function(kind: str, *parameters: float) -> PhaseFunction:
+    """What a node's `phase` and numbers say.
 
-    HENYEY_GREENSTEIN: (g). RAYLEIGH: (). DRAINE: (g, alpha), Draine 2003, eq. 6. MIE: (diameter in
-    micrometres), Jendersie and d'Eon 2023. FOURNIER_FORAND: (relative index of refraction, fraction
-    scattered backwards), Fournier and Jonasz 1999.
+    HENYEY_GREENSTEIN: (g). RAYLEIGH: (). DRAINE: (g, alpha). MIE: (diameter in micrometres), Jendersie and d'Eon 2023.
+    FOURNIER_FORAND: (relative index of refraction, fraction scattered backwards).
     """
-    return float(np.clip(MEANS[kind](*parameters), -ANISOTROPY_MOST, ANISOTROPY_MOST))
-
-
-def draine_mean(g: float, alpha: float) -> float:
-    """Mean cosine of (1 - g^2) (1 + alpha u^2) / (1 + g^2 - 2 g u)^1.5, normalised."""
-    return g * (1.0 + alpha * (3.0 + 2.0 * g * g) / 5.0) / (1.0 + alpha * (1.0 + 2.0 * g * g) / 3.0)
-
-
-def _mie_mean(diameter: float) -> float:
-    hg, draine, alpha, share = mie_parameters(diameter)
-    return (1.0 - share) * hg + share * draine_mean(draine, alpha)
+    if kind == 'RAYLEIGH':
+        return PhaseFunction(((1.0, "draine", (0.0, 1.0)),))
+    if kind == 'MIE':
+        hg, g, alpha, share = mie_parameters(*parameters)
+        return PhaseFunction(((1.0 - share, "henyey_greenstein", (hg,)), (share, "draine", (g, alpha))))
+    return PhaseFunction(((1.0, kind.lower(), tuple(parameters)),))
 
 
 def mie_parameters(diameter: float):
@@ -58,35 +44,3 @@ def mie_parameters(diameter: float):
             math.exp(-2.20679 / (d + 3.91029) - 0.428934),
             math.exp(3.62489 - 8.29288 / (d + 5.52825)),
             math.exp(-0.599085 / (d - 0.641583) - 0.665888))
-
-
-def _fournier_forand_mean(index: float, backwards: float) -> float:
-    angle = (np.arange(ANGLES) + 0.5) * (np.pi / ANGLES)
-    weight = fournier_forand(np.cos(angle), index, backwards) * np.sin(angle)
-    return float((weight * np.cos(angle)).sum() / weight.sum())
-
-
-def fournier_forand(cosine, index: float, backwards: float):
-    """Phase function at cosines (n,), up to its normalisation."""
-    index, backwards = max(index, 1.01), min(max(backwards, 1e-4), 0.499)
-    half = (1.0 - np.asarray(cosine)) / 2.0  # sin^2 of half the angle
-
-    def delta(sine):
-        return 4.0 * sine / (3.0 * (index - 1.0) ** 2)
-
-    # The exponent at which the stated share goes backwards.
-    v = -np.log1p(2.0 * backwards * (delta(0.5) - 1.0)) / np.log(delta(0.5))
-    d, full = delta(half), delta(1.0)
-    power = d**v
-    main = (v * (1.0 - d) - (1.0 - power) + (d * (1.0 - power) - v * (1.0 - d)) / half) / ((1.0 - d) ** 2 * power)
-    rest = (1.0 - full**v) / (4.0 * (full - 1.0) * full**v) * (3.0 * np.asarray(cosine) ** 2 - 1.0)
-    return main + rest
-
-
-MEANS = {
-    'HENYEY_GREENSTEIN': lambda g: g,
-    'RAYLEIGH': lambda: 0.0,
-    'DRAINE': draine_mean,
-    'MIE': _mie_mean,
-    'FOURNIER_FORAND': _fournier_forand_mean,
-}

@@ -5,8 +5,11 @@ from typing import Dict, List, Optional, Tuple, Union
 
 import numpy as np
 
+from ..inference.phase_function import PhaseFunction
+from ..inference.scene import ANISOTROPY_MOST
 from ..inference.sparse_grid import SparseGrid
 from .material import VolumeMaterial
+from .phase_functions import phase_function
 from .voxel_points import VoxelPoints
 
 VOXELS_AT_ONCE = 1 << 19
@@ -17,7 +20,7 @@ ONE_COLOUR = 0.01
 @dataclass
 class ShadedGrid:
     """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t, albedo: float64 (3,), extinction per unit density.
-    anisotropy: mean cosine. placed: whether the shader depends on where the voxels are.
+    anisotropy: mean cosine. phase: as of `Medium`. placed: whether the shader depends on where the voxels are.
     notes: what is not rendered as Cycles renders it. emission: as Volume has it.
     """
 
@@ -28,6 +31,7 @@ class ShadedGrid:
     placed: bool
     notes: List[str]
     emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
+    phase: Optional[PhaseFunction] = None
 
 
 def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
@@ -57,14 +61,14 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     if plain and inside is None and shading.closures[0].grid:
         # The shader colours one grid and changes none of its voxels, of which some hold something.
         closure = shading.closures[0]
-        density, means = grids[closure.grid], {closure.anisotropy: float(closure.scatter.mean())}
+        density, phases = grids[closure.grid], {closure.phase: float(closure.scatter.mean())}
     else:
         density = np.zeros(int(np.prod(shape)), np.float32)
         # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
-        gram, reference, means = np.zeros((6, 6)), 0, {}
+        gram, reference, phases = np.zeros((6, 6)), 0, {}
         for number, voxels in enumerate(_chunks(grids, placed, inside)):
             points, shading = at(voxels)
-            _sum_phases(means, shading, len(voxels))
+            _sum_phases(phases, shading, len(voxels))
             if plain:
                 density[voxels] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
             else:
@@ -91,11 +95,14 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
     if emission is not None and (inside is not None or boxes is not None):
         emission *= (inside if boxes is None else boxes)[..., None]
-    if len(means) > 1:
-        notes = notes + ["phase functions of several shaders are rendered as one with their mean cosine"]
-    weight = sum(means.values())
-    anisotropy = sum(g * w for g, w in means.items()) / weight if weight else 0.0
-    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes, emission)
+    if len(phases) > 1:
+        notes = notes + ["phase functions of several shaders are mixed in the same shares everywhere, and light that is "
+                         "scattered several times follows Henyey-Greenstein with their mean cosine"]
+    phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
+    phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
+    anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
+    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes, emission,
+                      None if phase.is_henyey_greenstein else phase)
 
 
 def _emission(at, shape, chunks) -> Optional[np.ndarray]:
@@ -131,12 +138,12 @@ def _coefficients(shading) -> np.ndarray:
     return total
 
 
-def _sum_phases(means, shading, voxels: int) -> None:
-    """Add to each mean cosine in `means` how much scatters with it in so many voxels."""
+def _sum_phases(phases, shading, voxels: int) -> None:
+    """Add to each phase function in `phases` how much scatters with it in so many voxels."""
     for closure in shading.closures:
         scattered = voxels * float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
         if scattered > 0.0:
-            means[closure.anisotropy] = means.get(closure.anisotropy, 0.0) + scattered
+            phases[closure.phase] = phases.get(closure.phase, 0.0) + scattered
 
 
 def _one_colour(material, gram, reference: int):

@@ -53,7 +53,7 @@ class VolumeReader:
             if not shaded.placed:
                 self.known[key] = shaded, object_from_index, []
         volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission)
-        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, emission=scale)
+        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
     def wanted(self, depsgraph) -> List[Wanted]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from inference.phase import PhaseFeatures, cone_half_angles, cumulative_phase, henyey_greenstein
+from inference.phase_function import PhaseFunction
 from inference.stencil import LOW_POINTS, frames
 from training.stencil import load_stencil
 
@@ -61,3 +62,27 @@ def test_features_against_directions_in_space(g):
     result = table(np.array([np.arccos(omega @ sun)]))[0]
     np.testing.assert_allclose(result, expected, atol=2e-4)
     assert len(expected) - LOW_POINTS == 32
+
+
+@pytest.mark.parametrize("lobe", [
+    ("henyey_greenstein", (-0.4,)), ("draine", (0.0, 1.0)), ("draine", (0.6, 3.0)), ("draine", (0.9, 20.0)),
+    ("fournier_forand", (1.33, 0.1)), ("fournier_forand", (1.2, 0.05)),
+], ids=str)
+def test_every_phase_function_integrates_to_one_and_has_its_mean_cosine(lobe):
+    """By Gauss's places in the logarithm of what the cosine lacks of 1, where peaks are."""
+    x, weight = np.polynomial.legendre.leggauss(1000)
+    lack = 2.0 * 10.0 ** (-7.0 + 7.0 * x)
+    weight = weight * lack * 7.0 * np.log(10.0)
+    phase = PhaseFunction(((1.0, *lobe),))
+    values = 2.0 * np.pi * weight * phase(1.0 - lack)
+    assert values.sum() == pytest.approx(1.0, abs=3e-3)
+    assert (values * (1.0 - lack)).sum() == pytest.approx(phase.mean_cosine(), abs=3e-3)
+
+
+def test_mixtures_add_up():
+    first, second = PhaseFunction(((1.0, "draine", (0.5, 1.0)),)), PhaseFunction(((1.0, "henyey_greenstein", (0.2,)),))
+    both = PhaseFunction.mixed({first: 3.0, second: 1.0})
+    cosine = np.linspace(-1.0, 1.0, 11)
+    np.testing.assert_allclose(both(cosine), 0.75 * first(cosine) + 0.25 * second(cosine))
+    assert both.mean_cosine() == pytest.approx(0.75 * first.mean_cosine() + 0.25 * second.mean_cosine())
+    assert PhaseFunction.mixed({both: 2.0, first: 1.0}).lobes[0][0] == pytest.approx((2.0 * 0.75 + 1.0) / 3.0)
