@@ -30,6 +30,9 @@ def main(blend, folder):
 
 def render(ask, path):
     scene = bpy.data.scenes[ask["scene"]]
+    # In a scene that no window has shown at its frame, Cycles renders the first file of a sequence of volumes.
+    bpy.context.window.scene = scene
+    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     settings = scene.cycles
     settings.samples, settings.seed, settings.use_denoising = ask["samples"], ask["seed"], ask["denoise"]
     if ask["denoise"]:

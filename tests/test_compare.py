@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import shutil
 import time
 
 import bpy
@@ -171,6 +172,22 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert np.allclose(layer[..., :3] - cycles[..., :3], error[..., :3], atol=1e-6)
     assert "relative bias" in bpy.data.texts["MRPNN comparison"].as_string()
     assert (tmp_path / "comparison" / "report.html").exists()
+
+
+def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
+    """Cycles' process has never shown the frame. The second file is four times as dense."""
+    cloud = make.cloud_scene(scene, tmp_path, density=1.0)
+    folder = tmp_path / "sequence"
+    folder.mkdir()
+    for number, factor in ((1, 0.25), (2, 1.0)):
+        written = make.write_vdb(folder, factor * make.blob(), make.centred(16, 2.0))
+        shutil.move(written, folder / f"cloud_{number:04}.vdb")
+    data = cloud.data
+    data.filepath, data.is_sequence, data.frame_duration = str(folder / "cloud_0001.vdb"), True, 2
+    scene.frame_set(2)
+    assert bpy.ops.mrpnn.compare(**small(tmp_path)) == {'FINISHED'}
+    found = json.loads((tmp_path / "comparison" / "figures.json").read_text())
+    assert abs(found["alpha_bias"]["value"]) < 0.02
 
 
 def test_operator_refuses_a_scene_without_volume_and_writes_nothing(scene, tmp_path):
