@@ -4,10 +4,11 @@
 
 Renders the cloud of benchmarks.speed with one thing changed at a time. Cost is processor seconds of all threads, which
 other work on the machine changes little, by stage and as a ratio to the first row of its table. The error of depth
-samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02.
+samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02; that of sharing, beside 32.
 """
 
 import argparse
+import dataclasses
 import re
 
 import numpy as np
@@ -23,6 +24,8 @@ PAGE = ROOT / "docs" / "performance.md"
 STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
 COVERAGE = 0.4
+SHARING_VIEWS = ("cumulus-100-side-g0.857", "cumulus-100-back-g0.857", "smoke-100-side-g0.857")
+SHARING_SIZES, SHARING_TRUTH = (128, 256, 512), 32
 
 
 def ring(count: int):
@@ -71,15 +74,33 @@ def cost_table(name: str, rows) -> str:
 def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
     for view in shared_views():
-        truth = view.render(Settings(64))
-        mask = truth.alpha > 0.02
-        cells = []
-        for samples in (1, 2, 3, 4, 8, 16):
-            layer = view.render(Settings(samples))
-            error = np.sqrt(((layer.rgb - truth.rgb)[mask] ** 2).mean()) / truth.rgb[mask].mean()
-            cells.append(f"{error:.3f} ({layer.report.counts['network points'] / mask.sum():.1f})")
+        truth = view.render(Settings(64, share_pixels=False))
+        cells = [error_and_points(view.render(Settings(samples, share_pixels=False)), truth)
+                 for samples in (1, 2, 3, 4, 8, 16)]
         lines.append(f"| {view.name} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
+    return "\n".join(lines)
+
+
+def error_and_points(layer, truth) -> str:
+    mask = truth.alpha > 0.02
+    error = np.sqrt(((layer.rgb - truth.rgb)[mask] ** 2).mean()) / truth.rgb[mask].mean()
+    return f"{error:.3f} ({layer.report.counts['network points'] / mask.sum():.1f})"
+
+
+def sharing_table() -> str:
+    """Pixels that share beside pixels that do not, in images of different sizes."""
+    choices = [(samples, share) for samples in (4, 8) for share in (False, True)]
+    lines = ["| view | pixels | " + " | ".join(f"{n}, {'shared' if share else 'each'}" for n, share in choices) + " |",
+             "|---" * (2 + len(choices)) + "|"]
+    views = {view.name: view for view in shared_views()}
+    for name in SHARING_VIEWS:
+        for size in SHARING_SIZES:
+            view = dataclasses.replace(views[name], size=size)
+            truth = view.render(Settings(SHARING_TRUTH, share_pixels=False))
+            cells = [error_and_points(view.render(Settings(n, share_pixels=share)), truth) for n, share in choices]
+            lines.append(f"| {name} | {size}² | {' | '.join(cells)} |")
+            print(lines[-1], flush=True)
     return "\n".join(lines)
 
 
@@ -91,7 +112,7 @@ def main():
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
     page = PAGE.read_text()
     tables = {name: cost_table(name, rows) for name, rows in cases(arguments.size).items()}
-    tables["error"] = depth_table()
+    tables["error"], tables["sharing"] = depth_table(), sharing_table()
     for name, table in tables.items():
         mark = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
         page = re.sub(mark, lambda found: found.group(1) + table + "\n" + found.group(2), page, flags=re.S)

@@ -32,8 +32,8 @@ class Layer:
         world units; infinity where alpha is 0.
     single, multiple, emission: float32 (H, W, 3), light scattered once and more often, and what volumes
         emit, unscattered; rgb is their sum.
-    uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths, as a mean
-        over the channels; the network's own error is not in it. With one depth sample nothing tells
+    uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths and from sharing between pixels,
+        as a mean over the channels; the network's own error is not in it. With one depth sample nothing tells
         it, and it is as large as `multiple`.
     report: what was planned, left out and measured.
     """
