@@ -23,6 +23,8 @@ BEHIND = 14.0
 # Optical depth of the thickest step above which the part of a ray that light reaches is cut again, so many times.
 STIFF = 2.0
 REFINEMENTS = 3
+# Steps look up the diffused light at places of a rank-1 lattice around their own, in cells.
+SCATTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
 # Optical depth that counts as no light at all.
 OPAQUE = np.float32(60.0)
 
@@ -244,7 +246,10 @@ def _fluence(diffused, frames: RaySteps, sigma, suns: int, medium: _Medium) -> n
         if light is None:
             continue
         filled = np.flatnonzero(sigma[v])
-        places = frames.index(known, np.repeat(ray, STEPS)[filled], step.reshape(-1)[filled] + np.float32(0.5))
+        number = step.reshape(-1)[filled]
+        places = frames.index(known, np.repeat(ray, STEPS)[filled], number + np.float32(0.5))
+        # Moved about from step to step, so that neighbouring rays do not change cells together: that would show.
+        places += np.mod(number * SCATTER, np.float32(1.0)) - np.float32(0.5)
         cells = light.cells(places)
         for l, values in enumerate(light.fluences):
             fluence[v, l].reshape(-1)[filled] = values.reshape(-1).take(cells)

@@ -6,7 +6,7 @@ import torch
 
 from inference.phase import PhaseFeatures
 from inference.stencil import LOW_POINTS
-from inference.sun_lattice import LEVELS, POINTS
+from inference.sun_lattice import LEVELS, POINTS, SHAPE
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
 from training.stencil import load_stencil
 
@@ -86,7 +86,7 @@ def test_narrow_follows_equation_14(stencil_inputs):
 
 def test_rpnn_follows_its_definition():
     torch.manual_seed(0)
-    net = RPNN().double()
+    net = RPNN().double().eval()
     lattice, gamma = torch.rand(COUNT, LEVELS, POINTS).double(), torch.rand(COUNT).double()
     o = torch.zeros(COUNT, 200).double()
     with torch.no_grad():
@@ -98,7 +98,12 @@ def test_rpnn_follows_its_definition():
         for layer in net.head:
             o = layer(torch.relu(o) if layer is not net.head[0] else o)
         radiance = net(lattice, gamma, torch.ones(1, COUNT))
+        seen_both_ways = net.train()(lattice, gamma, torch.ones(1, COUNT))
+        mirror = lattice.reshape(COUNT, LEVELS, *SHAPE).flip(3).reshape(lattice.shape)
+        mirrored = net.eval()(mirror, gamma, torch.ones(1, COUNT))
     torch.testing.assert_close(radiance, torch.exp(o).T)
+    torch.testing.assert_close(seen_both_ways[:, 1::2], radiance[:, 1::2])
+    torch.testing.assert_close(seen_both_ways[:, ::2], mirrored[:, ::2])
 
 
 def test_inputs_add_the_phase_functions_feature():

@@ -92,3 +92,21 @@ def test_without_need_nothing_is_kept():
     origins, directions = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]])
     near, far = grid.interval(origins, directions)
     assert march([grid], [1.0], origins, directions, near, far, 4).sample_light is None
+
+
+def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_together():
+    """Along x, from low to high through cells of a fluence that grows with z: what rays see grows with them."""
+    grid = prepared(box(), (0.0, 0.0, 1.0), 2.0)
+    fluence = np.broadcast_to(np.arange(2.0 * COARSE_CELLS, dtype=np.float32), (2 * COARSE_CELLS,) * 3)
+    linear = np.eye(3) * 2 * COARSE_CELLS
+    light = DiffusedLight(linear, np.full(3, float(COARSE_CELLS)), [np.ascontiguousarray(fluence)])
+    rays = 40
+    z = 0.1 + np.arange(rays) / rays * 4 / (2 * COARSE_CELLS)
+    origins = np.stack([np.full(rays, -2.0), np.full(rays, 0.013), z], axis=1)
+    directions = np.tile([1.0, 0.0, 0.0], (rays, 1))
+    near, far = grid.interval(origins, directions)
+    segment = march([grid], [2.0], origins, directions, near, far, 8, [light])
+    seen = segment.sample_light.of(slice(None), 0, 0)[:, -1].reshape(rays, 8)[:, 0]
+    rise = (seen[-1] - seen[0]) / (rays - 1)
+    # Nearest cells alone would rise by ten rays' share at every tenth ray.
+    assert rise > 0.0 and np.abs(np.diff(seen) - rise).max() < 2.5 * rise

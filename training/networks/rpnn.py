@@ -4,9 +4,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from inference.sun_lattice import LEVELS, POINTS
+from inference.sun_lattice import LEVELS, POINTS, SHAPE
 
 WIDTH = 200
+#: Points of a lattice as seen in the mirror that holds the sun and the camera ray: light is the same there.
+MIRRORED = torch.from_numpy(np.ascontiguousarray(np.arange(POINTS).reshape(SHAPE)[:, ::-1].reshape(-1)))
 
 
 class RPNN(nn.Module):
@@ -37,8 +39,11 @@ class RPNN(nn.Module):
     def forward(self, lattice, gamma, albedo):
         """lattice float32 (N, 10, 225); gamma (N,); albedo (A, N), which changes nothing.
 
-        Returns radiance (A, N) = exp(y), at albedo 1 for a sun of irradiance 1.
+        Returns radiance (A, N) = exp(y), at albedo 1 for a sun of irradiance 1. In training every other row is seen in
+        the mirror.
         """
+        if self.training:
+            lattice = torch.where(torch.arange(len(lattice))[:, None, None] % 2 == 0, lattice[..., MIRRORED], lattice)
         o = None
         for k, level in enumerate(lattice.unbind(1)):
             h = self.describe[k](torch.cat([level, gamma[:, None]], dim=1))
