@@ -31,7 +31,7 @@ class Grid:
         self.emission = [_part(channel, low, high) for channel in emission]
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
-        self.shape = self.density.shape
+        self.shape, self.peak = self.density.shape, self.density.peak
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
         self.linear = index_from_world[:3, :3]
@@ -76,7 +76,7 @@ class Grid:
 
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel, along its longest edge."""
-        return self.density.peak * sigma_t * self.longest
+        return self.peak * sigma_t * self.longest
 
     def set_extinction(self, sigma_t: float):
         """Choose the extinction per unit density of what follows."""
