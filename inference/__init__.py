@@ -9,6 +9,7 @@ from .multiple import predict_multiple
 from .network import available_models
 from .report import Report
 from .scene import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume
+from .sparse_grid import SparseGrid
 from .surfaces import Surface
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Report",
     "SceneError",
     "Settings",
+    "SparseGrid",
     "Sun",
     "Surface",
     "Volume",

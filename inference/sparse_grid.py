@@ -1,5 +1,6 @@
 """A grid of which only blocks that hold anything are kept."""
 
+import functools
 from typing import Iterator, Tuple
 
 import numpy as np
@@ -19,6 +20,8 @@ class SparseGrid:
     shape: voxels. table: int32 (bx, by, bz), the row of `values` that holds each block of 8 x 8 x 8 voxels; row 0 where
     all is 0, and so in all blocks at the rim. values: float32 (1 + M, 8, 8, 8), 0 in row 0 and outside the shape.
     first: int (3,), where the blocks hold voxel (0, 0, 0).
+
+    Not to be changed: what is asked of all values is found once.
     """
 
     # Voxels an edge of the cells that rays skip.
@@ -56,19 +59,22 @@ class SparseGrid:
     def nbytes(self) -> int:
         return self.table.nbytes + self.values.nbytes
 
-    @property
+    @functools.cached_property
     def peak(self) -> float:
-        return self.max()
-
-    def max(self) -> float:
         return float(self.values.max())
 
-    def min(self) -> float:
-        """Of the values that are kept."""
+    @functools.cached_property
+    def lowest(self) -> float:
         return float(self.values.min())
 
+    def max(self) -> float:
+        return self.peak
+
+    def min(self) -> float:
+        return self.lowest
+
     def any(self) -> bool:
-        return len(self.values) > 1 and bool(self.values.any())
+        return self.peak != 0.0 or self.lowest != 0.0
 
     def with_values(self, values: np.ndarray) -> "SparseGrid":
         """Other values (1 + M, 8, 8, 8) in the same blocks."""
@@ -87,7 +93,14 @@ class SparseGrid:
         return SparseGrid(np.subtract(high, low), self.table, self.values, self.first + low)
 
     def bounds(self):
-        """First and one past the last voxel that is not 0 on each axis: two int (3,), or None where there is none."""
+        """As `filled_bounds`."""
+        if self._filled is None:
+            return None
+        return self._filled[0] - self.first, self._filled[1] - self.first
+
+    @functools.cached_property
+    def _filled(self):
+        """First and one past the last of the blocks' voxels that are not 0, or None."""
         # Of each plane of voxels along each axis, whether any of its blocks' planes holds something.
         filled = [np.zeros((n, EDGE), bool) for n in self.table.shape]
         for places, rows in self._kept():
@@ -99,8 +112,7 @@ class SparseGrid:
         found = [np.flatnonzero(planes) for planes in filled]
         if not len(found[0]):
             return None
-        return (np.array([planes[0] for planes in found]) - self.first,
-                np.array([planes[-1] + 1 for planes in found]) - self.first)
+        return np.array([planes[0] for planes in found]), np.array([planes[-1] + 1 for planes in found])
 
     def slabs(self) -> Iterator[Tuple[np.ndarray, np.ndarray]]:
         """Yield boxes of values, a row of blocks along the first axis at a time, and of each its first voxel (3,).
