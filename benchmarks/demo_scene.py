@@ -82,10 +82,10 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     values = getattr(grid.density, "values", grid.density)
     densest = np.percentile(values[values > 0], 99.9)
     shader.inputs["Density"].default_value = optical_depth / (EDGE * densest)
-    _frame(scene, (corners - np.array(centre)) * scale)
+    frame(scene, (corners - np.array(centre)) * scale)
 
 
-def _frame(scene, corners) -> None:
+def frame(scene, corners) -> None:
     """Move the camera back along VIEW_FROM until every corner (8, 3) is in view."""
     camera = scene.camera
     rotation = VIEW_FROM.to_track_quat('Z', 'Y')

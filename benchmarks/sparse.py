@@ -94,8 +94,8 @@ class Peak:
         self._thread.join()
 
 
-def measure(path: Path, size) -> dict:
-    """Read and render a file in Blender's scene; figures."""
+def measure(path: Path, cells: int, size) -> dict:
+    """Read and render a file of cells^3 voxels in Blender's scene; figures."""
     import bpy
     from mrpnn.inference import Settings, render
     from mrpnn.inference.plan import make_plan
@@ -104,11 +104,14 @@ def measure(path: Path, size) -> dict:
     from . import demo_scene
 
     scene, volume, shader = demo_scene.make_scene(path, size, "density", y_up=False)
+    volume.scale, volume.location = (demo_scene.EDGE / cells,) * 3, (-0.5 * demo_scene.EDGE,) * 3
+    volume.data.render.space = 'WORLD'
+    shader.inputs["Density"].default_value = OPTICAL_DEPTH / demo_scene.EDGE
+    demo_scene.frame(scene, demo_scene.EDGE * (np.array(list(np.ndindex(2, 2, 2))) - 0.5))
     # Blender holds the file's grid itself.
     bpy.context.evaluated_depsgraph_get()
     before, start = held_memory(), time.perf_counter()
     with Peak() as reading:
-        demo_scene.fit(scene, volume, shader, read_scene, OPTICAL_DEPTH)
         found = read_scene(bpy.context.evaluated_depsgraph_get())
     read = time.perf_counter() - start
     density, settings = found.volumes[0][0].density, Settings()
@@ -161,7 +164,7 @@ def main():
             if arguments.write:
                 write_cloud(arguments.write, arguments.cells, arguments.share)
             else:
-                print(json.dumps(measure(arguments.measure, arguments.size)), flush=True)
+                print(json.dumps(measure(arguments.measure, arguments.cells, arguments.size)), flush=True)
         finally:
             package.unregister()
         return
