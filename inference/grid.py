@@ -29,6 +29,7 @@ class Grid:
         self.density = _part(volume.density, low, high)
         # One grid a colour channel, or none.
         self.emission = [_part(channel, low, high) for channel in emission]
+        self.emission_power = volume.emission_power
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
@@ -72,7 +73,8 @@ class Grid:
 
     def sample_emission(self, channel: int, index: np.ndarray) -> np.ndarray:
         """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
-        return self.emission[channel].sample(index)
+        values = self.emission[channel].sample(index)
+        return values if self.emission_power == 1 else values * np.abs(values) ** (self.emission_power - 1)
 
     def thickness(self, sigma_t: float) -> float:
         """Largest optical depth of one voxel, along its longest edge."""

@@ -96,7 +96,7 @@ class Kept:
 
 def _same(a: Volume, b: Volume) -> bool:
     """Whether two volumes hold the same density and emission in the same place."""
-    return a is b or (np.array_equal(a.world_from_index, b.world_from_index)
+    return a is b or (np.array_equal(a.world_from_index, b.world_from_index) and a.emission_power == b.emission_power
                       and _equal([a.density, *a.emission_channels()], [b.density, *b.emission_channels()]))
 
 

@@ -110,7 +110,7 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
             density = density.with_values(np.ldexp(density.values, -exponent))
         else:
             density = np.ldexp(density, -exponent)
-        volume = Volume(density, volume.world_from_index, volume.name, volume.emission)
+        volume = Volume(density, volume.world_from_index, volume.name, volume.emission, volume.emission_power)
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
     sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
     sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)

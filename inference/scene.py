@@ -58,6 +58,8 @@ class Volume:
     emission: float32 (nx, ny, nz, 3), radiance that a world unit of the way through it adds, in
         W/(m^2 sr) a unit, interpolated as the density and wanted whether there is any; or None. Three SparseGrids, one a
         channel, with the density's blocks where that is a SparseGrid.
+    emission_power: what the emission is raised to once it is interpolated, its sign kept: blackbodies whose temperature is
+        interpolated are given by the fourth root.
 
     Raises SceneError for an empty or non-finite grid, negative density, or a
     singular transform.
@@ -67,6 +69,7 @@ class Volume:
     world_from_index: np.ndarray
     name: str = "volume"
     emission: Union[None, np.ndarray, Tuple[SparseGrid, SparseGrid, SparseGrid]] = None
+    emission_power: int = 1
 
     def __post_init__(self):
         if not isinstance(self.density, SparseGrid):

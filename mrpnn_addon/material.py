@@ -24,6 +24,7 @@ class Closure:
     phase: its phase function.
     grid: whose values `weight` holds as they are, or "".
     emission: (n, 3) or (1, 3), radiance per world unit; the weight does not scale it.
+    emission_power: 4 where a grid drives a temperature, whose fourth power shines; else 1.
     """
 
     weight: np.ndarray
@@ -32,17 +33,19 @@ class Closure:
     phase: PhaseFunction = phase_function('HENYEY_GREENSTEIN', 0.0)
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+    emission_power: int = 1
 
 
 @dataclass
 class Shading:
     """closures: what scatters and absorbs. emission: of all of them together, (n, 3) or (1, 3).
-    notes: what is not rendered as Cycles renders it.
+    emission_power: the largest of them. notes: what is not rendered as Cycles renders it.
     """
 
     closures: List[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: List[str] = field(default_factory=list)
+    emission_power: int = 1
 
 
 class VolumeMaterial:
@@ -121,6 +124,7 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
     elif node.bl_idname in CLOSURES:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
         shading.emission = shading.emission + weight * closure.emission
+        shading.emission_power = max(shading.emission_power, closure.emission_power)
         # One that is 0 everywhere, not only at these points.
         if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
             closure.grid = closure.grid if np.all(weight == 1.0) else ""
@@ -135,10 +139,11 @@ def _principled(shading, values, node, groups):
     density = np.maximum(values.number(node, "Density", groups), 0.0)
     names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
     emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
-    emission = emission + blackbody(values, node, groups, names["Temperature"])
+    hot = blackbody(values, node, groups, names["Temperature"])
+    emission, power = emission + hot, 4 if len(hot) > 1 else 1
     shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
     if not shaped and not density.max() > 0.0:
-        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission)
+        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, emission_power=power)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
     points = values.points
     if names["Color"] and points.has(names["Color"]):
@@ -155,7 +160,7 @@ def _principled(shading, values, node, groups):
         weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission)
+    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission, power)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):

@@ -66,6 +66,7 @@ def scene_key(description, bounces: int, version: str) -> str:
         for array in (volume.world_from_index, medium.sigma_t, medium.albedo):
             digest.update(np.ascontiguousarray(array))
         if volume.emission is not None:
+            digest.update(repr(volume.emission_power).encode())
             digest.update(repr(medium.emission).encode())
         digest.update(repr((medium.anisotropy, medium.phase)).encode())
     for sun in description.suns:

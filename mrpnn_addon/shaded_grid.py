@@ -32,6 +32,7 @@ class ShadedGrid:
     notes: List[str]
     emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
     phase: Optional[PhaseFunction] = None
+    emission_power: int = 1
 
 
 def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
@@ -95,6 +96,9 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
     if emission is not None and (inside is not None or boxes is not None):
         emission *= (inside if boxes is None else boxes)[..., None]
+    power = shading.emission_power
+    if emission is not None and power != 1:
+        emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
     if len(phases) > 1:
         notes = notes + ["phase functions of several shaders are mixed in the same shares everywhere, and light that is "
                          "scattered several times follows Henyey-Greenstein with their mean cosine"]
@@ -102,7 +106,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
     anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
     return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes, emission,
-                      None if phase.is_henyey_greenstein else phase)
+                      None if phase.is_henyey_greenstein else phase, power)
 
 
 def _emission(at, shape, chunks) -> Optional[np.ndarray]:

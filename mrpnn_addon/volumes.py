@@ -52,7 +52,7 @@ class VolumeReader:
                 raise SceneError(f"{where}: the machine has not enough memory to read it; resample its grids") from None
             if not shaded.placed:
                 self.known[key] = shaded, object_from_index, []
-        volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission)
+        volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission, shaded.emission_power)
         medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
