@@ -10,7 +10,7 @@ from ..inference.scene import SceneError
 from .node_values import NodeValues
 from .phase_functions import phase_function
 from .sockets import Unsupported, active_output, input_of, source_of
-from .volume_emission import blackbody, strength_and_colour
+from .volume_emission import blackbody, reads_temperature, strength_and_colour
 
 SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
 
@@ -24,7 +24,7 @@ class Closure:
     phase: its phase function.
     grid: whose values `weight` holds as they are, or "".
     emission: (n, 3) or (1, 3), radiance per world unit; the weight does not scale it.
-    emission_power: 4 where a grid drives a temperature, whose fourth power shines; else 1.
+    hot: whether a grid drives the temperature of a blackbody.
     """
 
     weight: np.ndarray
@@ -33,19 +33,19 @@ class Closure:
     phase: PhaseFunction = phase_function('HENYEY_GREENSTEIN', 0.0)
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
-    emission_power: int = 1
+    hot: bool = False
 
 
 @dataclass
 class Shading:
     """closures: what scatters and absorbs. emission: of all of them together, (n, 3) or (1, 3).
-    emission_power: the largest of them. notes: what is not rendered as Cycles renders it.
+    hot: whether any of them is. notes: what is not rendered as Cycles renders it.
     """
 
     closures: List[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: List[str] = field(default_factory=list)
-    emission_power: int = 1
+    hot: bool = False
 
 
 class VolumeMaterial:
@@ -124,7 +124,7 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
     elif node.bl_idname in CLOSURES:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
         shading.emission = shading.emission + weight * closure.emission
-        shading.emission_power = max(shading.emission_power, closure.emission_power)
+        shading.hot = shading.hot or closure.hot
         # One that is 0 everywhere, not only at these points.
         if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
             closure.grid = closure.grid if np.all(weight == 1.0) else ""
@@ -139,11 +139,11 @@ def _principled(shading, values, node, groups):
     density = np.maximum(values.number(node, "Density", groups), 0.0)
     names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
     emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
-    hot = blackbody(values, node, groups, names["Temperature"])
-    emission, power = emission + hot, 4 if len(hot) > 1 else 1
+    emission = emission + blackbody(values, node, groups, names["Temperature"])
+    hot = reads_temperature(values, node, groups, names["Temperature"])
     shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
     if not shaped and not density.max() > 0.0:
-        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, emission_power=power)
+        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, hot=hot)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
     points = values.points
     if names["Color"] and points.has(names["Color"]):
@@ -160,7 +160,7 @@ def _principled(shading, values, node, groups):
         weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission, power)
+    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission, hot)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):

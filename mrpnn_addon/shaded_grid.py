@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Tuple, Union
 
+import bpy
 import numpy as np
 
 from ..inference.phase_function import PhaseFunction
@@ -15,6 +16,8 @@ from .voxel_points import VoxelPoints
 VOXELS_AT_ONCE = 1 << 19
 # Share of a coefficient's root mean square that may differ from one colour for all voxels.
 ONE_COLOUR = 0.01
+# Whether Cycles interpolates what voxels of a temperature shine, and not the temperature: 5.0.1 does, 4.5 does not.
+VOXELS_ARE_HOT = bpy.app.version >= (5, 0, 0)
 
 
 @dataclass
@@ -96,7 +99,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
     if emission is not None and (inside is not None or boxes is not None):
         emission *= (inside if boxes is None else boxes)[..., None]
-    power = shading.emission_power
+    power = 4 if shading.hot and not VOXELS_ARE_HOT else 1
     if emission is not None and power != 1:
         emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
     if len(phases) > 1:
@@ -164,7 +167,10 @@ def _one_colour(material, gram, reference: int):
 
 
 def is_linear(material, names) -> bool:
-    """Whether twice the grids' values give twice of all coefficients: then voxels say all between them."""
+    """Whether twice the grids' values give twice of all coefficients: then voxels say all between them.
+
+    What blackbodies shine is left aside where `VOXELS_ARE_HOT`.
+    """
     half, whole = (_coefficients_at(material, names, value) for value in (0.5, 1.0))
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
@@ -175,7 +181,8 @@ def _coefficients_at(material, names, value: float) -> np.ndarray:
     frames = {kind: np.eye(4) for kind in ("object", "world")}
     points = VoxelPoints(grids, lambda voxels: np.zeros((1, 3)), np.zeros(1, int), frames, fills_its_bounds=False)
     shading = material.at(points)
-    return np.concatenate([_coefficients(shading)[0, :3], shading.emission[0]])
+    shines = np.zeros(3) if shading.hot and VOXELS_ARE_HOT else shading.emission[0]
+    return np.concatenate([_coefficients(shading)[0, :3], shines])
 
 
 def refine(values: np.ndarray) -> np.ndarray:

@@ -50,3 +50,10 @@ def blackbody(values, node, groups, attribute: str) -> np.ndarray:
     intensity = STEFAN_BOLTZMANN * (1.0 - share + share * temperature**4)
     intensity = np.where((share > LEAST) & (intensity > LEAST), intensity, 0.0)
     return intensity * values.colour(node, "Blackbody Tint", groups) * blackbody_colour(temperature)
+
+
+def reads_temperature(values, node, groups, attribute: str) -> bool:
+    """Whether a grid that Principled Volume reads itself drives the temperature of its blackbody."""
+    share = values.number(node, "Blackbody Intensity", groups)
+    return bool(attribute) and values.points.has(attribute) and (
+        share.max() > LEAST or values.is_linked(node, "Blackbody Intensity", groups))

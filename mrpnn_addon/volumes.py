@@ -16,7 +16,7 @@ from .grid_loading import Wanted
 from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial, first_material
 from .mesh_volume import fill
-from .shaded_grid import ShadedGrid, is_linear, refine, require_empty_background, shade
+from .shaded_grid import VOXELS_ARE_HOT, ShadedGrid, is_linear, refine, require_empty_background, shade
 from .visibility import Shown, shown_objects, why_unseen
 from .voxel_points import Probe
 
@@ -147,13 +147,18 @@ def _read_file(path: str, shown: Shown):
         object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - low)
         filled = boxes(grids)
     # Cycles interpolates the grids and then evaluates the nodes; finer voxels come close to that.
+    notes = []
     if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe.names)):
         grids = {name: refine(values) for name, values in grids.items()}
         filled = None if filled is None else refine(filled)
         object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
         object_from_index[:3, :3] *= 0.5
+        if at_zero.hot and VOXELS_ARE_HOT:
+            notes = ["beside nodes that bend the density its blackbody is rendered as before Blender 5.0, which is darker"]
     frames = {"object": object_from_index, "world": shown.matrix @ object_from_index}
-    return shade(material, grids, frames, boxes=filled), object_from_index, warnings
+    shaded = shade(material, grids, frames, boxes=filled)
+    shaded.notes = shaded.notes + notes
+    return shaded, object_from_index, warnings
 
 
 def _shade_blocks(material, read, names, offsets, shape, frames) -> ShadedGrid:

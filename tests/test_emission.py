@@ -79,6 +79,18 @@ def test_a_lumpy_fire_equals_an_integration_in_tiny_steps(sigma):
     assert found.mean() == pytest.approx(np.mean(expected), rel=0.01)
 
 
+def test_the_power_is_taken_of_what_is_interpolated():
+    """A blackbody between a cold and a hot slice: the mean of T^4 over the way, T linear."""
+    roots = np.zeros((3, 3, 2, 3), np.float32)
+    roots[:, :, 1] = 2.0
+    matrix = np.eye(4)
+    matrix[:3, 3] = -1.0, -1.0, -0.5
+    hot = Volume(np.zeros((3, 3, 2), np.float32), matrix, "hot", roots, emission_power=4)
+    layer = render([(hot, Medium(1.0))], [], VIEW)
+    # Rising from 0 to 2 over one unit, and falling again over the next.
+    np.testing.assert_allclose(layer.emission, 2.0 * 2.0**4 / 5.0, rtol=0.01)
+
+
 def test_bad_emission_is_refused_by_name():
     good = slab(1.0)
     with pytest.raises(SceneError, match="slab: emission must have"):

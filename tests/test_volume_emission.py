@@ -120,8 +120,7 @@ def test_a_volume_objects_light_equals_cycles(addon, scene, fire, tmp_path, setu
     cloud.scale, cloud.rotation_euler = (1.5, 1.0, 0.8), (0.3, 0.2, 0.5)
     blender_scenes.add_camera(scene)
     setup(node)
-    # The fourth power of a temperature bends between voxels.
-    assert_cycles_agrees(addon, scene, tmp_path, bias=0.06 if setup in (black_body, light_without_smoke) else 0.015)
+    assert_cycles_agrees(addon, scene, tmp_path, bias=0.015)
 
 
 @pytest.mark.parametrize("density", [0.0, 0.8])
