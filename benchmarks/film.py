@@ -2,9 +2,9 @@
 
     python -m benchmarks.film [--files ../shared/volumes/plume] [--out build/film] [--compare 3]
 
-Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and OUT/NNNN.png, puts
-them together as OUT/film.webp, and compares some of them with Cycles. Measures what a frame changes by where nothing
-in the picture does. Figures go to OUT/film.json.
+Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
+OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures what a frame changes by
+where nothing in the picture does. Figures go to OUT/film.json.
 """
 
 import argparse
@@ -119,9 +119,10 @@ def page(found, options) -> str:
     width, height = options.size
     lines = [
         "# A film", "",
-        "Made by `python -m benchmarks.film`, which renders a sequence of `.vdb` files by the extension in Blender and compares",
-        f"frames of it with Cycles {bpy.app.version_string}, at {options.scale} % of the size and {options.samples} samples a pixel in",
-        "each of two renders, without Cycles' own noise. Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
+        "Made by `python -m benchmarks.film`, which renders a sequence of `.vdb` files by the extension in Blender and",
+        f"compares frames of it with Cycles {bpy.app.version_string}, at {options.scale} % of the size and "
+        f"{options.samples} samples a pixel in each of",
+        "two renders, without Cycles' own noise. Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
         "", "![Frames of the plume, ours and Cycles'](images/film.png)", "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples, "
         f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s a frame (median).", "",
@@ -129,8 +130,8 @@ def page(found, options) -> str:
     ]
     lines += [f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
               for frame in compared]
-    lines += ["", "What a frame changes by where nothing in the picture does, root mean square over its mean. A voxel of next to no",
-              "density beyond one face of the grid makes another working cube, as a cloud that grows does.", "",
+    lines += ["", "What a frame changes by where nothing in the picture does, root mean square over its mean. A voxel of next",
+              "to no density beyond one face of the grid makes another working cube, as a cloud that grows does.", "",
               "| | change |", "|---|---|"]
     lines += [f"| {name} | {value:.2%} |" for name, value in found["steadiness"].items()]
     return "\n".join(lines) + "\n"
