@@ -12,7 +12,7 @@ from .cycles_reference import read_image
 from .layer_image import IMAGE_NAME, show_image
 
 CHART_IMAGE = f"{IMAGE_NAME} chart"
-PAPER, INK, GRID = np.array([0.95] * 3), np.array([0.03] * 3), np.array([0.75] * 3)
+PAPER, INK, GRID = np.float32([[0.95] * 3, [0.03] * 3, [0.75] * 3])
 
 
 def show_chart(rungs, clock: str):
@@ -50,8 +50,8 @@ def draw(chart: Chart) -> np.ndarray:
         _dot(pixels, right - 150, top + 12 + 17 * number, colour)
         words.append((method, right - 140, top + 17 + 17 * number))
     ink = _written(words)[..., None]
-    opaque = np.ones((HEIGHT, WIDTH, 1))
-    return np.concatenate([pixels * (1.0 - ink) + INK * ink, opaque], axis=-1).astype(np.float32)
+    opaque = np.ones((HEIGHT, WIDTH, 1), np.float32)
+    return np.concatenate([pixels + (INK - pixels) * ink, opaque], axis=-1)
 
 
 def _line(pixels, x0, y0, x1, y1, colour):
@@ -62,8 +62,10 @@ def _line(pixels, x0, y0, x1, y1, colour):
 
 
 def _dot(pixels, x, y, colour, radius=4):
-    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
-    pixels[(columns - x) ** 2 + (rows - y) ** 2 <= radius**2] = colour
+    left, top = max(int(x) - radius, 0), max(int(y) - radius, 0)
+    part = pixels[top:top + 2 * radius + 2, left:left + 2 * radius + 2]
+    rows, columns = np.indices(part.shape[:2])
+    part[(columns + left - x) ** 2 + (rows + top - y) ** 2 <= radius**2] = colour
 
 
 def _linear(colour: str) -> np.ndarray:
@@ -76,7 +78,7 @@ def _written(words) -> np.ndarray:
     Versions of Blender that cannot write into images in memory leave them out.
     """
     if not hasattr(blf, "bind_imbuf"):
-        return np.zeros((HEIGHT, WIDTH))
+        return np.zeros((HEIGHT, WIDTH), np.float32)
     buffer = imbuf.new((WIDTH, HEIGHT))
     blf.size(0, 13)
     blf.color(0, 1.0, 1.0, 1.0, 1.0)

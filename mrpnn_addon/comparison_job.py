@@ -10,6 +10,7 @@ from .cycles_process import CyclesProcess, PassFailed
 from .layer_frame import rgba
 from .pass_store import DENOISED, Job, Pass, PassStore
 from .render_job import RenderJob
+from .worker import in_background
 
 ONCE = ("network loading", "fields", "shadows")
 
@@ -17,24 +18,25 @@ ONCE = ("network loading", "fields", "shadows")
 class ComparisonJob:
     """Makes what a request still lacks, and keeps each image of Cycles in a store: layers are quickly made anew.
 
-    description: as `read_scene` gives it, cropped. process: of the same view; ended at the end. `step` is to be
+    description: as `read_scene` gives it, cropped. open_store: gives the PassStore; called on a thread, since the key of
+    large volumes takes long. process: of the same view; ended at the end. `step` is to be
     called again and again from the main thread until `done`, and `stop` whatever else happens.
 
     passes: whatever of the request is there. marks: candidates that failed, in words. message, fraction:
     how far it is. error: what ended it.
     """
 
-    def __init__(self, request: Request, description, settings: Settings, store: PassStore,
-                 process: CyclesProcess):
+    def __init__(self, request: Request, description, settings: Settings, open_store, process: CyclesProcess):
         self.request, self.description, self.settings = request, description, settings
-        self.store, self._process = store, process
+        self.store: Optional[PassStore] = None
+        self._opening = in_background(open_store)
+        self._process = process
         self.passes: Dict[Job, Pass] = {}
         self.marks, self.message, self.error = [], "", None
         self._failed, self._spent = set(), 0.0
         self._job: Optional[Job] = None
         self._layer = None
         self.done = False
-        self._find_finished()
         self._start = time.monotonic()
 
     def _find_finished(self):
@@ -48,6 +50,11 @@ class ComparisonJob:
         if self.done:
             return
         try:
+            if self.store is None:
+                if not self._opening.done():
+                    return
+                self.store = self._opening.result()
+                self._find_finished()
             if self._job is not None:
                 finished = self._finished()
                 if finished is None:

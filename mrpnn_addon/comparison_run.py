@@ -70,9 +70,10 @@ class ComparisonRun:
                 context.scene.world if self.description.environment else None)
         self.request = Request(layers, options.samples, options.ladder if self.given is None else 0, options.denoised,
                                options.seconds, self.given is not None)
-        key = scene_key(self.description, options.bounces, bpy.app.version_string)
-        self.job = ComparisonJob(self.request, self.description, settings, PassStore(self.folder / "passes" / key),
-                                 process)
+        folder, version = self.folder / "passes", bpy.app.version_string
+        self.job = ComparisonJob(
+            self.request, self.description, settings,
+            lambda: PassStore(folder / scene_key(self.description, options.bounces, version)), process)
 
     def wait(self, progress=None) -> None:
         """Work until it is done. progress: called with (fraction, message). Ctrl-C stops and keeps what is finished."""

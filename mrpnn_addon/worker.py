@@ -1,6 +1,7 @@
 """Work on a thread of its own, watched from Blender's main thread; no bpy."""
 
 import threading
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from ..inference.scene import Cancelled
 
@@ -44,3 +45,12 @@ class Worker:
     def wait(self, seconds=None) -> None:
         """Until it is done, but no longer than that."""
         self._thread.join(seconds)
+
+
+def in_background(work) -> Future:
+    """The future of what `work()` gives, on a thread of its own."""
+    pool = ThreadPoolExecutor(1, "mrpnn work")
+    found = pool.submit(work)
+    # The thread ends with its work.
+    pool.shutdown(wait=False)
+    return found

@@ -1,17 +1,18 @@
 """Operator `mrpnn.compare`: error against run time, of the layer and of Cycles, on the scene's view."""
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..inference.scene import SceneError
+from ..mrpnn_addon.comparison_pictures import view_png
 from ..mrpnn_addon.comparison_run import REPORT_FOLDER, ComparisonRun, Options
 from ..mrpnn_addon.last_comparison import remember
 from ..mrpnn_addon.layer_image import IMAGE_NAME, show_image
 from ..mrpnn_addon.properties import RELATIVE_PATH
+from ..mrpnn_addon.worker import in_background
 from .waiting import WaitsForVolumes
 
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"
@@ -66,6 +67,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         self._modal = True
+        # Blender prepares its view transform at the first picture, for as long as 0.3 s: now, while nothing is at work.
+        view_png(np.zeros((1, 1, 4)), context.scene)
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context):
@@ -176,11 +179,10 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
 def _finish(run: ComparisonRun):
     """Figures, report and images of a run that is done, in short steps: gives None, and (comparison, page) at last."""
-    with ThreadPoolExecutor(1, "mrpnn figures") as pool:
-        figures = pool.submit(run.result)
-        while not figures.done():
-            time.sleep(SECONDS_A_LOOK)
-            yield None
+    figures = in_background(run.result)
+    while not figures.done():
+        time.sleep(SECONDS_A_LOOK)
+        yield None
     comparison = figures.result()
     for page in run.writing(comparison):
         yield None

@@ -258,6 +258,9 @@ def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started
     # Another view finds nothing of it.
     scene.camera.location.z += 1.0
     third = started()
+    while third.job.store is None:
+        third.job.step()
+        time.sleep(0.01)
     assert third.job.passes == {}
     third.job.stop()
 
