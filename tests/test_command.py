@@ -70,6 +70,20 @@ def test_it_writes_the_frame_that_is_asked_for(command, blend, capsys):
     assert files(folder) == {"a.exr", "b.exr"}
 
 
+def test_paths_may_hold_spaces_and_any_letters(command, blend):
+    folder = blend.parent / "Wolke über dem Meer 雲 'n' $HOME"
+    shutil.copytree(blend.parent, folder)
+    for name in ("fog_1.vdb", "fog_2.vdb"):
+        (folder / name).rename(folder / f"Nebel 霧 {name}")
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    bpy.data.volumes[0].filepath = "//Nebel 霧 fog_1.vdb"
+    for ending in ("exr", "png"):
+        assert command(["render", "--output", f"//Ebene 層 #1.{ending}", "--json", str(folder / "Bericht ü.json")]) == 0
+    assert {"Ebene 層 11.exr", "Ebene 層 11.png", "Bericht ü.json"} < set(os.listdir(folder))
+    assert json.loads((folder / "Bericht ü.json").read_text())["blend"] == str(folder / "scene.blend")
+    assert read_exr(folder / "Ebene 層 11.exr")[0]["ViewLayer.Alpha.A"].max() > 0.1
+
+
 def test_png_has_the_layers_alpha(command, blend):
     folder = blend.parent
     assert command(["render", "--output", str(folder / "a.png")]) == 0

@@ -1,6 +1,7 @@
 """Properties, preferences and what panels say, in real Blender; and that nothing is left behind."""
 
 import gc
+import sys
 import threading
 
 import numpy as np
@@ -137,6 +138,15 @@ def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
     metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.30.1\n")
     (warning,) = runtime.check_runtime()
     assert "1.30.1" in warning and str(folder) in warning
+
+
+def test_a_missing_onnxruntime_is_named(addon, scene, cloud, monkeypatch):
+    monkeypatch.setattr(sys, "path", [])
+    for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
+        monkeypatch.delitem(sys.modules, name)
+    assert addon.mrpnn_addon.runtime.runtime_version() is None
+    with pytest.raises(RuntimeError, match="onnxruntime, which the extension ships, is missing"):
+        bpy.ops.mrpnn.render()
 
 
 def test_the_shipped_onnxruntime_is_the_expected_one(addon):

@@ -104,10 +104,57 @@ def test_it_can_be_stopped_in_every_stage(addon, scene, cloud, tmp_path, stage):
     worker = job(addon, scene, str(tmp_path / "layer.exr"))
     while stage not in worker.message and not worker.done:
         time.sleep(0.001)
+    # Of this process's own work: a second with two threads, whatever else the machine does.
+    start = time.process_time()
     worker.stop()
     worker.wait()
+    assert time.process_time() - start < 2.0
     assert worker.cancelled and not (tmp_path / "layer.exr").exists()
     assert not [thread for thread in threading.enumerate() if thread.name == "mrpnn render"]
+
+
+class Breaks:
+    """A system that fails in the middle of a render, as a bug in ours would."""
+
+    name, checksum, needs_light = "breaks", "", False
+    anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
+
+    def field(self, volume, cube, anisotropy, check):
+        return self
+
+    def light(self, sigma_hat, sun, low, high, mapper=map):
+        pass
+
+    def predict(self, positions, omega, albedos, jitter=None, light=None):
+        raise ZeroDivisionError("in a thread")
+
+
+@pytest.fixture
+def breaks(addon, monkeypatch):
+    monkeypatch.setitem(addon.inference.network._systems, "breaks", Breaks)
+
+
+def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):
+    scene.render.engine, scene.render.filepath = 'MRPNN', str(tmp_path / "frame.png")
+    (tmp_path / "frame.png").write_bytes(b"old")
+    scene.mrpnn.model = "breaks"
+    with pytest.raises(RuntimeError, match="which is a bug: ZeroDivisionError: in a thread"):
+        bpy.ops.render.render(write_still=True)
+    worker = job(addon, scene, str(tmp_path / "layer.exr"))
+    worker.wait()
+    assert isinstance(worker.error, ZeroDivisionError) and not (tmp_path / "layer.exr").exists()
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    module = addon.mrpnn_addon.preview
+    preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
+                             module.Prepared(addon.inference.Kept()))
+    while not preview.done:
+        time.sleep(0.01)
+    assert "which is a bug" in preview.message
+    assert (tmp_path / "frame.png").read_bytes() == b"old"
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("mrpnn")]
+    scene.mrpnn.model = "mrpnn"
+    bpy.ops.render.render(write_still=True)
+    assert (tmp_path / "frame.png").stat().st_size > 100
 
 
 def test_too_little_memory_is_a_message(addon, scene, cloud):

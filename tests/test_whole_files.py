@@ -60,6 +60,15 @@ def test_a_full_disk_keeps_the_old_file(full_disk):
     assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
 
 
+def test_a_read_only_disk_keeps_the_old_file(full_disk):
+    path = full_disk / "layer.exr"
+    path.write_bytes(b"old")
+    subprocess.run(["mount", "-o", "remount,ro", full_disk], check=True)
+    with pytest.raises(OSError, match="cannot write .*layer.exr: Read-only file system"):
+        write_exr(str(path), PICTURE, {})
+    assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
+
+
 @pytest.mark.parametrize("folder", ["/proc", "/nowhere/at/all"])
 def test_a_folder_that_takes_nothing_is_named(folder):
     with pytest.raises(OSError, match=f"cannot write {folder}/layer.exr: "):

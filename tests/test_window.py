@@ -304,6 +304,26 @@ def test_a_click_on_the_button_renders_into_the_image(window):
     window.until(f"not {THREADS}")
 
 
+def test_a_file_that_is_loaded_while_it_renders_ends_the_render(window):
+    """By the button's operator and by F12's engine; the next render works."""
+    load = "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend'); scene = bpy.context.scene"
+    window.do(f"import threading; {load}")
+    for begin in ("with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')",
+                  "bpy.ops.render.render('INVOKE_DEFAULT')"):
+        window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 64; scene.mrpnn.threads = 1")
+        window.do(begin)
+        window.until(f"{THREADS} or {RENDERING}")
+        # Scenes that are edited meanwhile are others than those that were read.
+        window.do("bpy.data.objects.remove(bpy.data.objects['Ball'])")
+        window.do(load)
+        window.until(f"not {THREADS} and not {RENDERING}")
+        assert window.do("print('MRPNN' in bpy.data.images)") == "False"
+    window.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
+    window.until("'MRPNN' in bpy.data.images")
+    window.do("bpy.data.images.remove(bpy.data.images['MRPNN'])")
+    window.until(f"not {THREADS}")
+
+
 LEFT_BEHIND = ("sum(len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) "
                "if isinstance(getattr(bpy.app.handlers, n), list)), threading.active_count(), len(bpy.data.images), "
                "len(bpy.data.scenes), len(win().screen.areas)")

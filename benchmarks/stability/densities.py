@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from .scenes import blob, camera
+from inference import Volume
+from inference.sparse_grid import SparseGrid
+
+from .scenes import blob, camera, placed
 from .shots import shot
 
 
@@ -18,6 +21,17 @@ def sheets(axis: int):
     density = np.zeros((16, 16, 16), np.float32)
     np.moveaxis(density, axis, 0)[::4] = 1.0
     return density
+
+
+def far_corners(cells: int):
+    """Blobs at two opposite corners of a grid of cells³ voxels, of which nothing else is kept; the first is `blob()`."""
+    count, part = np.full(3, cells // 8), blob()
+    corners = np.indices((2, 2, 2)).reshape(3, -1)
+    blocks = part.reshape(2, 8, 2, 8, 2, 8).transpose(0, 2, 4, 1, 3, 5).reshape(8, 8, 8, 8)
+    numbers = np.concatenate([np.ravel_multi_index(corners + last, count) for last in (0, cells // 8 - 2)])
+    values = np.concatenate([np.zeros((1, 8, 8, 8), np.float32), blocks, blocks])
+    grid = SparseGrid.of_blocks((cells,) * 3, (0, 0, 0), count, numbers, values)
+    return Volume(grid, placed(part).world_from_index, "two corners")
 
 
 CHECKERS = (np.indices((12, 12, 12)).sum(axis=0) % 2).astype(np.float32)
@@ -36,6 +50,7 @@ CASES = [
     shot("sudden density", "densities of 3e38, σ̂ = 30", blob() * np.float32(3e38), 1e-37, quick=True),
     # Light reaches less deep than double precision tells places apart.
     shot("sudden density", "densities of 3e38, σ̂ = 3e38", blob() * np.float32(3e38), 1.0, single=None, bias=None),
+    shot("grid", "2048³ voxels, two corners of 16³ filled", far_corners(2048), seen=placed(blob())),
     shot("grid", "one voxel", np.ones((1, 1, 1)), 5.0, alpha=5e-3, quick=True),
     *(shot("grid", f"{' × '.join(map(str, shape))} voxels", np.ones(shape), s,
            camera(3.0 * np.array((0.6, 0.5, 0.4)), fov=fov), alpha=2e-2, quick=shape == (1, 1, 64))

@@ -1,6 +1,7 @@
 """What holds in every scene: renders with the shipped network against each other, and against the path tracer."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,6 +59,29 @@ def nearly_white():
     return Outcome({"largest": float(np.abs(one - less).max() / one.mean())})
 
 
+def coloured():
+    """Albedo 1, 0.5 and 0 by channel, against grey ones."""
+    albedo = (1.0, 0.5, 0.0)
+    layer = draw(medium=Medium(30.0, albedo, 0.5))
+    greys = np.stack([draw(medium=Medium(30.0, a, 0.5)).rgb[..., i] for i, a in enumerate(albedo)], axis=-1)
+    return Outcome({"unsound": unsound(layer), "largest": float(np.abs(layer.rgb - greys).max() / greys.mean())},
+                   layer.rgb / layer.rgb.max())
+
+
+def large_image():
+    """8192 × 8192 pixels, a tenth of a thousandth of which show something, against that part rendered alone."""
+    view = camera(pixels=8192, fov=2.9)
+    whole = draw(view=view, samples=1)
+    rows, columns = np.nonzero(whole.alpha)
+    part = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+    alone = draw(view=replace(view, region=part), samples=1)
+    strips = [slice(top, top + 256) for top in range(0, 8192, 256)]
+    names = ("rgb", "single", "multiple", "alpha", "uncertainty", "depth")
+    bad = sum(unsound(replace(whole, **{name: getattr(whole, name)[rows] for name in names})) for rows in strips)
+    same_rgb = whole.rgb[part[1]:part[3], part[0]:part[2]]
+    return Outcome({"unsound": bad, "largest": float(np.abs(same_rgb - alone.rgb).max() / alone.rgb.mean())})
+
+
 def black():
     layer = draw(medium=Medium(30.0, 0.0, 0.5))
     return Outcome({"unsound": unsound(layer), "light": float(layer.rgb.max())})
@@ -81,6 +105,16 @@ def thin_slope():
     points, omega = np.zeros((1, 3)), [(0.0, 0.0, -1.0)]
     a, b = (predict_multiple(CLOUD, Medium(s, 1.0, 0.5), SUN, points, omega)[0, 0] for s in (1e-3, 1e-5))
     return Outcome({"ratio": float(abs(a / (100.0 * b) - 1.0))})
+
+
+def thin_truth():
+    """Multiple scattering alone at an optical density below the trained range, against the path tracer's."""
+    from training.reference import PathTracer
+
+    register_system("1024 paths", lambda: PathTracer(1024))
+    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), samples=8, model=model).multiple.mean()
+                    for model in ("mrpnn", "1024 paths"))
+    return Outcome({"bias": float(abs(found / truth - 1.0))})
 
 
 def more_depths():
@@ -135,8 +169,11 @@ CASES = [
       for k in (1e-6, 1e6)),
     Case("law", "the whole scene moved by 1e7", "itself", far_away, SAME),
     Case("law", "albedo 1 − 1e-7 is albedo 1", "itself", nearly_white, {"largest": 1e-4}),
+    Case("law", "albedo 1, 0.5 and 0 by channel", "grey ones", coloured, {"unsound": 0.0, "largest": 1e-5}, True),
+    Case("law", "8192 × 8192 pixels", "a part alone", large_image, {"unsound": 0.0, "largest": 1e-5}),
     Case("law", "albedo 0 is black", "closed form", black, {"unsound": 0.0, "light": 0.0}, True),
     Case("law", "multiple scattering is linear in a thin medium", "closed form", thin_slope, {"ratio": 1e-3}),
+    Case("law", "multiple scattering at σ̂ = 0.1", "path tracer", thin_truth, {"bias": 0.25}),
     Case("law", "more depth samples", "512 samples", more_depths, {"32 over 4 samples": 0.2}),
     *(Case("law", f"white furnace, G = {g:g}", "closed form", furnace(g),
            {"unsound": 0.0, "returned over received": 1.17, "missing": 0.17}) for g in (0.0, 0.5)),

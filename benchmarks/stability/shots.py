@@ -35,8 +35,10 @@ class SingleOnly:
 register_system("single only", SingleOnly)
 
 
-def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0.0, albedo=0.5, quick=False, **bounds):
-    """A case of one volume (or a density, which then fills a unit cube) in one view.
+def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0.0, albedo=0.5, quick=False, seen=None,
+         **bounds):
+    """A case of one volume (or a density, which then fills a unit cube) in one view. seen: a part of it, all that the
+    view shows and that lies towards the suns.
 
     Quantities: alpha, the largest difference; single, the root mean square relative to the mean; bias of the sum. A
     bound of None leaves one out.
@@ -46,7 +48,7 @@ def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0
 
     def measure():
         layer = render([(volume, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, "single only"))
-        alpha, through = exact_view(volume, sigma_t, suns, view)
+        alpha, through = exact_view(seen or volume, sigma_t, suns, view)
         cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in suns]).T
         phase = albedo * henyey_greenstein(cosine, anisotropy) * [sun.irradiance[0] for sun in suns]
         truth = (through * phase).sum(axis=1)
