@@ -96,7 +96,9 @@ def test_an_animation_from_the_command_line(program):
     run = program("-b", folder / "scene.blend", "-E", "MRPNN", "-o", folder / "anim_##", "-a")
     assert run.returncode == 0, run.stdout + run.stderr
     assert {path.name for path in folder.glob("anim_*")} == {"anim_01.png", "anim_02.png"}
-    assert "Remaining" in run.stdout or "scattering of Ball" in run.stdout or run.stdout.count("Saved") == 2
+    # Blender's statistics line, with what is at work and how far it is.
+    assert any("scattering of Ball" in line and line.rstrip().endswith("%") for line in run.stdout.splitlines())
+    assert run.stdout.count("Saved") == 2
 
 
 @pytest.mark.parametrize("frames", [("-a",), ("-f", "1..2")])
@@ -124,6 +126,42 @@ def test_the_command_writes_frames_report_and_status(program, how):
     run = program("-b", folder / "broken.blend", *start, "render", "--output", folder / f"{how}_broken.exr")
     assert run.returncode == 1 and "file not found" in run.stdout + run.stderr, run.stdout + run.stderr
     assert "Traceback" not in run.stderr and not (folder / f"{how}_broken.exr").exists()
+
+
+COMPOSITE = """
+    import bpy, numpy, sys
+    folder = sys.argv[-1]
+    scene = bpy.context.scene
+    output = scene.render.image_settings
+    if hasattr(output, "media_type"):
+        output.media_type = 'IMAGE'
+    output.file_format, output.color_depth, output.color_mode = 'OPEN_EXR', '32', 'RGBA'
+    scene.view_layers[0].update()
+    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+
+    def rendered(scene, name):
+        scene.render.filepath = f"{folder}/{name}.exr"
+        bpy.ops.render.render(scene=scene.name, write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        pixels = numpy.empty(16 * 16 * 4, numpy.float32)
+        image.pixels.foreach_get(pixels)
+        return pixels.reshape(-1, 4)[:, :3]
+
+    over, alone = rendered(scene, "composite"), rendered(bpy.data.scenes["Scene MRPNN"], "layer")
+    assert alone.max() > 0.01
+    # Over nothing, in a scene without a World.
+    numpy.testing.assert_allclose(over, alone, rtol=1e-3, atol=1e-5)
+    print("composed")
+"""
+
+
+def test_composite_over_cycles_builds_what_this_compositor_shows(program):
+    folder = program.folder
+    (folder / "composite.py").write_text(textwrap.dedent(COMPOSITE))
+    run = program("-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--",
+                  folder)
+    assert run.returncode == 0 and "composed" in run.stdout, run.stdout + run.stderr
 
 
 # What Flamenco's Manager gives a job type, which its Worker then runs command by command. Frames are cut into
