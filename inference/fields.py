@@ -22,6 +22,8 @@ DENSITY_SCALE = 64.0
 # Cells of the lookup lattice per cell of a mip: one lookup of the nearest fine cell stands
 # for a trilinear one.
 FINE = (1, 2, 2, 2, 4, 8, 16, 16)
+# Fine cells of lattices that one task makes.
+CELLS_A_TASK = 1 << 21
 
 
 def density_pyramid(level0: np.ndarray) -> List[np.ndarray]:
@@ -144,7 +146,7 @@ def build_lattices(
     padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
     interpolated before the logarithm and the optical depth before the exponential.
     low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
-    stencils cannot reach is not built. mapper: `map`, or an executor's, to build mips side by side.
+    stencils cannot reach is not built. mapper: `map`, or an executor's, to build parts side by side.
     earlier: Lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
     """
     margin = margins(stencil)
@@ -154,21 +156,30 @@ def build_lattices(
     ends = np.cumsum([np.prod(last - first) for first, last in spans])
     values = earlier.values if earlier else np.empty(ends[-1], np.complex64)
 
-    def build(m: int) -> Lattice:
+    packed = [values[end - np.prod(last - first) : end].reshape(last - first)
+              for end, (first, last) in zip(ends, spans)]
+
+    def build(m: int, start: int) -> None:
+        """Planes of a mip from `start` on."""
         n, source = LEVEL0_CELLS >> m, max(m, 1)
         first, last = spans[m]
-        packed = values[ends[m] - np.prod(last - first) : ends[m]].reshape(last - first)
+        part = packed[m][start : start + planes[m]]
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
+        cube[0] = cube[0][start : start + planes[m]]
         if not earlier:
             for i, plane in _refined_planes(padded[m], [c * n + margin[m] - 0.5 for c in cube]):
                 plane *= np.float32(sigma_hat / DENSITY_SCALE)
                 plane += np.float32(1.0)
-                packed.real[i] = np.log(plane, out=plane)
+                part.real[i] = np.log(plane, out=plane)
         cells = LEVEL0_CELLS >> source
         for i, plane in _refined_planes(unit_depths[source - 1], [c * cells + margin[source] - 0.5 for c in cube]):
             plane *= np.float32(-sigma_hat * BETA**source)
-            packed.imag[i] = np.exp(plane, out=plane)
-        return Lattice(packed, -0.5 - margin[m] / n, float(n * FINE[m]), first)
+            part.imag[i] = np.exp(plane, out=plane)
 
-    return Lattices(values, list(mapper(build, range(MIPS))))
+    # Parts are small, so that a render that is stopped ends soon.
+    planes = [max(CELLS_A_TASK // lattice[0].size, 1) for lattice in packed]
+    tasks = [(m, start) for m in range(MIPS) for start in range(0, len(packed[m]), planes[m])]
+    list(mapper(lambda task: build(*task), tasks))
+    return Lattices(values, [Lattice(packed[m], -0.5 - margin[m] / (LEVEL0_CELLS >> m),
+                                     float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]) for m in range(MIPS)])
