@@ -1,4 +1,4 @@
-"""What is approximated where volumes overlap, in words."""
+"""What is approximated where volumes overlap, or light each other, in words."""
 
 from typing import List, Tuple
 
@@ -12,7 +12,9 @@ ALBEDO, COSINE = 0.02, 0.05
 
 
 def overlap_warnings(pairs: List[Tuple[Volume, Medium]]) -> List[str]:
-    """Of volumes whose bounds meet, those that the network sees as one medium of means, or each as if it were alone."""
+    """Of volumes whose bounds meet, those that the network sees as one medium of means, or each as if it were alone; and of
+    fires, what they do not light.
+    """
     groups, apart = overlapping([volume for volume, _ in pairs])
     found = []
     for group in groups:
@@ -25,7 +27,18 @@ def overlap_warnings(pairs: List[Tuple[Volume, Medium]]) -> List[str]:
         more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""
         found.append(f"volumes {_names(pairs, apart[0])} overlap and are of very different size{more}; light that is "
                      "scattered several times is predicted as if each were alone")
-    return found
+    return found + _unlit(pairs, groups)
+
+
+def _unlit(pairs, groups) -> List[str]:
+    """Of volumes that shine, that they do not light one that lies apart."""
+    for group in groups:
+        shining = [v for v in group if pairs[v][0].emission is not None]
+        others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.albedo.any()]
+        if shining and others:
+            return [f"light that volume \"{pairs[shining[0]][0].name}\" emits does not light volume "
+                    f"\"{pairs[others[0]][0].name}\", whose grid does not meet its own"]
+    return []
 
 
 def _names(pairs, numbers) -> str:

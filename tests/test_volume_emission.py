@@ -151,6 +151,19 @@ def test_smoke_that_scatters_its_own_light_equals_cycles(addon, scene, fire, tmp
     assert relative_rmse(layer.rgb, a, b, mask).value < 0.2
 
 
+def test_fire_that_does_not_light_smoke_apart_is_named(addon, scene, fire):
+    cloud, node = blender_scenes.add_volume(scene, fire, **BLACK)
+    smoke, _ = blender_scenes.add_volume(scene, fire, "Smoke", Density=4.0)
+    blender_scenes.add_camera(scene)
+    flames(node)
+    smoke.location.x = 1.0
+    [warning] = read(addon).warnings
+    assert "mean colour" in warning
+    smoke.location.x = 5.0
+    [warning] = read(addon).warnings
+    assert "\"Cloud\" emits does not light volume \"Smoke\"" in warning
+
+
 def test_a_flame_that_has_gone_out_gives_no_light(addon, scene, fire):
     """A grid without a voxel above 0 is 0 everywhere, as on the first frames of a fire."""
     cloud, node = blender_scenes.add_volume(scene, fire, **BLACK)
