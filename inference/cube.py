@@ -16,8 +16,10 @@ from .stencil import LEVEL0_CELLS
 
 # Columns of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
-# Voxels of an axis that are averaged at a time.
-SLAB = 16
+# Voxels of an axis that are averaged at a time, and planes of voxels between two questions whether to stop.
+SLAB, PLANES = 16, 4
+# Rows of cells of a plane that are resampled between two such questions.
+ROWS = 64
 
 
 @dataclass
@@ -135,8 +137,8 @@ def _slabs(density, cube):
             yield low + cube.low, slab
         return
     inside = tuple(map(slice, cube.low, cube.high))
-    for start in range(cube.low[0], cube.high[0], SLAB):
-        yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + SLAB, cube.high[0])), *inside[1:])]
+    for start in range(cube.low[0], cube.high[0], PLANES):
+        yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + PLANES, cube.high[0])), *inside[1:])]
 
 
 def _weighted(weights, values, axis: int) -> np.ndarray:
@@ -164,11 +166,12 @@ def _resample_sheared(density, index_from_cube, origin, check):
     occupancy = Occupancy(grid.cells(), grid.CELL, grid.cells_first)
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
-    for i in range(LEVEL0_CELLS):
+    for i, j in np.ndindex(LEVEL0_CELLS, LEVEL0_CELLS // ROWS):
         check()
-        points = np.stack(np.meshgrid(inner[2 * i : 2 * i + 2], inner, inner, indexing="ij"), axis=-1)
-        index = (index_from_cube @ points.reshape(-1, 3).T + origin[:, None]).astype(np.float32)
+        rows = slice(j * ROWS, (j + 1) * ROWS)
+        points = np.stack(np.meshgrid(inner[2 * i:2 * i + 2], inner[2 * rows.start:2 * rows.stop], inner, indexing="ij"))
+        index = (index_from_cube @ points.reshape(3, -1) + origin[:, None]).astype(np.float32)
         near, fine = np.flatnonzero(occupancy.near(index)), np.zeros(index.shape[1], np.float32)
         fine[near] = grid.sample(index[:, near])
-        cells[i] = fine.reshape(2, LEVEL0_CELLS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
+        cells[i, rows] = fine.reshape(2, ROWS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
     return cells
