@@ -19,7 +19,7 @@ LARGEST_FILE = 8_000_000
 
 def make_net(name):
     torch.manual_seed(3)
-    return NETWORKS[name]()
+    return NETWORKS[name]().eval()
 
 
 def make_inputs(kind):

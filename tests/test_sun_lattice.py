@@ -137,7 +137,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     kept = np.flatnonzero(data["anisotropy"] == np.float32(0.857))
     np.testing.assert_array_equal(rows["radiance"], data["radiance"][kept][:, :, :1])
     torch.manual_seed(1)
-    net = RPNN()
+    net = RPNN().eval()
     tensors = {key: torch.from_numpy(value) for key, value in rows.items()}
     with torch.no_grad():
         trained = net(*RPNN.inputs(tensors, torch.arange(len(kept))), tensors["albedo"].T).numpy()[0]
