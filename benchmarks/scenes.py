@@ -75,7 +75,8 @@ def measured(name, stage, options) -> dict:
     layer = inference.render(described.volumes, described.suns, described.camera,
                              inference.Settings(depth_samples=DEPTH_SAMPLES), surfaces=described.surfaces)
     mask = (layer.alpha > 0.02) | (layer.emission.max(axis=2) > 0.0)
-    found = {"seconds": layer.report.seconds["total"], "pixels": int(mask.sum()), "warnings": described.warnings}
+    found = {"seconds": layer.report.seconds["total"], "pixels": int(mask.sum()),
+             "warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
     world = stage.scene.world if described.environment else None
     objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
     parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
