@@ -85,7 +85,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
         description.warnings += warnings
     elif kind == 'LIGHT':
         lamp = shown.object.data.type.lower()
-        description.warnings.append(f"light \"{shown.name}\" is a {lamp} light and not rendered; only suns are")
+        description.warnings.append(f"light \"{shown.name}\", of type {lamp}, is not rendered; only suns are")
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
         description.surfaces += [surface] if surface else []
