@@ -25,7 +25,7 @@ STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
 COVERAGE = 0.4
 SHARING_VIEWS = ("cumulus-100-side-g0.857", "cumulus-100-back-g0.857", "smoke-100-side-g0.857")
-SHARING_SIZES, SHARING_TRUTH = (128, 256, 512), 32
+SHARING_SIZES, SHARING_TRUTH = (128, 256), 32
 
 
 def ring(count: int):

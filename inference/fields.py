@@ -95,15 +95,14 @@ def _fine_span(m: int, stencil: Stencil, low, high):
     return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
 
 
-def _along(plane: np.ndarray, below, above_share, axis: int) -> np.ndarray:
+def _along(grid: np.ndarray, below, above_share, axis: int) -> np.ndarray:
     """Linear interpolation along one axis, between cells `below` and the next."""
+    refined = grid.take(below, axis)
     if not above_share.any():
-        return plane.take(below, axis)
-    share = above_share[:, None] if axis == 0 else above_share
-    refined = plane.take(below, axis)
-    rise = plane.take(below + 1, axis)
+        return refined
+    rise = grid.take(below + 1, axis)
     rise -= refined
-    rise *= share
+    rise *= above_share.reshape([-1 if a == axis else 1 for a in range(3)])
     refined += rise
     return refined
 
@@ -112,7 +111,8 @@ def _refined_planes(grid: np.ndarray, centres):
     """Linear interpolation of the grid at fine-cell centres, a plane (y, z) of the first axis at a time.
 
     centres: three arrays, positions in cells of the grid, whose centres lie at integers; clamped at the rim.
-    Yields the plane's number and the plane, which the next one overwrites.
+    Yields the plane's number and the plane, which the next one overwrites: memory that is taken and given back anew for
+    each would cost several threads more than the arithmetic.
     """
     below, share = [], []
     for axis, position in enumerate(centres):
@@ -121,20 +121,14 @@ def _refined_planes(grid: np.ndarray, centres):
         cell = np.minimum(position.astype(int), grid.shape[axis] - 2)
         below.append(cell)
         share.append((position - cell).astype(np.float32))
-
-    def refined(cell):
-        return _along(_along(grid[cell], below[2], share[2], 1), below[1], share[1], 0)
-
-    held, upper = None, None
-    plane = np.empty((len(below[1]), len(below[2])), np.float32)
-    for number, (cell, part) in enumerate(zip(below[0], share[0])):
-        # Each cell's plane is refined once.
-        if cell != held:
-            lower = upper if held is not None and cell == held + 1 else refined(cell)
-            held, upper = cell, refined(cell + 1)
-        np.subtract(upper, lower, out=plane)
+    first, last = below[0][0], below[0][-1] + 2
+    # The short axes' work is done before the grid grows along the long one.
+    grid = _along(_along(grid[first:last], below[2], share[2], 2), below[1], share[1], 1)
+    plane = np.empty(grid.shape[1:], np.float32)
+    for number, (cell, part) in enumerate(zip(below[0] - first, share[0])):
+        np.subtract(grid[cell + 1], grid[cell], out=plane)
         plane *= part
-        plane += lower
+        plane += grid[cell]
         yield number, plane
 
 
