@@ -9,6 +9,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from benchmarks.stability.shots import SingleOnly
+
 from . import blender_scenes
 
 # What Python tells before it does such things; hooks stay for the life of the process, so this one has a switch.
@@ -113,17 +115,10 @@ def test_it_can_be_stopped_in_every_stage(addon, scene, cloud, tmp_path, stage):
     assert not [thread for thread in threading.enumerate() if thread.name == "mrpnn render"]
 
 
-class Breaks:
+class Breaks(SingleOnly):
     """A system that fails in the middle of a render, as a bug in ours would."""
 
-    name, checksum, needs_light = "breaks", "", False
-    anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
-
-    def field(self, volume, cube, anisotropy, check):
-        return self
-
-    def light(self, sigma_hat, sun, low, high, mapper=map):
-        pass
+    name = "breaks"
 
     def predict(self, positions, omega, albedos, jitter=None, light=None):
         raise ZeroDivisionError("in a thread")
