@@ -64,9 +64,7 @@ def read_fields(stencil: Stencil, lattices: Lattices, positions, omega, sun, mu,
             cell *= stride[axis]
             cell += index
             index = cell
-        # The lattices hold every cell that a stencil can read; clipping costs less than checking.
-        values = lattices.values.take(index, mode="clip")
-        mu[span], transmittance[span] = values.real, values.imag
+        lattices.read(index, mu[span], transmittance[span])
 
 
 def angle_to_sun(omega, sun) -> np.ndarray:

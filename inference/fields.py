@@ -22,6 +22,8 @@ DENSITY_SCALE = 64.0
 # Cells of the lookup lattice per cell of a mip: one lookup of the nearest fine cell stands
 # for a trilinear one.
 FINE = (1, 2, 2, 2, 4, 8, 16, 16)
+# A feature is kept in 16 bits: so many steps up to its largest value.
+STEPS = 65535
 # Fine cells of lattices that one task makes.
 CELLS_A_TASK = 1 << 21
 
@@ -65,8 +67,8 @@ def unit_optical_depths(padded: List[np.ndarray], direction: np.ndarray) -> List
 class Lattice:
     """Features of one mip, ready for one lookup a point.
 
-    packed: complex64 (sx, sy, sz); real part the density feature, imaginary part the scaled
-        transmittance, at fine-cell centres.
+    packed: uint32 (sx, sy, sz); lower half the density feature, upper half the scaled
+        transmittance, at fine-cell centres, both in steps.
     origin: cube coordinate of fine cell 0, the same on every axis. scale: fine cells per
         cube edge. first: int (3,), the fine cell that packed[0, 0, 0] is.
     """
@@ -79,10 +81,24 @@ class Lattice:
 
 @dataclass
 class Lattices:
-    """Lattices of mips 0..7, `levels`; `values`: complex64, all of theirs, one after another."""
+    """Lattices of mips 0..7.
+
+    values: uint32, all of theirs, one after another. density_step: of the density feature; the transmittance's is 1 / STEPS.
+    """
 
     values: np.ndarray
     levels: List[Lattice]
+    density_step: np.float32
+
+    def read(self, index: np.ndarray, density: np.ndarray, transmittance: np.ndarray):
+        """Fill density and transmittance, float32, with the features at places in `values`."""
+        # The lattices hold every cell that a stencil can read; clipping costs less than checking.
+        found = self.values.take(index, mode="clip")
+        density[...] = found & np.uint32(STEPS)
+        density *= self.density_step
+        found >>= np.uint32(16)
+        transmittance[...] = found
+        transmittance *= np.float32(1.0 / STEPS)
 
 
 def _fine_span(m: int, stencil: Stencil, low, high):
@@ -148,32 +164,41 @@ def build_lattices(
 
     spans = [_fine_span(m, stencil, low, high) for m in range(MIPS)]
     ends = np.cumsum([np.prod(last - first) for first, last in spans])
-    values = earlier.values if earlier else np.empty(ends[-1], np.complex64)
+    values = earlier.values if earlier else np.empty(ends[-1], np.uint32)
 
     packed = [values[end - np.prod(last - first) : end].reshape(last - first)
               for end, (first, last) in zip(ends, spans)]
+    # No mean is denser than what it is of.
+    scale = np.float32(sigma_hat / DENSITY_SCALE)
+    density_step = max(np.log(np.float32(1.0) + scale * padded[0].max()) / np.float32(STEPS), np.float32(1e-12))
 
     def build(m: int, start: int) -> None:
         """Planes of a mip from `start` on."""
         n, source = LEVEL0_CELLS >> m, max(m, 1)
         first, last = spans[m]
-        part = packed[m][start : start + planes[m]]
+        part = packed[m][start : start + planes[m]].view(np.uint16)
+        density, light = part[..., 0::2], part[..., 1::2]
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
         cube[0] = cube[0][start : start + planes[m]]
         if not earlier:
             for i, plane in _refined_planes(padded[m], [c * n + margin[m] - 0.5 for c in cube]):
-                plane *= np.float32(sigma_hat / DENSITY_SCALE)
+                plane *= scale
                 plane += np.float32(1.0)
-                part.real[i] = np.log(plane, out=plane)
+                np.log(plane, out=plane)
+                plane *= 1.0 / density_step
+                density[i] = np.rint(np.minimum(plane, np.float32(STEPS), out=plane), out=plane)
         cells = LEVEL0_CELLS >> source
         for i, plane in _refined_planes(unit_depths[source - 1], [c * cells + margin[source] - 0.5 for c in cube]):
             plane *= np.float32(-sigma_hat * BETA**source)
-            part.imag[i] = np.exp(plane, out=plane)
+            np.exp(plane, out=plane)
+            plane *= np.float32(STEPS)
+            light[i] = np.rint(plane, out=plane)
 
     # Parts are small, so that a render that is stopped ends soon.
     planes = [max(CELLS_A_TASK // lattice[0].size, 1) for lattice in packed]
     tasks = [(m, start) for m in range(MIPS) for start in range(0, len(packed[m]), planes[m])]
     list(mapper(lambda task: build(*task), tasks))
     return Lattices(values, [Lattice(packed[m], -0.5 - margin[m] / (LEVEL0_CELLS >> m),
-                                     float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]) for m in range(MIPS)])
+                                     float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]) for m in range(MIPS)],
+                    density_step)

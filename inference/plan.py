@@ -16,7 +16,7 @@ from .stencil import LEVEL0_CELLS
 # Suns count as parallel, and are merged, below this angle in radians.
 PARALLEL = 1e-6
 # Bytes that the fields of one volume need at the peak, whatever its resolution.
-FIELD_BYTES = 56 * LEVEL0_CELLS**3
+FIELD_BYTES = 42 * LEVEL0_CELLS**3
 # Bytes that a voxel of the input needs on top, for itself and for each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 # Bytes that volumes that are seen as one need on top.
