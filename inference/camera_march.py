@@ -32,7 +32,7 @@ def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
 
 
 def march_camera_rays(
-    plan, channels, grids, camera, screen, sun_maps, settings, diffused, work, report, start, end, images
+    plan, channels, grids, camera, screen, obstacles, settings, diffused, work, report, start, end, images
 ):
     """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
     origins, directions, clip_near, clip_far = camera_rays(camera)
@@ -64,7 +64,7 @@ def march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            settings.depth_samples, diffused, sun_maps, plan.groups,
+            settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([m.phase(cosine) if m.phase else henyey_greenstein(cosine, m.anisotropy)

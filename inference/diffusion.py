@@ -23,10 +23,11 @@ TOLERANCE, MOST_ITERATIONS = 1e-3, 400
 LEAST = 1e-6
 
 
-def diffusion_equation(density, tau, reduced: float):
+def diffusion_equation(density, tau, reduced: float, lit=1.0, walls=None):
     """Coefficients of the 7-point equation on CELLS^3 cells.
 
-    density: (32, 32, 32) of the level; tau: its optical depth towards the sun for extinction 1; reduced: s.
+    density: (32, 32, 32) of the level; tau: its optical depth towards the sun for extinction 1; reduced: s; lit:
+    (32, 32, 32), share of the beam that surfaces let through; walls: `Walls` that end light, or None.
     Returns diagonal (32, 32, 32), couplings (3, 32, 32, 32) of each cell to the next along each axis,
     and the right-hand side, float64.
     """
@@ -36,14 +37,14 @@ def diffusion_equation(density, tau, reduced: float):
     # The mean over a cell of what the beam loses, exact for a beam along an axis.
     half = 0.5 * h * extinction
     beam = reduced * tau
-    source = h * (np.exp(-np.maximum(beam - half, 0.0)) - np.exp(-(beam + half)))
-    return *couple(spread, h), source
+    source = h * lit * (np.exp(-np.maximum(beam - half, 0.0)) - np.exp(-(beam + half)))
+    return *couple(spread, h, walls), source
 
 
-def couple(spread, h: float):
+def couple(spread, h: float, walls=None):
     """What -div(D grad phi) is on cells of edge h, times h^2: diagonal (x, y, z), and couplings (3, x, y, z).
 
-    spread: D of each cell, float64.
+    spread: D of each cell, float64; walls: where light ends as at the faces of all, or None.
     """
     diagonal, couplings = np.zeros_like(spread), np.zeros((3, *spread.shape))
     for axis in range(3):
@@ -52,6 +53,8 @@ def couple(spread, h: float):
         total = np.moveaxis(diagonal, axis, 0)
         # Harmonic means, so that the flux through a face is that through both half cells.
         coupling[:-1] = 2.0 * d[1:] * d[:-1] / (d[1:] + d[:-1])
+        if walls is not None:
+            walls.end(axis, coupling, total, d, h)
         total += coupling
         total[1:] += coupling[:-1]
         for side in (0, -1):
@@ -88,14 +91,17 @@ def solve(diagonal, couplings, source, least: float = 0.0):
     return np.maximum(x, least)
 
 
-def log_fluence(density, sun, reduced: float) -> np.ndarray:
+def log_fluence(density, sun, reduced: float, lit=1.0, walls=None) -> np.ndarray:
     """log(phi + LEAST), float32 (34, 34, 34): the cells and one more of the same beyond each face.
 
-    density: float32 (32, 32, 32), level 3 of the pyramid; sun: (3,) unit vector; reduced: sigma_hat (1 - G).
+    density: float32 (32, 32, 32), level 3 of the pyramid; sun: (3,) unit vector; reduced: sigma_hat (1 - G);
+    lit, walls: as in `diffusion_equation`.
     """
     tau = sun_optical_depth(density, sun, 1.0 / CELLS).astype(np.float64)
-    fluence = solve(*diffusion_equation(density, tau, reduced))
-    return np.pad(np.log(fluence + LEAST), 1, mode="edge").astype(np.float32)
+    logs = np.log(solve(*diffusion_equation(density, tau, reduced, lit, walls)) + LEAST)
+    if walls is not None:
+        logs = walls.spread_inside(logs)
+    return np.pad(logs, 1, mode="edge").astype(np.float32)
 
 
 def probe_points(positions, omega, sun):

@@ -26,6 +26,11 @@ FINE = (1, 2, 2, 2, 4, 8, 16, 16)
 STEPS = 65535
 # Fine cells of lattices that one task makes.
 CELLS_A_TASK = 1 << 21
+# What surfaces keep off the scaled transmittance counts as light behind this optical depth: no volume that the network
+# has learned from makes its wider fields black.
+SHADE = 10.0
+# Places along an edge of a cell of levels 1..7 at which surfaces may shade it.
+LIT_PARTS = (1, 1, 1, 2, 4, 4, 4)
 
 
 def density_pyramid(level0: np.ndarray) -> List[np.ndarray]:
@@ -61,6 +66,23 @@ def unit_optical_depths(padded: List[np.ndarray], direction: np.ndarray) -> List
         sun_optical_depth(level, direction, step_length=1.0 / (LEVEL0_CELLS >> m))
         for m, level in enumerate(padded[1:], start=1)
     ]
+
+
+def lit_levels(stencil: Stencil, sun_map) -> List[np.ndarray]:
+    """Share of the sun's light that surfaces let through to the cells of levels 1..7, on the padded lattices.
+
+    sun_map: SunMap in the cube's frame.
+    """
+    return [sun_map.lit_cells(LEVEL0_CELLS >> m, margin, parts)
+            for m, (margin, parts) in enumerate(zip(margins(stencil)[1:], LIT_PARTS), start=1)]
+
+
+def _shaded(share: np.ndarray, scale: float) -> np.ndarray:
+    """What is left of a scaled transmittance where surfaces let a share of the light through; changed in place."""
+    left = np.float32(np.exp(-SHADE * scale))
+    share *= np.float32(1.0) - left
+    share += left
+    return share
 
 
 @dataclass
@@ -149,7 +171,8 @@ def _refined_planes(grid: np.ndarray, centres):
 
 
 def build_lattices(
-    padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map, earlier=None
+    padded, unit_depths, sigma_hat: float, stencil: Stencil, low=-0.5, high=0.5, mapper=map, earlier=None,
+    lit=None,
 ) -> Lattices:
     """Lattices of mips 0..7 for one optical density and one sun.
 
@@ -158,6 +181,7 @@ def build_lattices(
     low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
     stencils cannot reach is not built. mapper: `map`, or an executor's, to build parts side by side.
     earlier: Lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
+    lit: from `lit_levels`, where surfaces shade.
     """
     margin = margins(stencil)
     low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
@@ -189,9 +213,13 @@ def build_lattices(
                 plane *= 1.0 / density_step
                 density[i] = np.rint(np.minimum(plane, np.float32(STEPS), out=plane), out=plane)
         cells = LEVEL0_CELLS >> source
-        for i, plane in _refined_planes(unit_depths[source - 1], [c * cells + margin[source] - 0.5 for c in cube]):
+        centres = [c * cells + margin[source] - 0.5 for c in cube]
+        shares = _refined_planes(lit[source - 1], centres) if lit is not None else None
+        for i, plane in _refined_planes(unit_depths[source - 1], centres):
             plane *= np.float32(-sigma_hat * BETA**source)
             np.exp(plane, out=plane)
+            if shares:
+                plane *= _shaded(next(shares)[1], BETA**source)
             plane *= np.float32(STEPS)
             light[i] = np.rint(plane, out=plane)
 

@@ -11,10 +11,10 @@ from .glow_image import add_glow
 from .images import Images
 from .kept import Kept
 from .multiple_image import add_multiple, diffuse
+from .obstacles import Obstacles
 from .plan import make_plan
 from .report import Report, process_peak_memory
 from .scene import Camera, Settings
-from .sun_map import SunMap
 from .surfaces import Screen
 from .work import Work
 
@@ -94,22 +94,20 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
 
     with report.stage("shadows"):
         grids = kept.grids([volume for volume, _ in plan.volumes], plan.suns, work)
-    fields, screen, sun_maps = {}, None, None
+    fields, screen, obstacles = {}, None, None
     with report.stage("surfaces"):
         covering = [surface for surface in surfaces if surface.covers]
         if covering and camera.projection != "equirectangular":
             screen = Screen(covering, camera)
-        shading = [surface for surface in surfaces if surface.shades]
-        if shading and plan.volumes:
+        if surfaces and plan.volumes:
             corners = np.concatenate([grid.corners() for grid in grids])
-            sun_maps = [SunMap(shading, sun.direction, corners) for sun in plan.suns]
-            sun_maps = None if all(sun_map.empty for sun_map in sun_maps) else sun_maps
+            obstacles = Obstacles(surfaces, [sun.direction for sun in plan.suns], corners)
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
             if network is not None and network.needs_light:
                 with report.stage("fields"):
-                    diffused = diffuse(plan, channels, network, kept, grids, fields, work, report)
+                    diffused = diffuse(plan, channels, network, kept, grids, fields, obstacles, work, report)
             share = 1.0 / len(plan.channels) / len(plan.tiles)
             for tile, (top, bottom) in enumerate(plan.tiles):
                 rows = replace(camera, region=(x0, top, x1, bottom))
@@ -117,12 +115,12 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 middle = start + share * MARCH_SHARE
                 part = images.part(slice((top - y0) * width, (bottom - y0) * width))
                 samples = march_camera_rays(
-                    plan, channels, grids, rows, screen, sun_maps, settings, diffused, work, report, start, middle, part)
+                    plan, channels, grids, rows, screen, obstacles, settings, diffused, work, report, start, middle, part)
                 if samples is not None and any(plan.scattered_glow):
                     add_glow(plan, channels, kept, grids, samples, work, report, part.multiple)
                 if network is not None and samples is not None:
                     add_multiple(
-                        plan, channels, network, kept, grids, fields, samples, rows.window, settings, work, report, middle,
+                        plan, channels, network, kept, grids, fields, obstacles, samples, rows.window, settings, work, report, middle,
                         start + share, part, whole=len(plan.tiles) > 1)
 
     shape = (height, width)

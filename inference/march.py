@@ -122,7 +122,7 @@ def march(
         frames = _frames(diffused, origins, directions, steps)
         sigma, shadows = _together(medium.sigma, groups), _together(shadows, groups)
         fluence = _fluence(diffused, frames, sigma, shadows.shape[1], medium)
-        light = ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside)
+        light = ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit)
     return RaySegment(
         alpha,
         depth,

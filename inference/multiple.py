@@ -32,12 +32,14 @@ class MultipleField:
         self.cube = fit_cube(volume)
         self.anisotropy = float(np.clip(medium.anisotropy, *system.anisotropy_range))
         self.field = system.field(volume, self.cube, self.anisotropy, check)
-        self.built = None
+        self.built, self.obstacles = None, None
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         self.most = np.float32(FLUENCE_MOST * peak)
 
     def warnings(self, sigma_t: float):
         found = []
+        if self.obstacles and not hasattr(self.field, "meet"):
+            found.append(f"{self.volume.name}: the network {self.system.name} does not know of surfaces")
         if self.anisotropy != self.medium.anisotropy:
             found.append(
                 f"{self.volume.name}: anisotropy {self.medium.anisotropy:g} is outside the network's range; "
@@ -72,6 +74,21 @@ class MultipleField:
         corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
         matrix = self.volume.world_from_index
         return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
+
+    def meet(self, obstacles) -> None:
+        """Know surfaces, `Obstacles` or None, for what is prepared from now on."""
+        if self.obstacles.alike(obstacles) if self.obstacles else not obstacles:
+            return
+        self.obstacles, self.built = obstacles, None
+        if not hasattr(self.field, "meet"):
+            return
+        known, triangles = {}, np.zeros((0, 3, 3))
+        if obstacles:
+            triangles = self.cube.positions(obstacles.triangles)
+            for direction, sun_map in zip(obstacles.directions, obstacles.sun_maps or ()):
+                known[tuple(self.cube.directions(direction))] = sun_map.seen_from(
+                    self.cube.rotation * self.cube.edge, self.cube.centre)
+        self.field.meet(known, triangles)
 
     def light(self, sigma_t: float, direction: np.ndarray, low, high, mapper=map):
         """Prepare for one sun and the points between `low` and `high`, from `bounds`.

@@ -15,12 +15,13 @@ def _scatters(plan, channels, g) -> bool:
         channels.sigma_t[v] > 0.0 and plan.volumes[v][1].albedo[channels.indices].any() for v in plan.groups[g])
 
 
-def _field(plan, channels, network, kept, grids, fields, g, work, report) -> Tuple[MultipleField, float]:
+def _field(plan, channels, network, kept, grids, fields, obstacles, g, work, report) -> Tuple[MultipleField, float]:
     """The field of one group of volumes, made once, and its extinction in these channels."""
     made = g not in fields
     if made:
         work.check()
         fields[g] = kept.field(network, plan.pairs(), g, [grids[v] for v in plan.groups[g]], work.check)
+        fields[g].meet(obstacles)
     work.check()
     sigma_t = float(fields[g].medium.sigma_t[channels.indices[0]])
     if made:
@@ -28,20 +29,21 @@ def _field(plan, channels, network, kept, grids, fields, g, work, report) -> Tup
     return fields[g], sigma_t
 
 
-def diffuse(plan, channels, network, kept, grids, fields, work, report):
+def diffuse(plan, channels, network, kept, grids, fields, obstacles, work, report):
     """DiffusedLight of each group of volumes in which multiple scattering is predicted, else None."""
     diffused = []
     for g in range(len(plan.groups)):
         light = None
         if _scatters(plan, channels, g):
-            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, obstacles, g, work, report)
             light = field.diffused_light(sigma_t, [sun.direction for sun in plan.suns], work.each)
         diffused.append(light)
     return diffused
 
 
 def add_multiple(
-    plan, channels, network, kept, grids, fields, samples, window, settings, work, report, start, end, images, whole: bool
+    plan, channels, network, kept, grids, fields, obstacles, samples, window, settings, work, report, start, end, images,
+    whole: bool,
 ):
     """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty.
 
@@ -58,7 +60,7 @@ def add_multiple(
         message = "multiple scattering of " + " and ".join(plan.volumes[v][0].name for v in group)
         work.progress(first, message)
         with report.stage("fields"):
-            field, sigma_t = _field(plan, channels, network, kept, grids, fields, g, work, report)
+            field, sigma_t = _field(plan, channels, network, kept, grids, fields, obstacles, g, work, report)
             if kept.any_view or whole:
                 low, high = field.extent()
             else:

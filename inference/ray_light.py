@@ -38,13 +38,13 @@ class RayLight:
         return self.values[points, medium, sun]
 
 
-def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside) -> RayLight:
+def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None) -> RayLight:
     """Light at points of marched rays.
 
     blocks: `ray_steps.Blocks`, P of them; sigma: (V, P, S) extinction in each step; shadows: (V, L, P, S + 1) optical
     depth towards each sun at the steps' ends, where a step holds density; fluence: (V, L, P, S) of each sun in each
     step; dt: (P, 1) steps' length; block, step: int (M,) of each point, and inside: (M,) in [0, 1], how far into its
-    step it lies.
+    step it lies; lit: (L, P, S) share of each sun's light that surfaces let through, where they shade.
     """
     volumes, suns = shadows.shape[:2]
     values = np.empty((len(block), volumes, suns, COLUMNS), np.float32)
@@ -65,6 +65,10 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside) -> RayLi
             values[:, v, l, 1] = ahead
             middle = 0.5 * (shadow[:, :-1] + shadow[:, 1:])
             single = [(a, np.exp(-a * middle)) for a in SCALES]
+            if lit is not None:
+                single = [(a, light * lit[l]) for a, light in single]
+                dark = -np.log(np.maximum(lit[l][block, step], np.float32(1e-30)))
+                values[:, v, l, 0] = np.minimum(values[:, v, l, 0] + dark, TAU_SUN_MOST)
             for i, (a, light) in enumerate(single + [(a, fluence[v, l]) for a in DIFFUSED_SCALES], start=2):
                 values[:, v, l, i] = _gather(a, light, through, before, blocks, block, step, rest, at)
     return RayLight(values)

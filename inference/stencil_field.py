@@ -4,13 +4,16 @@ import numpy as np
 
 from .cube import level0_density
 from .descriptors import angle_to_sun, describe, read_fields
-from .diffusion import LEVEL, DiffusedLight, finer, log_fluence, read_fluence
-from .fields import build_lattices, density_pyramid, padded_levels, unit_optical_depths
+from .diffusion import CELLS, LEVEL, DiffusedLight, finer, log_fluence, read_fluence
+from .fields import build_lattices, density_pyramid, lit_levels, padded_levels, unit_optical_depths
 from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil
+from .walls import Walls
 
 # Suns and optical densities whose diffused light a field keeps.
 MOST_FLUENCES = 64
+# Places along an edge of a cell of the diffused light at which surfaces may shade it.
+LIT_CELL_PARTS = 3
 
 
 class StencilField:
@@ -25,12 +28,19 @@ class StencilField:
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
         pyramid = density_pyramid(level0_density(volume, cube, check))
         self.padded = padded_levels(pyramid, network.points)
-        self.lattices, self.built = None, None
+        self.lattices, self.built, self.sun_maps = None, None, {}
         self.prepare(pyramid)
 
     def prepare(self, pyramid):
         """What does not depend on optical density and sun."""
         self.phase = PhaseFeatures(self.network.points, self.anisotropy)
+
+    def meet(self, sun_maps, triangles):
+        """Know opaque surfaces, in the cube's frame, for what is prepared from now on.
+
+        sun_maps: SunMaps by sun (3,), as a tuple; triangles: (T, 3, 3) of surfaces that end scattered light.
+        """
+        self.sun_maps = sun_maps
 
     @staticmethod
     def read_points(values) -> Stencil:
@@ -46,7 +56,9 @@ class StencilField:
         earlier = self.lattices if built == self.built else None
         # Until all of it is there, nothing is: building may be cancelled.
         self.built = None
-        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper, earlier)
+        sun_map = self.sun_maps.get(tuple(sun))
+        lit = lit_levels(self.network.points, sun_map) if sun_map else None
+        self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper, earlier, lit)
         self.built = built
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
@@ -64,7 +76,13 @@ class RayField(StencilField):
     needs_light = True
 
     def prepare(self, pyramid):
-        self.coarse, self.fluences = pyramid[LEVEL], {}
+        self.coarse, self.fluences, self.walls = pyramid[LEVEL], {}, None
+
+    def meet(self, sun_maps, triangles):
+        super().meet(sun_maps, triangles)
+        self.fluences.clear()
+        walls = Walls(triangles, CELLS)
+        self.walls = None if walls.empty else walls
 
     def light(self, sigma_hat: float, sun, low, high, mapper=map):
         super().light(sigma_hat, sun, low, high, mapper)
@@ -76,7 +94,9 @@ class RayField(StencilField):
         if key not in self.fluences:
             if len(self.fluences) >= MOST_FLUENCES:
                 self.fluences.clear()
-            self.fluences[key] = log_fluence(self.coarse, sun, sigma_hat * (1.0 - self.anisotropy))
+            sun_map = self.sun_maps.get(tuple(sun))
+            lit = sun_map.lit_cells(CELLS, parts=LIT_CELL_PARTS) if sun_map else 1.0
+            self.fluences[key] = log_fluence(self.coarse, sun, sigma_hat * (1.0 - self.anisotropy), lit, self.walls)
         return self.fluences[key]
 
     def diffused_light(self, sigma_hat: float, suns, mapper=map) -> DiffusedLight:

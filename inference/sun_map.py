@@ -1,11 +1,16 @@
 """Which parts of volumes surfaces shade from a sun."""
 
+import copy
+
 import numpy as np
 
+from .rays import box_interval
 from .surfaces import covered
 
 # Cells along the longer side of the volumes, as the sun sees them.
 CELLS = 1024
+# Of the map's rows and columns, one in so many is looked at first for whether anything is shaded.
+FEW = 16
 
 
 class SunMap:
@@ -28,14 +33,45 @@ class SunMap:
         heights = np.full(size[0] * size[1], -np.inf)
         for surface in surfaces:
             place = surface.triangles @ self.linear.T + self.offset
-            for flat, height in covered(place[..., :2], place[..., 2], size):
+            for flat, height, _ in covered(place[..., :2], place[..., 2], size):
                 np.maximum.at(heights, flat, height)
         self.heights = heights.reshape(size[1], size[0]).astype(np.float32)
 
-    @property
-    def empty(self) -> bool:
-        """Whether no surface lies above or below the volumes."""
-        return not np.isfinite(self.heights).any()
+    def shades(self, corners) -> bool:
+        """Whether a surface lies above any part of some boxes; corners: (B, 8, 3), as `Grid.corners` gives them."""
+        return any(self._shades(box, every) for every in (FEW, 1) for box in corners)
+
+    def _shades(self, box, every: int) -> bool:
+        heights = self.heights[::every, ::every]
+        row, column = np.nonzero(np.isfinite(heights))
+        # A cell's column as a ray in the frame in which the box is a unit cube.
+        place = box @ self.linear.T + self.offset
+        turn = np.linalg.inv(place[[4, 2, 1]] - place[0])
+        foot = np.stack([column * every, row * every, np.zeros(len(row))], axis=1)
+        low, high = box_interval((foot - place[0]) @ turn, turn[2:], 0.0, 1.0)
+        return bool(np.any((low < high) & (heights[row, column] > low)))
+
+    def seen_from(self, turn, centre) -> "SunMap":
+        """The same in a frame in which x stands for the world's turn @ x + centre; turn: (3, 3), centre: (3,)."""
+        turned = copy.copy(self)
+        turned.linear, turned.offset = self.linear @ turn, self.linear @ centre + self.offset
+        return turned
+
+    def lit_cells(self, cells: int, margin: int = 0, parts: int = 1) -> np.ndarray:
+        """Mean share of the light in each of cells^3 cells of a cube, from -1/2 to 1/2, and `margin` more around them.
+
+        parts: places along a cell's edge. Returns float32 (n, n, n), n = cells + 2 margin.
+        """
+        count = cells + 2 * margin
+        place = (np.arange(count * parts) + 0.5) / (cells * parts) - margin / cells - 0.5
+        x, y, z = (np.float32(self.linear[:, axis, None] * place) for axis in range(3))
+        z += self.offset[:, None].astype(np.float32)
+        share = np.empty((count,) * 3, np.float32)
+        for i in range(count):
+            slab = x[:, i * parts : (i + 1) * parts, None, None] + (y[:, :, None] + z[:, None])[:, None]
+            found = self.lit(slab.reshape(3, -1)).reshape(parts, count, parts, count, parts)
+            share[i] = found.mean(axis=(0, 2, 4))
+        return share
 
     def lit(self, index: np.ndarray) -> np.ndarray:
         """Share of the light (N,) that reaches indices float32 (3, N): the four cells around tell, by their nearness."""
@@ -43,10 +79,11 @@ class SunMap:
         left, low = np.floor(column), np.floor(row)
         across, up = column - left, row - low
         rows, columns = self.heights.shape
+        heights = self.heights.reshape(-1)
         share = np.zeros(len(height), np.float32)
         for i, x in ((left, 1.0 - across), (left + 1.0, across)):
-            i = np.clip(i, 0, columns - 1).astype(np.intp)
+            i = np.clip(i, 0, columns - 1).astype(np.int32)
             for j, y in ((low, 1.0 - up), (low + 1.0, up)):
-                j = np.clip(j, 0, rows - 1).astype(np.intp)
-                share += x * y * (height >= self.heights[j, i])
+                j = np.clip(j, 0, rows - 1).astype(np.int32)
+                share += x * y * (height >= heights.take(j * columns + i))
         return share

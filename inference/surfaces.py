@@ -23,7 +23,7 @@ PAIRS_AT_ONCE = 1 << 20
 @dataclass
 class Surface:
     """triangles: float64 (T, 3, 3) corners in the world. name: for messages. covers: whether camera rays end there.
-    shades: whether it keeps suns from volumes.
+    shades: whether it keeps suns from volumes. stops: whether light that volumes scatter ends there.
 
     Raises SceneError where they are not finite.
     """
@@ -32,6 +32,7 @@ class Surface:
     name: str = "surface"
     covers: bool = True
     shades: bool = True
+    stops: bool = True
 
     def __post_init__(self):
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
@@ -66,7 +67,7 @@ class Screen:
         size = np.array([x1 - x0, y1 - y0]) * PLACES
         place = (self.place - [x0, y0]) * PLACES - 0.5
         found = np.full(size[0] * size[1], -np.inf)
-        for flat, value in covered(place, self.value, size):
+        for flat, value, _ in covered(place, self.value, size):
             np.maximum.at(found, flat, value)
         distance = self._along(found.reshape(size[1], size[0]), x0, y0)
         parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
@@ -121,7 +122,7 @@ def _beyond(corners, closest: float):
 
 
 def covered(place, value, size):
-    """Yield (flat index, value) of whole places in a raster of `size` columns and rows that triangles cover."""
+    """Yield (flat index, value, triangle) of whole places in a raster of `size` columns and rows that triangles cover."""
     first = np.ceil(np.clip(place.min(axis=1), 0, size)).astype(int)
     last = np.floor(np.clip(place.max(axis=1), -1, size - 1)).astype(int)
     spans = np.maximum(last - first + 1, 0)
@@ -145,5 +146,5 @@ def covered(place, value, size):
         area = shares.sum(axis=1)
         hit = (area != 0.0) & (np.all(shares >= 0.0, axis=1) | np.all(shares <= 0.0, axis=1))
         yield (at[hit, 1] * size[0] + at[hit, 0],
-               (shares[hit] * value[triangle[hit]]).sum(axis=1) / area[hit])
+               (shares[hit] * value[triangle[hit]]).sum(axis=1) / area[hit], triangle[hit])
         start = end

@@ -15,7 +15,7 @@ SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBs
 
 
 def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tuple[Optional[Surface], List[str]]:
-    """A visible object's surface where it is opaque and covers or shades volumes, and warnings.
+    """A visible object's surface where it is opaque and volumes meet it, and warnings.
 
     known: triangles of meshes read before, in their own space; instances share them.
     """
@@ -23,7 +23,8 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tu
     if shown.object.type not in MESHES:
         return None, [f"{where} is a surface and not rendered"]
     covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
-    if not covers and not shown.object.visible_shadow:
+    shades, stops = shown.object.visible_shadow, shown.object.visible_volume_scatter
+    if not (covers or shades or stops):
         return None, []
     if any(_see_through(slot.material) for slot in shown.object.material_slots):
         return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]
@@ -31,7 +32,7 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tu
     if key not in known:
         known[key] = triangles_of(shown.object)
     triangles = known[key] @ shown.matrix[:3, :3].T + shown.matrix[:3, 3]
-    return (Surface(triangles, where, covers, shown.object.visible_shadow) if len(triangles) else None), []
+    return (Surface(triangles, where, covers, shades, stops) if len(triangles) else None), []
 
 
 def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
@@ -40,9 +41,9 @@ def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
     if surfaces:
-        found.append(f"{_names(surfaces)}: surfaces cover volumes and keep suns from lighting them directly; what they stop "
-                     "and throw back of light that is scattered several times is not predicted. Composite over Cycles "
-                     "renders them")
+        found.append(f"{_names(surfaces)}: surfaces cover volumes, keep suns from them and end the light that they "
+                     "scatter, as if they were black: what they throw back is not rendered. Composite over Cycles renders "
+                     "the surfaces themselves")
     return found
 
 

@@ -98,7 +98,7 @@ def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(
     middles = sorted({tuple(np.round(surface.triangles.reshape(-1, 3).mean(axis=0), 2)) for surface in described.surfaces})
     assert len(middles) == 3
     assert np.allclose(middles[0], (0.0, 0.0, 2.0), atol=0.02) and np.allclose(middles[2], (1.0, 0.0, 2.0), atol=0.02)
-    shown.visible_camera = text.visible_camera = text.visible_shadow = False
+    shown.visible_camera = text.visible_camera = text.visible_shadow = text.visible_volume_scatter = False
     shown.visible_shadow = True
     # The ball and its copy still shade; the text does nothing.
     assert [(surface.covers, surface.shades) for surface in read(addon).surfaces] == [(False, True)] * 2

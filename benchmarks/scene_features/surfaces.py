@@ -7,9 +7,15 @@ from .stage import smooth_cube
 
 
 def black_ball(stage, location):
-    """A rounded cube that is held out of Cycles' image and reflects nothing."""
+    """A rounded cube, held out and black."""
     shown = smooth_cube(stage, "Ball")
     shown.scale, shown.location = (0.5, 0.5, 0.5), location
+    paint_black(stage, shown)
+    return shown
+
+
+def paint_black(stage, shown):
+    """Hold an object out of Cycles' image; it reflects nothing."""
     material = bpy.data.materials.new("Black")
     material.use_nodes = True
     tree = material.node_tree
@@ -20,7 +26,6 @@ def black_ball(stage, location):
     shown.data.materials.append(material)
     shown.is_holdout = True
     stage.surfaces.append(shown)
-    return shown
 
 
 def ball_before(stage):
@@ -29,6 +34,18 @@ def ball_before(stage):
 
 def ball_inside(stage):
     black_ball(stage, (0.15, -0.25, 0.1)).visible_shadow = False
+
+
+def ball_inside_with_shadow(stage):
+    black_ball(stage, (0.15, -0.25, 0.1))
+
+
+def ground(stage):
+    """A plane through the cloud's lower part."""
+    stage.link("Ground", bpy.data.meshes.new("Ground"))
+    shown = bpy.data.objects["Ground"]
+    shown.data.from_pydata([(-4, -4, -0.3), (4, -4, -0.3), (4, 4, -0.3), (-4, 4, -0.3)], [], [(0, 1, 2, 3)])
+    paint_black(stage, shown)
 
 
 def ball_above(stage):
@@ -40,5 +57,7 @@ def ball_above(stage):
 MEASURED = {
     "Opaque mesh before a volume, without its shadow": ball_before,
     "Opaque mesh inside a volume, without its shadow": ball_inside,
+    "Opaque mesh inside a volume": ball_inside_with_shadow,
+    "Opaque ground through a volume": ground,
     "Shadow of an opaque mesh": ball_above,
 }

@@ -1,0 +1,39 @@
+"""What opaque surfaces do to the light in volumes."""
+
+from typing import List
+
+import numpy as np
+
+from .sun_map import SunMap
+
+
+class Obstacles:
+    """Surfaces that keep suns, or light that is scattered, from volumes; black.
+
+    sun_maps: a SunMap of each sun, or None where nothing is shaded from any. triangles: float64 (T, 3, 3), in the world,
+    of the surfaces that end scattered light.
+    """
+
+    def __init__(self, surfaces, directions: List[np.ndarray], corners: np.ndarray):
+        """surfaces: Surfaces; directions: (3,) unit vectors to the suns; corners: (8 B, 3) of B volumes."""
+        shading = [surface for surface in surfaces if surface.shades]
+        self.sun_maps = [SunMap(shading, direction, corners) for direction in directions] if shading else []
+        if not any(sun_map.shades(corners.reshape(-1, 8, 3)) for sun_map in self.sun_maps):
+            self.sun_maps = None
+        # Only those that reach into the volumes' box: light that leaves it does not come back.
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        stopping = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)
+                    and np.all(surface.triangles.min(axis=(0, 1)) < high) and np.all(surface.triangles.max(axis=(0, 1)) > low)]
+        self.triangles = np.concatenate(stopping) if stopping else np.zeros((0, 3, 3))
+        self.shading, self.directions = shading if self.sun_maps else [], directions
+
+    def __bool__(self):
+        return bool(self.sun_maps) or len(self.triangles) > 0
+
+    def alike(self, other) -> bool:
+        """Whether both do the same to the light."""
+        if not self or not other:
+            return bool(self) == bool(other)
+        mine, theirs = ([*one.directions, *(surface.triangles for surface in one.shading), one.triangles]
+                        for one in (self, other))
+        return len(mine) == len(theirs) and all(map(np.array_equal, mine, theirs))
