@@ -8,7 +8,6 @@ error) and the comparison's report in NAME-comparison, and prints the table.
 """
 
 import argparse
-import atexit
 import os
 import sys
 import time
@@ -18,7 +17,7 @@ import bpy
 import numpy as np
 
 from . import demo_scene, pictures
-from .extension import ROOT, load_extension
+from .extension import ROOT, extension
 
 # The signed error map's full colour, as a share of the reference's mean radiance.
 ERROR_LIMIT = 0.5
@@ -111,7 +110,7 @@ def main(arguments=None) -> int:
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
     hush(options.out / "blender.log")
-    atexit.register(load_extension().unregister)
+    extension()
     paths = options.volumes or [options.out / "cloud.vdb"]
     if not options.volumes:
         from mrpnn.mrpnn_addon.openvdb_module import load_openvdb

@@ -9,7 +9,6 @@ Cycles' images as they are; --table only writes the page anew, from what the pre
 """
 
 import argparse
-import atexit
 import csv
 import io
 import json
@@ -21,7 +20,7 @@ from pathlib import Path
 import bpy
 
 from . import error_vs_time_cases, error_vs_time_page, error_vs_time_plots
-from .extension import ROOT, load_extension
+from .extension import ROOT, extension
 from .page import replace
 
 DOCS = ROOT / "docs"
@@ -36,7 +35,7 @@ def main(arguments=None) -> int:
     results = json.loads(file.read_text()) if file.is_file() else {}
     cases = error_vs_time_cases.cases(options.size)
     if not options.table:
-        atexit.register(load_extension().unregister)
+        extension()
         for case in cases:
             if not (options.only in case.name or options.only in case.growth):
                 continue

@@ -1,5 +1,7 @@
 """The extension from the repository, without building and installing its zip."""
 
+import atexit
+import functools
 import importlib.util
 import sys
 from pathlib import Path
@@ -19,4 +21,12 @@ def load_extension():
     sys.modules["mrpnn"] = package
     spec.loader.exec_module(package)
     package.register()
+    return package
+
+
+@functools.cache
+def extension():
+    """The package `mrpnn` for the rest of the process, whoever asks."""
+    package = load_extension()
+    atexit.register(package.unregister)
     return package

@@ -8,7 +8,6 @@ where nothing in the picture does. Figures go to OUT/film.json.
 """
 
 import argparse
-import atexit
 import json
 import re
 import sys
@@ -20,7 +19,7 @@ import numpy as np
 
 from . import demo_scene, pictures
 from .demo import pixels
-from .extension import ROOT, load_extension
+from .extension import ROOT, extension
 from .page import replace
 
 PLUME = ROOT.parent / "shared" / "volumes" / "plume"
@@ -159,7 +158,7 @@ def main(arguments=None) -> int:
         print(f"no .vdb files in {options.files}", file=sys.stderr)
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
-    atexit.register(load_extension().unregister)
+    extension()
     results = make_film(files, options)
     replace(options.out / "film.json", json.dumps(results, indent=1) + "\n")
     replace(PAGE, page(results, options))

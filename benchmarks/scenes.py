@@ -7,7 +7,6 @@ that was stopped goes on where it was; --table only writes the page anew.
 """
 
 import argparse
-import atexit
 import json
 import os
 import re
@@ -19,7 +18,7 @@ import bpy
 import numpy as np
 
 from . import demo_scene, pictures, scene_features
-from .extension import ROOT, load_extension
+from .extension import ROOT, extension
 from .page import replace
 
 PAGE = ROOT / "docs" / "scenes.md"
@@ -35,7 +34,7 @@ def main(arguments=None) -> int:
     file = options.out / "results.json"
     results = json.loads(file.read_text()) if file.is_file() else {}
     if not options.table:
-        atexit.register(load_extension().unregister)
+        extension()
         cloud = options.out / "cloud.vdb"
         if not cloud.is_file():
             write_cloud(cloud)

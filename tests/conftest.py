@@ -35,12 +35,9 @@ def addon():
     The repository's root is the package; Blender gives it its name, and so does this.
     """
     pytest.importorskip("bpy")
-    from benchmarks.extension import load_extension
+    from benchmarks.extension import extension
 
-    package = load_extension()
-    yield package
-    package.unregister()
-    del sys.modules["mrpnn"]
+    return extension()
 
 
 @pytest.fixture

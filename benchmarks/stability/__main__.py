@@ -12,12 +12,12 @@ import pathlib
 import sys
 import warnings
 
-from . import densities, laws, lights, placements, refusals, stages
+from . import densities, files, laws, lights, placements, refusals, stages
 from .case import Outcome, violations
 from .table import read_csv, write_csv, write_pictures, write_table
 
 DOCS = pathlib.Path(__file__).resolve().parents[2] / "docs"
-CASES = [case for part in (densities, placements, lights, stages, laws, refusals) for case in part.CASES]
+CASES = [case for part in (densities, files, placements, lights, stages, laws, refusals) for case in part.CASES]
 
 
 def measure(case) -> Outcome:

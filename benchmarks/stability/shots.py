@@ -37,18 +37,19 @@ register_system("single only", SingleOnly)
 
 def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0.0, albedo=0.5, quick=False, seen=None,
          **bounds):
-    """A case of one volume (or a density, which then fills a unit cube) in one view. seen: a part of it, all that the
-    view shows and that lies towards the suns.
+    """A case of one volume (or a density, which then fills a unit cube, or what makes the volume) in one view. seen: what
+    of it the view shows and lies towards the suns, where that is not all.
 
     Quantities: alpha, the largest difference; single, the root mean square relative to the mean; bias of the sum. A
     bound of None leaves one out.
     """
-    volume = volume if hasattr(volume, "density") else placed(volume)
+    volume = volume if hasattr(volume, "density") or callable(volume) else placed(volume)
     view = view or camera()
 
     def measure():
-        layer = render([(volume, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, "single only"))
-        alpha, through = exact_view(seen or volume, sigma_t, suns, view)
+        shown = volume() if callable(volume) else volume
+        layer = render([(shown, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, "single only"))
+        alpha, through = exact_view(seen or shown, sigma_t, suns, view)
         cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in suns]).T
         phase = albedo * henyey_greenstein(cosine, anisotropy) * [sun.irradiance[0] for sun in suns]
         truth = (through * phase).sum(axis=1)

@@ -13,10 +13,11 @@ COLUMNS = ("group", "case", "against", "quantity", "error", "bound")
 
 
 def rows(found):
-    """(group, case, against, quantity, error, bound) of every bounded quantity."""
+    """(group, case, against, quantity, error, bound) of every bounded quantity, errors to three digits."""
     for case, outcome in found:
         for quantity, bound in case.bounds.items():
-            yield case.group, case.name, case.against, quantity, outcome.errors.get(quantity, np.nan), bound
+            error = float(f"{outcome.errors.get(quantity, np.nan):.3g}")
+            yield case.group, case.name, case.against, quantity, error, bound
 
 
 def read_csv(path):
@@ -33,7 +34,7 @@ def write_csv(path, found):
     with open(path, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        writer.writerows([*row[:4], f"{row[4]:.3g}", f"{row[5]:g}"] for row in rows(found))
+        writer.writerows([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
 
 
 def write_table(path, found):

@@ -1,0 +1,90 @@
+"""Generated .vdb files through the extension's own reader: voxels that are no density, and grids that are no fog.
+
+Needs bpy, whose OpenVDB writes them.
+"""
+
+import tempfile
+
+import numpy as np
+
+from inference import SceneError, Volume
+
+from ..extension import extension
+from .case import refused
+from .scenes import blob, placed
+from .shots import shot
+
+# Voxels of a blob that are replaced.
+SPOILT = (slice(6, 9), slice(5, 8), slice(7, 11))
+
+
+def without() -> np.ndarray:
+    """The blob with 0 in their place."""
+    density = blob()
+    density[SPOILT] = 0.0
+    return density
+
+
+def fog(openvdb, value=0.0, background=0.0):
+    """The blob as a grid, with a value in their place."""
+    grid = openvdb.FloatGrid(background)
+    grid.copyFromArray(blob())
+    # One by one: copyFromArray takes NaN for the background.
+    accessor = grid.getAccessor()
+    for voxel in np.argwhere(blob() != without()):
+        accessor.setValueOn(tuple(voxel.tolist()), value)
+    return grid
+
+
+def level_set(openvdb):
+    return openvdb.createLevelSetSphere(radius=5.0, voxelSize=0.5)
+
+
+def read(make, told: str = "") -> Volume:
+    """The Volume of a grid that `make` gives of the OpenVDB module, written and read; of a blob it lies where `placed`
+    has it.
+
+    Raises SceneError as the reader does, and ValueError where it does not warn of what is `told`.
+    """
+    package = extension()
+    with tempfile.TemporaryDirectory() as folder:
+        reader = package.mrpnn_addon.density_grid
+        openvdb = package.mrpnn_addon.openvdb_module.load_openvdb()
+        grid, path = make(openvdb), folder + "/volume.vdb"
+        grid.name = "density"
+        if grid.gridClass != "level set":
+            matrix = placed(blob()).world_from_index
+            matrix[:3, 3] -= matrix[:3, :3].sum(axis=1) * reader.VOXEL_CENTRE
+            # OpenVDB's matrices act on rows.
+            grid.transform = openvdb.createLinearTransform(matrix.T.tolist())
+        openvdb.write(path, grids=[grid])
+        try:
+            found = reader.read_density_grid(path, "density", "cloud")
+        except package.inference.SceneError as error:
+            raise SceneError(str(error)) from None
+        if told not in " ".join(found.warnings):
+            raise ValueError(f"nothing says \"{told}\"")
+        return Volume(found.density, found.object_from_index, "cloud")
+
+
+def taken_as_0(name, value, told):
+    """A file some of whose voxels have a value that is none, against the blob that has 0 there."""
+    return shot("file", name, lambda: read(lambda openvdb: fog(openvdb, value), told), seen=placed(without()),
+                quick=True)
+
+
+def refusal(name, make, words):
+    return refused(f"a file's {name}", lambda: read(make), words)
+
+
+CASES = [
+    taken_as_0("36 voxels of NaN", np.nan, "36 NaN"),
+    taken_as_0("36 voxels of infinity", np.inf, "36 NaN or infinite"),
+    taken_as_0("36 voxels of −infinity", -np.inf, "36 negative and 36 NaN or infinite"),
+    taken_as_0("36 voxels of −1", -1.0, "36 negative and 0 NaN"),
+    taken_as_0("36 voxels of −3e38", -3e38, "36 negative and 0 NaN"),
+    refusal("background of 1", lambda openvdb: fog(openvdb, background=1.0), "background 1"),
+    refusal("background of −1e-30", lambda openvdb: fog(openvdb, background=-1e-30), "background -1e-30"),
+    refusal("background of NaN", lambda openvdb: fog(openvdb, background=np.nan), "background nan"),
+    refusal("level set", level_set, "is a level set, a distance and not a density"),
+]
