@@ -49,12 +49,12 @@ class Options:
 
 
 class ComparisonRun:
-    """Reads the scene of `context`, which may change from then on.
+    """Reads the scene of `context`, which may change from then on. reader: as of `read_scene`.
 
     Raises SceneError for what cannot be compared, and OSError where the folder cannot be made.
     """
 
-    def __init__(self, context, settings: Settings, options: Options):
+    def __init__(self, context, settings: Settings, options: Options, reader=None):
         self.options, self.settings, self.scene = options, settings, context.scene
         self.folder = _folder(options.folder)
         self.given = _read_reference(options.reference_path) if options.reference_path else None
@@ -64,7 +64,7 @@ class ComparisonRun:
             depsgraph = context.evaluated_depsgraph_get()
             # The layer and Cycles' image both have the region's size.
             # Volumes and lights alone: Cycles' image will hold no surface.
-            self.description = replace(read_scene(depsgraph), crop=True, surfaces=[])
+            self.description = replace(read_scene(depsgraph, reader), crop=True, surfaces=[])
             process = CyclesProcess(
                 context.scene, volumes_and_suns(depsgraph), options.bounces,
                 context.scene.world if self.description.environment else None)

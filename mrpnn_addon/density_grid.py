@@ -105,12 +105,6 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[Densi
     return DensityGrid(values, matrix.copy(), low, [f"Volume object \"{owner}\": {note}" for note in notes])
 
 
-def needs_reading(path: str, grid_name: str) -> bool:
-    """Whether a grid is not in use, nor known to hold nothing."""
-    key = _key(path, grid_name)
-    return key not in _empty and (key not in _in_use or _in_use[key][0]() is None)
-
-
 def _nothing(key, grid_name, where) -> EmptyGrid:
     _empty.add(key)
     return EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")

@@ -10,7 +10,6 @@ import numpy as np
 from ..inference.scene import Cancelled, SceneError
 from . import viewport
 from .film import background, on_background
-from .grid_loading import GridLoading
 from .last_render import remember_finished
 from .layer_frame import rgba
 from .material import shows_volume
@@ -19,6 +18,7 @@ from .render_job import render_scene, stamp
 from .scene import read_scene
 from .viewport import Viewport, viewport_camera
 from .visibility import shown_objects
+from .volume_loading import VolumeLoading
 from .volumes import VolumeReader
 
 
@@ -112,18 +112,17 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self._write(view_layer, image, extras, stamp(settings, finished.layer.report))
 
     def _read(self, depsgraph):
-        """The scene, its volumes' files read on a thread first, which Esc ends."""
-        wanted = VolumeReader().wanted(depsgraph)
-        if wanted:
-            loading = GridLoading(wanted)
-            while not loading.done:
-                loading.wait(SECONDS_A_LOOK)
-                if self.test_break():
-                    loading.stop()
-                    raise Cancelled()
-            if loading.error is not None:
-                raise loading.error
-        return read_scene(depsgraph)
+        """The scene, its volumes read on a thread first, which Esc ends."""
+        reader = VolumeReader()
+        loading = VolumeLoading(reader, reader.wanted(depsgraph))
+        while not loading.done:
+            loading.wait(SECONDS_A_LOOK)
+            if self.test_break():
+                loading.stop()
+                raise Cancelled()
+        if loading.error is not None:
+            raise loading.error
+        return read_scene(depsgraph, reader)
 
     def _write_empty(self, depsgraph):
         x, y = self.resolution_x, self.resolution_y

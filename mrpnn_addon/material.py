@@ -7,6 +7,7 @@ import numpy as np
 
 from ..inference.phase_function import PhaseFunction
 from ..inference.scene import SceneError
+from .node_copy import copied
 from .node_values import NodeValues
 from .phase_functions import phase_function
 from .sockets import Unsupported, active_output, input_of, source_of
@@ -51,6 +52,8 @@ class Shading:
 class VolumeMaterial:
     """The volume shader of one object, to be evaluated at points.
 
+    Made of Blender's nodes, on its main thread; any thread may evaluate it.
+
     Raises SceneError, naming object, material and node, for anything that this extension would have
     to ignore, when made or evaluated.
     """
@@ -67,6 +70,7 @@ class VolumeMaterial:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
         if self.output.inputs['Displacement'].is_linked:
             self.refuse("displacement of volumes is not supported; unlink it")
+        self.output = copied(material.node_tree, self.output)
 
     def refuse(self, problem):
         """Raise SceneError naming object and material."""
@@ -81,7 +85,7 @@ class VolumeMaterial:
                 white = principled_coefficients(np.full((1, 3), 0.5), np.zeros((1, 3)))
                 shading.closures.append(Closure(points.attribute("density", None), *white, grid="density"))
             else:
-                _add(shading, NodeValues(points), source_of(self.output.inputs['Volume']), np.ones((1, 1)))
+                _add(shading, NodeValues(points), source_of(input_of(self.output, "Volume")), np.ones((1, 1)))
         except Unsupported as problem:
             self.refuse(problem)
         return shading

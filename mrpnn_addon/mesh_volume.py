@@ -25,14 +25,14 @@ class Inside:
     object_from_index: np.ndarray
 
 
-def fill(mesh_object, matrix: np.ndarray, where: str) -> Inside:
-    """The inside of an evaluated object's mesh; voxels are about cubes in the world.
+def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None) -> Inside:
+    """The inside of a mesh; voxels are about cubes in the world.
 
-    matrix: float64 (4, 4), object to world.
+    corners: float64 (T, 3, 3), of its triangles in object space. matrix: float64 (4, 4), object to world. check: called
+    often; what it raises ends the work.
 
     Raises SceneError, beginning with `where`, for a mesh that is flat or not closed.
     """
-    corners = triangles_of(mesh_object)
     if not len(corners):
         raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume")
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -42,7 +42,7 @@ def fill(mesh_object, matrix: np.ndarray, where: str) -> Inside:
     cells = np.maximum(np.ceil(extent / extent.max() * CELLS - 1e-6), 1).astype(int)
     size = (high - low) / cells
     corners = (corners - low) / size
-    share, gaps = _share(corners, cells)
+    share, gaps = _share(corners, cells, check)
     # The area vectors of a closed surface add up to nothing.
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > OPEN:
@@ -54,7 +54,7 @@ def fill(mesh_object, matrix: np.ndarray, where: str) -> Inside:
 
 
 def triangles_of(mesh_object) -> np.ndarray:
-    """float64 (T, 3, 3): corners in object space."""
+    """float64 (T, 3, 3): corners of an evaluated object's mesh in object space."""
     mesh = mesh_object.to_mesh()
     try:
         mesh.calc_loop_triangles()
@@ -67,7 +67,7 @@ def triangles_of(mesh_object) -> np.ndarray:
     return places.reshape(-1, 3).astype(np.float64)[order].reshape(-1, 3, 3)
 
 
-def _share(corners: np.ndarray, cells) -> tuple:
+def _share(corners: np.ndarray, cells, check) -> tuple:
     """Share inside of each voxel, and the share of columns that enter more often than they leave.
 
     corners: (T, 3, 3) in voxels.
@@ -76,6 +76,7 @@ def _share(corners: np.ndarray, cells) -> tuple:
     crossings = np.zeros((cells[0] * COLUMNS) * (cells[1] * COLUMNS))
     met = np.zeros(len(crossings), bool)
     for column, height, sign in _crossings(corners, cells):
+        check()
         x, y = np.divmod(column, cells[1] * COLUMNS)
         voxel = (x // COLUMNS) * cells[1] + y // COLUMNS
         level = np.clip(np.floor(height).astype(int), 0, cells[2])

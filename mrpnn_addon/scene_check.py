@@ -33,14 +33,14 @@ class SceneCheck:
 _last = None
 
 
-def check_scene(depsgraph) -> SceneCheck:
-    """Read the scene and plan its render; kept as `last_check`."""
+def check_scene(depsgraph, reader=None) -> SceneCheck:
+    """Read the scene and plan its render; kept as `last_check`. reader: as of `read_scene`."""
     global _last
     # The evaluated scene's name and camera are those of the original.
     state, settings = scene_state(depsgraph.scene), depsgraph.scene.mrpnn.settings()
     try:
         warnings = check_runtime()
-        scene = read_scene(depsgraph)
+        scene = read_scene(depsgraph, reader)
         plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
         _last = SceneCheck(state, warnings=[*scene.warnings, *warnings], planned=plan.planned, left_out=plan.left_out,
                            memory=plan.memory, voxels={volume.name: volume.density.shape for volume, _ in scene.volumes})

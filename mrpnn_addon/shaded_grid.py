@@ -13,7 +13,7 @@ from .material import VolumeMaterial
 from .phase_functions import phase_function
 from .voxel_points import VoxelPoints
 
-VOXELS_AT_ONCE = 1 << 19
+VOXELS_AT_ONCE = 1 << 17
 # Share of a coefficient's root mean square that may differ from one colour for all voxels.
 ONE_COLOUR = 0.01
 # Whether Cycles interpolates what voxels of a temperature shine, and not the temperature: 5.0.1 does, 4.5 does not.
@@ -23,15 +23,14 @@ VOXELS_ARE_HOT = bpy.app.version >= (5, 0, 0)
 @dataclass
 class ShadedGrid:
     """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t, albedo: float64 (3,), extinction per unit density.
-    anisotropy: mean cosine. phase: as of `Medium`. placed: whether the shader depends on where the voxels are.
-    notes: what is not rendered as Cycles renders it. emission: as Volume has it.
+    anisotropy: mean cosine. phase: as of `Medium`. notes: what is not rendered as Cycles renders it. emission: as Volume
+    has it.
     """
 
     density: Union[np.ndarray, SparseGrid]
     sigma_t: np.ndarray
     albedo: np.ndarray
     anisotropy: float
-    placed: bool
     notes: List[str]
     emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
     phase: Optional[PhaseFunction] = None
@@ -39,12 +38,12 @@ class ShadedGrid:
 
 
 def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
-          boxes: Optional[np.ndarray] = None, index=None):
+          boxes: Optional[np.ndarray] = None, index=None, check=lambda: None):
     """The ShadedGrid of a material, in arrays of the shape that it is given.
 
-    grids: float32 arrays of one shape by name. index: see `VoxelPoints`; None for boxes of voxels. frames: see `VoxelPoints`. inside: float32, the share of
-    each voxel that a mesh encloses, None for grids. boxes: float32, 1 where a shader shines that does so
-    where all grids are 0.
+    grids: float32 arrays of one shape by name. index: see `VoxelPoints`; None for boxes of voxels. frames: see
+    `VoxelPoints`. inside: float32, the share of each voxel that a mesh encloses, None for grids. boxes: float32, 1 where
+    a shader shines that does so where all grids are 0. check: called often; what it raises ends the work.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
     absorbs where every grid is 0, or has colours that vary from voxel to voxel.
@@ -71,6 +70,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
         # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
         gram, reference, phases = np.zeros((6, 6)), 0, {}
         for number, voxels in enumerate(_chunks(grids, placed, inside)):
+            check()
             points, shading = at(voxels)
             _sum_phases(phases, shading, len(voxels))
             if plain:
@@ -96,7 +96,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
         _refuse_emptiness(material)
     albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
     notes = shading.notes
-    emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes)) if shines else None
+    emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes), check) if shines else None
     if emission is not None and (inside is not None or boxes is not None):
         emission *= (inside if boxes is None else boxes)[..., None]
     power = 4 if shading.hot and not VOXELS_ARE_HOT else 1
@@ -108,14 +108,15 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
     phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
     anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
-    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, placed, notes, emission,
+    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, notes, emission,
                       None if phase.is_henyey_greenstein else phase, power)
 
 
-def _emission(at, shape, chunks) -> Optional[np.ndarray]:
+def _emission(at, shape, chunks, check) -> Optional[np.ndarray]:
     """float32 (nx, ny, nz, 3) of the voxels in chunks, or None where all are dark."""
     emission = np.zeros((int(np.prod(shape)), 3), np.float32)
     for voxels in chunks:
+        check()
         emission[voxels] = at(voxels)[1].emission
     return emission.reshape(*shape, 3) if emission.any() else None
 

@@ -7,12 +7,14 @@ from gpu_extras.presets import draw_texture_2d
 
 from ..inference import Kept
 from ..inference.scene import Camera, SceneError, Settings
-from .grid_loading import GridLoading
 from .preview import Prepared, Preview
 from .scene import read_scene
+from .volume_loading import VolumeLoading
 from .volumes import VolumeReader
 
 SECONDS_A_LOOK = 0.05
+# Of waiting for volumes before a picture without them is drawn.
+MOMENT = 0.05
 
 
 def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_end: float) -> Camera:
@@ -46,38 +48,40 @@ class Viewport:
         self.reader, self._prepared = VolumeReader(), Prepared(Kept())
         self.description, self.message = None, ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
-        self._loading = None
+        self._loading, self._before = None, None
 
     def read(self, depsgraph) -> None:
-        """The scene has changed: describe it, or first let a thread read the files of its volumes."""
-        wanted = self.reader.wanted(depsgraph)
-        if self._loading is not None and not self._loading.done and self._loading.wanted == wanted:
+        """The scene has changed: describe it, or first let a thread read its volumes."""
+        sources, loading = self.reader.wanted(depsgraph), self._loading
+        if loading is not None and not loading.done and loading.reader is self.reader and (
+                {source.key for source in sources} == {source.key for source in loading.sources}):
             return
-        # Kept until the scene has been read, so that what it holds stays in use.
-        before = self._loading
         self._stop_loading()
-        if wanted:
-            # The last picture stays meanwhile.
+        if sources:
             self._stop_preview()
-            self.description, self.message, self._view = None, "Reading volumes", None
-            self._loading = GridLoading(wanted)
-            _watch(self._loading)
-            return
+            self._loading = VolumeLoading(self.reader, sources)
+            self._loading.wait(MOMENT)
+            if not self._loading.done:
+                # The last picture stays meanwhile, and what it was made of in use.
+                self._before = self.description or self._before
+                self.description, self.message, self._view = None, "Reading volumes", None
+                return _watch(self._loading)
+        self._describe(depsgraph)
+
+    def read_on(self, depsgraph) -> None:
+        """Describe the scene where its volumes have been read meanwhile."""
+        if self._loading is not None and self._loading.done:
+            self._describe(depsgraph)
+
+    def _describe(self, depsgraph) -> None:
+        error = self._loading and self._loading.error
+        self._stop_loading()
         try:
+            if error is not None:
+                return self.describe(None, str(error))
             self.describe(read_scene(depsgraph, self.reader))
         except SceneError as error:
             self.describe(None, str(error))
-        del before
-
-    def read_on(self, depsgraph) -> None:
-        """Describe the scene where its volumes' files have been read meanwhile."""
-        if self._loading is None or not self._loading.done:
-            return
-        if self._loading.error is None:
-            self.read(depsgraph)
-        else:
-            self.describe(None, str(self._loading.error))
-            self._stop_loading()
 
     def _stop_loading(self) -> None:
         if self._loading is not None:
@@ -87,7 +91,7 @@ class Viewport:
     def describe(self, description, message: str = "") -> None:
         """The scene has changed; `description` is None where it cannot be rendered, for the reason in `message`."""
         self._stop_preview()
-        self.description, self.message, self._view = description, message, None
+        self.description, self.message, self._view, self._before = description, message, None, None
         if description is None:
             self._texture = None
 
@@ -135,7 +139,7 @@ _watched = {}
 
 
 def _watch(preview) -> None:
-    """Redraw viewports for each new picture until the Preview ends, or once a GridLoading has.
+    """Redraw viewports for each new picture until the Preview ends, or once a VolumeLoading has.
 
     By a timer: its thread must not do it, since Blender frees engines while threads run.
     """

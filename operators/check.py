@@ -26,7 +26,7 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
         self.stop_waiting(context)
 
     def execute(self, context):
-        check = check_scene(context.evaluated_depsgraph_get())
+        check = check_scene(context.evaluated_depsgraph_get(), self.reader)
         if check.error:
             self.report({'ERROR'}, check.error)
             return {'CANCELLED'}

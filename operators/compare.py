@@ -81,7 +81,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     def _start(self, context):
         try:
-            run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options())
+            run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options(), self.reader)
         except (SceneError, OSError) as error:
             return self._fail(error)
         if not self._modal:
@@ -92,7 +92,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
         manager.progress_begin(0, 100)
         # Once it has waited for its volumes, Blender calls `modal` already.
-        if self._loading is None:
+        if self.reader is None:
             manager.modal_handler_add(self)
         return {'RUNNING_MODAL'}
 

@@ -7,13 +7,12 @@ import bpy
 from bpy.props import StringProperty
 
 from ..inference.scene import SceneError
-from ..mrpnn_addon.grid_loading import GridLoading
 from ..mrpnn_addon.last_render import LastRender, remember, remember_finished
 from ..mrpnn_addon.layer_image import show_in_image
 from ..mrpnn_addon.properties import RELATIVE_PATH
 from ..mrpnn_addon.render_job import RenderJob, render_scene
 from ..mrpnn_addon.scene import read_scene
-from ..mrpnn_addon.volumes import VolumeReader
+from .waiting import SceneLoading
 
 SECONDS_A_TICK = 0.1
 
@@ -30,6 +29,7 @@ class MRPNN_OT_render(bpy.types.Operator):
     )
 
     _job = None
+    _loading = None
     _timer = None
 
     def execute(self, context):
@@ -60,12 +60,15 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     def _next(self, context):
         """What reads the scene's volumes, and where they are read, what renders them: threads that need no bpy."""
-        exr_path, depsgraph = self._exr_path(context.scene), context.evaluated_depsgraph_get()
-        wanted = VolumeReader().wanted(depsgraph)
-        if wanted:
-            return GridLoading(wanted)
+        exr_path = self._exr_path(context.scene)
+        if self._loading is None or self._loading.outdated(context):
+            self._loading = SceneLoading(context)
+            if self._loading.worker is not None:
+                return self._loading.worker
         # From here on the scene may change under it.
-        return RenderJob(read_scene(depsgraph), context.scene.mrpnn.settings(), exr_path)
+        found = read_scene(context.evaluated_depsgraph_get(), self._loading.reader)
+        self._loading = None
+        return RenderJob(found, context.scene.mrpnn.settings(), exr_path)
 
     def modal(self, context, event):
         job = MRPNN_OT_render._job
@@ -78,7 +81,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
             return {'PASS_THROUGH'}
-        if isinstance(job, GridLoading) and job.error is None:
+        if self._loading is not None and job.error is None:
             try:
                 MRPNN_OT_render._job = self._next(context)
                 return {'PASS_THROUGH'}

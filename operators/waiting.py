@@ -1,23 +1,43 @@
 """Operators whose work begins once a thread has read the scene's volumes; Blender stays usable meanwhile."""
 
-from ..mrpnn_addon.grid_loading import GridLoading
+from ..mrpnn_addon.scene_watch import scene_state
+from ..mrpnn_addon.volume_loading import VolumeLoading
 from ..mrpnn_addon.volumes import VolumeReader
 
 SECONDS_A_TICK = 0.1
 
 
-class WaitsForVolumes:
-    """Mixin of an operator with a window."""
+class SceneLoading:
+    """Reads the volumes of a context's scene, and again where it has changed meanwhile.
 
+    worker: the VolumeLoading, or None where there is nothing to read. reader: that knows the volumes in the end.
+    """
+
+    def __init__(self, context):
+        depsgraph = context.evaluated_depsgraph_get()
+        self.reader = VolumeReader()
+        sources, self._state = self.reader.wanted(depsgraph), scene_state(context.scene)
+        self.worker = VolumeLoading(self.reader, sources) if sources else None
+
+    def outdated(self, context) -> bool:
+        """Whether what was read is another scene's."""
+        context.evaluated_depsgraph_get()
+        return self._state != scene_state(context.scene)
+
+
+class WaitsForVolumes:
+    """Mixin of an operator with a window. reader: a VolumeReader of the scene's volumes, None where none was needed."""
+
+    reader = None
     _loading = None
     _reading_timer = None
 
     def wait_for_volumes(self, context) -> bool:
         """Begin to read what the scene's volumes lack; whether there is anything to wait for, in `modal`."""
-        wanted = VolumeReader().wanted(context.evaluated_depsgraph_get())
-        if not wanted:
+        loading = SceneLoading(context)
+        if loading.worker is None:
             return False
-        self._loading = GridLoading(wanted)
+        self._loading = loading
         self._reading_timer = context.window_manager.event_timer_add(SECONDS_A_TICK, window=context.window)
         context.workspace.status_text_set("Reading volumes  (Esc stops)")
         context.window_manager.modal_handler_add(self)
@@ -25,26 +45,30 @@ class WaitsForVolumes:
 
     def still_waiting(self, context, event):
         """What `modal` has to give while this reads, or where it has failed; None once everything is read."""
-        if event.type == 'ESC':
-            self._loading.stop()
+        worker = self._loading.worker
+        if event.type == 'ESC' and worker is not None:
+            worker.stop()
             return {'RUNNING_MODAL'}
-        if event.type != 'TIMER' or not self._loading.done:
+        if event.type != 'TIMER' or worker is not None and not worker.done:
             return {'PASS_THROUGH'}
-        error = self._loading.error
-        if error is None:
-            self.stop_waiting(context, keep=True)
-            return None
-        cancelled = self._loading.cancelled
+        error = worker and worker.error
+        if error is None and self._loading.outdated(context):
+            self._loading = SceneLoading(context)
+            return {'PASS_THROUGH'}
+        self.reader = self._loading.reader
         self.stop_waiting(context)
-        self.report({'INFO'} if cancelled else {'ERROR'}, "stopped" if cancelled else str(error))
+        if error is None:
+            return None
+        self.report({'INFO'} if worker.cancelled else {'ERROR'}, "stopped" if worker.cancelled else str(error))
         return {'CANCELLED'}
 
-    def stop_waiting(self, context, keep: bool = False) -> None:
-        """End it. keep: what was read stays in use for as long as this operator is at work."""
-        if self._reading_timer is not None:
-            context.window_manager.event_timer_remove(self._reading_timer)
-            context.workspace.status_text_set(None)
-            self._reading_timer = None
-        if not keep and self._loading is not None:
-            self._loading.stop()
-            self._loading = None
+    def stop_waiting(self, context) -> None:
+        """End it."""
+        if self._reading_timer is None:
+            return
+        context.window_manager.event_timer_remove(self._reading_timer)
+        context.workspace.status_text_set(None)
+        self._reading_timer = None
+        if self._loading.worker is not None:
+            self._loading.worker.stop()
+        self._loading = None

@@ -1,0 +1,43 @@
+"""Volumes read and shaded on a thread, before `read_scene` asks for them on Blender's main thread."""
+
+from typing import List
+
+from ..inference.scene import Cancelled
+from .volume_source import VolumeSource
+from .worker import Worker
+
+
+class VolumeLoading(Worker):
+    """Reads sources one after the other for a VolumeReader, which knows them then.
+
+    number: of pictures, as of a Preview.
+    """
+
+    message, number = "reading volumes", 0
+
+    def __init__(self, reader, sources: List[VolumeSource]):
+        self.reader, self.sources, self._process = reader, sources, None
+        self._start("mrpnn reading", awaited=False)
+
+    def stop(self) -> None:
+        """Ask it to end; it does at once."""
+        super().stop()
+        if self._process is not None:
+            self._process.kill()
+
+    def _work(self):
+        try:
+            for number, source in enumerate(self.sources):
+                self.reader.known[source.key] = source.read(self._started, self._check)
+                self.fraction = (number + 1) / len(self.sources)
+        finally:
+            self._check()
+
+    def _check(self):
+        if self.stopped:
+            raise Cancelled()
+
+    def _started(self, process):
+        self._process = process
+        if self.stopped:
+            process.kill()
