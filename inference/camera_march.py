@@ -1,5 +1,7 @@
 """Camera rays through all volumes: single scattering, alpha and depth of pixels, and depths to predict at."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from .depth_samples import DepthSamples
@@ -8,7 +10,7 @@ from .march import march
 from .phase import henyey_greenstein
 from .ray_light import RayLight
 from .ray_steps import step_counts
-from .rays import camera_rays
+from .rays import camera_rays, window_around
 from .scene import Camera, SceneError
 from .surfaces import PLACES, rays_to_surfaces
 
@@ -35,14 +37,19 @@ def march_camera_rays(
     plan, channels, grids, camera, screen, obstacles, settings, diffused, work, report, start, end, images
 ):
     """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
-    origins, directions, clip_near, clip_far = camera_rays(camera)
-    offsets = lookup_offsets(camera, settings.seed)
+    # Rays through pixels that lie away from every volume are not even made.
+    around, pixel = _around(camera, grids)
+    report.count("rays that miss every volume", len(images.alpha) - len(pixel))
+    if not len(pixel):
+        return None
+    origins, directions, clip_near, clip_far = camera_rays(around)
+    offsets = lookup_offsets(around, settings.seed)
     near, far = _ray_intervals(plan, grids, channels.sigma_t, origins, directions, clip_near, clip_far, report)
-    pixel, share = np.arange(len(near)), np.ones(len(near))
+    share = np.ones(len(near))
     if screen is not None:
         with report.stage("surfaces"):
-            pixel, share, far = _cut(screen, camera.window, near, far)
-        origins, directions, offsets, near = (values[pixel] for values in (origins, directions, offsets, near))
+            kept, share, far = _cut(screen, around.window, near, far)
+        pixel, origins, directions, offsets, near = (values[kept] for values in (pixel, origins, directions, offsets, near))
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
@@ -95,6 +102,14 @@ def march_camera_rays(
         samples.light = RayLight(np.concatenate([part.values for part in light]))
     report.count("points", len(samples.ray))
     return samples
+
+
+def _around(camera, grids):
+    """The camera with no more than the pixels around all grids as its window, and their numbers (P,) in its own."""
+    x0, y0, x1, _ = camera.window
+    left, top, right, bottom = window_around(camera, np.concatenate([grid.corners() for grid in grids]))
+    pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
+    return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()
 
 
 def _ray_intervals(plan, grids, sigma_t, origins, directions, clip_near, clip_far, report):

@@ -48,6 +48,34 @@ def _between(ends, share):
     return ends[0] + (ends[1] - ends[0]) * share
 
 
+def window_around(camera: Camera, corners: np.ndarray):
+    """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the hull of points (N, 3) in the world.
+
+    All of it where some lie beside or behind the camera, and for panoramas.
+    """
+    x0, y0, x1, y1 = camera.window
+    if camera.projection == "equirectangular":
+        return x0, y0, x1, y1
+    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+    local = (corners - camera.world_matrix[:3, 3]) @ np.linalg.inv(rotation).T
+    if camera.projection == "orthographic":
+        plane = local[:, :2] / camera.ortho_scale
+    elif local[:, 2].max() < -1e-6 * np.abs(local).max():
+        plane = local[:, :2] / -local[:, 2:] / (2.0 * np.tan(0.5 * camera.fov))
+    else:
+        return x0, y0, x1, y1
+    width, height = camera.resolution
+    x, y = ((plane - camera.shift) * width * [1.0, -1.0]).T
+    # A pixel more on each side, for rounding.
+    low = np.floor([x.min() + 0.5 * width, y.min() + 0.5 * height]) - 1.0
+    high = np.ceil([x.max() + 0.5 * width, y.max() + 0.5 * height]) + 1.0
+    if not np.isfinite([low, high]).all():
+        return x0, y0, x1, y1
+    left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
+    right, bottom = np.clip(high, [x0, y0], [x1, y1]).astype(int).tolist()
+    return left, top, right, bottom
+
+
 def box_interval(origins, directions, low, high):
     """Distances (N,) at which rays enter and leave an axis-aligned box; entry > exit on a miss."""
     with np.errstate(divide="ignore", invalid="ignore"):

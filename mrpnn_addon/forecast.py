@@ -5,6 +5,7 @@ from typing import List
 
 import numpy as np
 
+from ..inference.rays import window_around
 from ..inference.scene import Camera, SceneError
 from .camera import read_camera
 from .last_render import last_render
@@ -66,22 +67,7 @@ def _seconds_a_point() -> float:
 
 
 def _cover(covered: np.ndarray, camera: Camera, shown) -> None:
-    """Mark the rectangle around a volume's bounds; all of the image where they reach behind the camera."""
+    """Mark the pixels around a volume's bounds."""
     corners = np.array([(*corner, 1.0) for corner in shown.object.bound_box]) @ shown.matrix.T
-    seen = corners @ np.linalg.inv(camera.world_matrix).T
-    height, width = covered.shape
-    if camera.projection == "equirectangular":
-        covered[...] = True
-        return
-    if camera.projection == "perspective":
-        if seen[:, 2].max() >= -camera.clip[0]:
-            covered[...] = True
-            return
-        window = seen[:, :2] / -seen[:, 2:3] / (2.0 * np.tan(camera.fov / 2.0))
-    else:
-        window = seen[:, :2] / camera.ortho_scale
-    # In widths of the image from its middle, then in pixels from the upper left.
-    x, y = (window - camera.shift).T * width
-    left, right = np.clip([np.floor(x.min() + width / 2), np.ceil(x.max() + width / 2)], 0, width).astype(int)
-    top, bottom = np.clip([np.floor(height / 2 - y.max()), np.ceil(height / 2 - y.min())], 0, height).astype(int)
+    left, top, right, bottom = window_around(camera, corners[:, :3])
     covered[top:bottom, left:right] = True

@@ -146,7 +146,7 @@ def test_materials_see_the_same_voxels(addon, density_grid, scene, fire, monkeyp
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     # What is not linear in the grids is evaluated between an array's voxels too; here at the voxels alone.
-    monkeypatch.setattr(addon.mrpnn_addon.volumes, "MAX_REFINED", 0)
+    monkeypatch.setattr(addon.mrpnn_addon.volume_source, "MAX_REFINED", 0)
 
     def read():
         density_grid._in_use.clear()
