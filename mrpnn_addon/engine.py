@@ -119,10 +119,13 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             loading.wait(SECONDS_A_LOOK)
             if self.test_break():
                 loading.stop()
-                raise Cancelled()
         if loading.error is not None:
             raise loading.error
-        return read_scene(depsgraph, reader)
+        return read_scene(depsgraph, reader, self._check)
+
+    def _check(self):
+        if self.test_break():
+            raise Cancelled()
 
     def _write_empty(self, depsgraph):
         x, y = self.resolution_x, self.resolution_y

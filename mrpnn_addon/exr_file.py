@@ -23,21 +23,27 @@ LINES_PER_BLOCK = 16
 LONGEST_NAME = 255
 
 
-def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, Union[str, int, float]]) -> None:
+def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, Union[str, int, float]],
+              check=lambda: None) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 
-    attributes: go into the header as string, int and float attributes.
+    attributes: go into the header as string, int and float attributes. check: called often; what it raises ends the
+    writing, and nothing is left of it.
 
     The file appears under `path` only once it is complete. Raises OSError where it cannot be
     written.
     """
     names = sorted(channels)
-    # Scanlines hold the channels one after another, in the order of their names: (H, C, W).
-    rows = np.stack([np.asarray(channels[name], dtype="<f4") for name in names], axis=1)
-    height, _, width = rows.shape
+    height, width = channels[names[0]].shape
     header = _header(names, width, height, attributes)
+
+    def block(y):
+        check()
+        # Scanlines hold the channels one after another, in the order of their names: (lines, C, W).
+        return _block(np.stack([np.asarray(channels[name][y:y + LINES_PER_BLOCK], dtype="<f4") for name in names], axis=1))
+
     with ThreadPoolExecutor() as pool:
-        blocks = list(pool.map(_block, (rows[y:y + LINES_PER_BLOCK] for y in range(0, height, LINES_PER_BLOCK))))
+        blocks = list(pool.map(block, range(0, height, LINES_PER_BLOCK)))
 
     # After the header comes a table with the place of each block in the file.
     place = len(header) + 8 * len(blocks)
@@ -50,6 +56,7 @@ def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, 
         file.write(header)
         file.write(struct.pack(f"<{len(places)}Q", *places))
         for index, block in enumerate(blocks):
+            check()
             file.write(struct.pack("<ii", index * LINES_PER_BLOCK, len(block)))
             file.write(block)
 

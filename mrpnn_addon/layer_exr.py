@@ -7,11 +7,12 @@ from .exr_file import write_exr
 from .layer_frame import finite_depth
 
 
-def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Union[str, int, float]]) -> None:
+def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Union[str, int, float]],
+                check=lambda: None) -> None:
     """Write Combined, Alpha, Depth, Single, Multiple, Emission and Uncertainty as layers of one file.
 
     Channels carry Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each as
-    an output of an Image node. Colours are scene-linear and premultiplied.
+    an output of an Image node. Colours are scene-linear and premultiplied. check: as of `write_exr`.
 
     Raises OSError where the file cannot be written; then there is none.
     """
@@ -21,4 +22,4 @@ def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Un
                          ("Emission", layer.emission)):
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]
-    write_exr(path, {f"{view_layer}.{name}": values for name, values in channels.items()}, metadata)
+    write_exr(path, {f"{view_layer}.{name}": values for name, values in channels.items()}, metadata, check)

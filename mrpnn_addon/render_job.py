@@ -6,7 +6,7 @@ from typing import List, Optional
 
 from .. import inference
 from ..inference.layer import Layer
-from ..inference.scene import SceneError, Settings
+from ..inference.scene import Cancelled, SceneError, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
 from .runtime import check_runtime
@@ -35,13 +35,20 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
     OSError where the file cannot be written.
     """
     runtime_warnings = check_runtime()
+
+    def check():
+        if cancelled and cancelled():
+            raise Cancelled()
+
     try:
         layer = inference.render(
             scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled,
             surfaces=scene.surfaces)
         layer = in_frame(layer, scene.camera, scene.crop)
         if exr_path:
-            write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report))
+            if progress:
+                progress(1.0, "writing the file")
+            write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report), check)
     except MemoryError:
         raise SceneError("the machine has not enough memory for this render; use fewer depth samples, a smaller image "
                          "or smaller grids, or close other programs") from None

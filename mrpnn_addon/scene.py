@@ -37,10 +37,11 @@ class SceneDescription:
     unseen: List[str] = field(default_factory=list)
 
 
-def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
+def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> SceneDescription:
     """Read everything that a render needs; bpy is not needed afterwards.
 
-    reader: that has read volumes of this scene before, none of which has changed since.
+    reader: that has read volumes of this scene before, none of which has changed since. check: called before each object;
+    what it raises ends the reading.
 
     Raises SceneError, saying what to add or change, where the scene cannot be rendered.
     """
@@ -54,6 +55,7 @@ def read_scene(depsgraph, reader: VolumeReader = None) -> SceneDescription:
     reader = reader or VolumeReader()
     description.warnings += _view_layer_warnings(depsgraph.view_layer)
     for shown in shown_objects(depsgraph):
+        check()
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings(description.volumes)
     description.warnings += surface_warnings(description.surfaces, camera.projection == "equirectangular")

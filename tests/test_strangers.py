@@ -115,6 +115,23 @@ def test_it_can_be_stopped_in_every_stage(addon, scene, cloud, tmp_path, stage):
     assert not [thread for thread in threading.enumerate() if thread.name == "mrpnn render"]
 
 
+def test_it_can_be_stopped_while_it_writes(addon, scene, cloud, tmp_path):
+    """Of a large picture, nearly all of it empty; the old file stays."""
+    scene.render.resolution_x = scene.render.resolution_y = 2048
+    scene.camera.data.angle = 3.0
+    (tmp_path / "layer.exr").write_bytes(b"old")
+    worker = job(addon, scene, str(tmp_path / "layer.exr"))
+    while "writing" not in worker.message and not worker.done:
+        time.sleep(0.001)
+    time.sleep(0.1)
+    start = time.process_time()
+    worker.stop()
+    worker.wait()
+    assert worker.cancelled and time.process_time() - start < 1.0
+    assert (tmp_path / "layer.exr").read_bytes() == b"old"
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".vdb"]
+
+
 class Breaks(SingleOnly):
     """A system that fails in the middle of a render, as a bug in ours would."""
 

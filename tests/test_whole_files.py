@@ -14,7 +14,7 @@ import pytest
 # Before OpenEXR: its compiled libraries must come first.
 pytest.importorskip("bpy")
 
-from mrpnn_addon.exr_file import write_exr
+from mrpnn_addon.exr_file import LINES_PER_BLOCK, write_exr
 from mrpnn_addon.whole_file import whole_file
 
 from .exr_files import channels
@@ -50,6 +50,31 @@ def test_a_limit_on_files_keeps_the_old_one(tmp_path, files_of_a_megabyte):
     with pytest.raises(OSError, match="cannot write .*layer.exr: File too large"):
         write_exr(str(path), PICTURE, {})
     assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["layer.exr"]
+
+
+def test_a_file_can_be_stopped_in_the_middle(tmp_path):
+    """While its lines are packed, and while they are written."""
+    path, asked = tmp_path / "layer.exr", []
+    path.write_bytes(b"old")
+
+    class Stopped(Exception):
+        pass
+
+    def check():
+        asked.append(len(asked))
+        if len(asked) > before:
+            raise Stopped()
+
+    lines = PICTURE["Z"].shape[0] // LINES_PER_BLOCK
+    for before in (3, lines + 3):
+        asked.clear()
+        with pytest.raises(Stopped):
+            write_exr(str(path), PICTURE, {}, check)
+        assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["layer.exr"]
+    asked.clear()
+    before = 2 * lines
+    write_exr(str(path), PICTURE, {}, check)
+    np.testing.assert_array_equal(channels(path)["Z"], PICTURE["Z"])
 
 
 def test_a_full_disk_keeps_the_old_file(full_disk):
