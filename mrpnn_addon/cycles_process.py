@@ -20,6 +20,15 @@ REFERENCE_SEED = 1000
 CHECK = "check"
 
 
+def blender_command(script: Path, arguments) -> list:
+    """A command that runs a script in a Blender of its own, as it comes from the factory."""
+    if not bpy.app.binary_path:
+        # The bpy module has no program of its own.
+        return [sys.executable, str(script), *arguments]
+    return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script),
+            "--", *arguments]
+
+
 class PassFailed(Exception):
     """Cycles could not render one pass; the message says why."""
 
@@ -93,12 +102,7 @@ class CyclesProcess:
         return json.loads(path.read_text())
 
     def _start(self):
-        arguments = [str(WORKER), str(self._path("scene.blend")), self._folder.name]
-        # The bpy module has no program of its own.
-        command = [sys.executable, *arguments]
-        if bpy.app.binary_path:
-            command = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1",
-                       "--python", arguments[0], "--", *arguments[1:]]
+        command = blender_command(WORKER, [str(self._path("scene.blend")), self._folder.name])
         with open(self._path("log.txt"), "w") as log:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
 

@@ -25,8 +25,11 @@ def environment_image(image):
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     elif space not in LINEAR and not image.is_float:
         raise ValueError(f"colour space {space}")
-    small = _shrunk(_shrunk(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64)
+    return sampler(_shrunk(_shrunk(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
 
+
+def sampler(small):
+    """A function of directions (n, 3) that gives colours (n, 3), linear between pixels (rows, columns, 3)."""
     def colour(directions):
         x, y, z = directions.T
         u = (0.5 - np.arctan2(y, x) / (2.0 * math.pi)) * small.shape[1] - 0.5

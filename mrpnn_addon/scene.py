@@ -59,7 +59,7 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings(description.volumes)
     description.warnings += surface_warnings(description.surfaces, camera.projection == "equirectangular")
-    lights, warnings = read_world(scene.world, description.suns, scene.mrpnn.world_directions)
+    lights, warnings = read_world(scene, description.suns)
     description.environment = bool(lights)
     description.suns += lights
     description.warnings += warnings

@@ -4,24 +4,29 @@ from typing import List, Tuple
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from ..inference.scene import Sun
 from .environment import Sphere, quadrature
+from .lights import disc_directions
 from .node_values import NodeValues
 from .sockets import Unsupported, active_output, input_of, source_of
+from .world_picture import PictureFailed, world_picture
 
 # A World hardly counts where it gives less than this share of the suns' light: half the directions do.
 HARDLY = 0.1
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
-def read_world(world, suns: List[Sun], directions: int) -> Tuple[List[Sun], List[str]]:
-    """Parallel lights that stand for the World's light in volumes, and warnings.
+def read_world(scene, suns: List[Sun]) -> Tuple[List[Sun], List[str]]:
+    """Parallel lights that stand for the light in volumes of an evaluated scene's World, and warnings.
 
-    suns: of the scene; beside bright ones the World needs fewer directions. directions: at most.
+    suns: of the scene; beside bright ones the World needs fewer directions.
 
-    What cannot be evaluated is left out with a warning that names it.
+    A World with nodes that cannot be evaluated is as Cycles shows it. Where that fails, or the World has light that cannot
+    be read, it is left out with a warning that names it.
     """
+    world, directions = scene.world, scene.mrpnn.world_directions
     if world is None:
         return [], []
     name, warnings = f"World \"{world.name}\"", []
@@ -30,18 +35,36 @@ def read_world(world, suns: List[Sun], directions: int) -> Tuple[List[Sun], List
         warnings.append(f"{name}: its fog is not rendered")
     if not _lights_volumes(world):
         return [], warnings
-    sphere = Sphere()
+    sphere, discs = Sphere(), []
     try:
         radiance = _radiance(world, output, sphere)
     except Unsupported as problem:
-        return [], warnings + [f"{name}: {problem}; its light is not rendered"]
-    if not radiance.max() > 0.0:
+        if directions < 1:
+            return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
+        try:
+            radiance, discs = _picture(world, scene, sphere, name)
+        except PictureFailed as failure:
+            return [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
+    if not radiance.max() > 0.0 and not discs:
         return [], warnings
     if directions < 1:
         return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
+    suns = suns + discs
     count = _count(float((radiance * sphere.solid_angle[:, None]).sum(axis=0) @ LUMA), suns, directions)
-    lights = [Sun(direction, irradiance, name=name) for direction, irradiance in quadrature(sphere, radiance, count)]
-    return lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions"]
+    shared = quadrature(sphere, radiance, count) if count else []
+    lights = [Sun(direction, irradiance, name=name) for direction, irradiance in shared]
+    beside = " beside its sun" if discs else ""
+    return discs + lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions{beside}"]
+
+
+def _picture(world, scene, sphere, name):
+    """Radiance (n, 3) at the sphere's directions and the Suns of discs, as Cycles shows them. Raises PictureFailed."""
+    picture, discs = world_picture(world, scene), []
+    for x, y, z, red, green, blue, angle in picture.suns:
+        frame = np.array(Vector((x, y, z)).to_track_quat('Z', 'Y').to_matrix())
+        discs += [Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")
+                  for direction, share in disc_directions(frame, angle)]
+    return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
 def expected_lights(world, suns: List[Sun], directions: int) -> int:

@@ -44,6 +44,31 @@ def environment_image(stage):
     tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
 
+def sky(stage, strength=0.05):
+    bpy.data.objects.remove(stage.sun)
+    tree = stage.scene.world.node_tree
+    texture = tree.nodes.new("ShaderNodeTexSky")
+    texture.sun_elevation, texture.sun_rotation = math.radians(35.0), math.radians(-120.0)
+    tree.links.new(texture.outputs[0], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = strength
+    return texture
+
+
+def low_sky_without_disc(stage):
+    texture = sky(stage, 0.3)
+    texture.sun_elevation, texture.sun_disc = math.radians(5.0), False
+
+
+def voronoi_world(stage):
+    """Coloured cells, without a node that is evaluated here."""
+    bpy.data.objects.remove(stage.sun)
+    tree = stage.scene.world.node_tree
+    cells = tree.nodes.new("ShaderNodeTexVoronoi")
+    cells.inputs["Scale"].default_value = 2.0
+    tree.links.new(cells.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+
+
 MEASURED = {
     "Two suns": two_suns,
     "Sun of 10 degrees": sun_of(10.0),
@@ -51,4 +76,6 @@ MEASURED = {
     "Sun and a grey-blue World": grey_world,
     "Even World alone": even_world,
     "Environment image alone": environment_image,
+    "Sky Texture": sky, "Sky Texture at dusk, without its disc": low_sky_without_disc,
+    "Voronoi Texture in the World": voronoi_world,
 }

@@ -11,11 +11,6 @@ def lamp_of(kind):
     return lamp
 
 
-def sky(stage):
-    tree = stage.scene.world.node_tree
-    tree.links.new(tree.nodes.new("ShaderNodeTexSky").outputs[0], tree.nodes["Background"].inputs["Color"])
-
-
 def world_fog(stage):
     tree = stage.scene.world.node_tree
     tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
@@ -55,7 +50,7 @@ def missing_frame(stage):
 
 NAMED = {
     "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
-    "Area light": lamp_of('AREA'), "Sky Texture": sky, "World volume": world_fog, "Light linking": linked_sun,
+    "Area light": lamp_of('AREA'), "World volume": world_fog, "Light linking": linked_sun,
     "Opaque mesh": surface, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
     "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,
     "Missing frame of a sequence": missing_frame,

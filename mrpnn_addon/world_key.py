@@ -1,0 +1,53 @@
+"""What a World holds, as text: equal where it looks the same."""
+
+import bpy
+
+# Of the editor, or of how a node came to be; not of what it gives.
+UNSEEN = {'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
+          'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
+          'outputs', 'node_preview', 'users', 'is_evaluated'}
+# Structs within nodes that are followed: ramps, curves, mappings, image users.
+DEEPEST = 6
+
+
+def world_key(world) -> str:
+    """Of a World as it is evaluated: its nodes, their values and links, and those of groups."""
+    if world.node_tree is None:
+        return repr(tuple(world.color))
+    return repr(_tree(world.node_tree, {}))
+
+
+def _tree(tree, seen):
+    if tree.name_full in seen:
+        return tree.name_full
+    seen[tree.name_full] = True
+    links = sorted((link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier,
+                    link.is_muted) for link in tree.links)
+    return [tree.name_full, links, [(node.name, _values(node, seen, 0)) for node in tree.nodes]]
+
+
+def _values(struct, seen, depth):
+    found = [struct.bl_rna.identifier]
+    for prop in struct.bl_rna.properties:
+        if prop.identifier in UNSEEN or depth > DEEPEST:
+            continue
+        value = getattr(struct, prop.identifier, None)
+        if prop.type == 'COLLECTION':
+            value = [_values(item, seen, depth + 1) for item in value]
+        elif isinstance(value, bpy.types.NodeTree):
+            value = _tree(value, seen)
+        elif isinstance(value, bpy.types.ID):
+            value = _block(value)
+        elif isinstance(value, bpy.types.bpy_struct):
+            value = _values(value, seen, depth + 1) if depth < DEEPEST else None
+        elif getattr(prop, 'is_array', False):
+            value = [float(number) for number in value] if prop.type == 'FLOAT' else list(value)
+        found.append((prop.identifier, value))
+    return found
+
+
+def _block(block):
+    """A block that a node names: an image, or an object whose coordinates it reads."""
+    more = getattr(block, 'filepath', None), getattr(block, 'is_dirty', None)
+    matrix = getattr(block, 'matrix_world', None)
+    return block.name_full, more, [tuple(row) for row in matrix] if matrix is not None else None
