@@ -98,10 +98,10 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
     with report.stage("surfaces"):
         covering = [surface for surface in surfaces if surface.covers]
         if covering and camera.projection != "equirectangular":
-            screen = Screen(covering, camera)
+            screen = Screen(covering, camera, work.check)
         if surfaces and plan.volumes:
             corners = np.concatenate([grid.corners() for grid in grids])
-            obstacles = Obstacles(surfaces, [sun.direction for sun in plan.suns], corners)
+            obstacles = Obstacles(surfaces, [sun.direction for sun in plan.suns], corners, work.check)
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None

@@ -14,10 +14,12 @@ class Obstacles:
     of the surfaces that end scattered light.
     """
 
-    def __init__(self, surfaces, directions: List[np.ndarray], corners: np.ndarray):
-        """surfaces: Surfaces; directions: (3,) unit vectors to the suns; corners: (8 B, 3) of B volumes."""
+    def __init__(self, surfaces, directions: List[np.ndarray], corners: np.ndarray, check=lambda: None):
+        """surfaces: Surfaces; directions: (3,) unit vectors to the suns; corners: (8 B, 3) of B volumes.
+        check: called several times a second; what it raises ends the work.
+        """
         shading = [surface for surface in surfaces if surface.shades]
-        self.sun_maps = [SunMap(shading, direction, corners) for direction in directions] if shading else []
+        self.sun_maps = [SunMap(shading, direction, corners, check) for direction in directions] if shading else []
         if not any(sun_map.shades(corners.reshape(-1, 8, 3)) for sun_map in self.sun_maps):
             self.sun_maps = None
         # Only those that reach into the volumes' box: light that leaves it does not come back.

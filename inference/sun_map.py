@@ -19,8 +19,10 @@ class SunMap:
     linear: (3, 3); offset: (3,): column, row and height from world positions, as frames of `RaySteps` have them.
     """
 
-    def __init__(self, surfaces, direction: np.ndarray, corners: np.ndarray):
-        """surfaces: Surfaces; direction: (3,) unit vector to the sun; corners: (N, 3), whose hull holds all volumes."""
+    def __init__(self, surfaces, direction: np.ndarray, corners: np.ndarray, check=lambda: None):
+        """surfaces: Surfaces; direction: (3,) unit vector to the sun; corners: (N, 3), whose hull holds all volumes.
+        check: called several times a second; what it raises ends the work.
+        """
         aside = np.eye(3)[np.abs(direction).argmin()]
         aside = np.cross(direction, aside) / np.linalg.norm(np.cross(direction, aside))
         turned = np.stack([aside, np.cross(direction, aside), direction])
@@ -33,7 +35,7 @@ class SunMap:
         heights = np.full(size[0] * size[1], -np.inf)
         for surface in surfaces:
             place = surface.triangles @ self.linear.T + self.offset
-            for flat, height, _ in covered(place[..., :2], place[..., 2], size):
+            for flat, height, _ in covered(place[..., :2], place[..., 2], size, check):
                 np.maximum.at(heights, flat, height)
         self.heights = heights.reshape(size[1], size[0]).astype(np.float32)
 

@@ -17,7 +17,7 @@ PLACES = 4
 DISTANCES = 16
 # Triangles are cut at least at this share of the farthest one's distance.
 CLOSEST = 1e-6
-PAIRS_AT_ONCE = 1 << 20
+PAIRS_AT_ONCE = 1 << 18
 
 
 @dataclass
@@ -43,23 +43,35 @@ class Surface:
 class Screen:
     """Surfaces as a perspective or orthographic camera sees them."""
 
-    def __init__(self, surfaces: List[Surface], camera: Camera):
-        self.camera = camera
-        rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-        corners = np.concatenate([surface.triangles for surface in surfaces]) - camera.world_matrix[:3, 3]
+    def __init__(self, surfaces: List[Surface], camera: Camera, check=lambda: None):
+        """check: called several times a second, here and in `distances`; what it raises ends the work."""
+        self.camera, self.check = camera, check
         # Only what lies beyond the near clipping plane is seen, by every camera.
-        closest = max(camera.clip[0], CLOSEST * np.abs(corners).max(initial=0.0))
+        eye, farthest = camera.world_matrix[:3, 3], 0.0
+        for surface in surfaces:
+            check()
+            farthest = max(farthest, np.abs(surface.triangles - eye).max(initial=0.0))
+        closest = max(camera.clip[0], CLOSEST * farthest)
+        self.extent = 2.0 * np.tan(0.5 * camera.fov)
+        seen = [self._seen(surface.triangles - eye, closest) for surface in surfaces]
+        self.place, self.value = (np.concatenate(parts) for parts in zip(*seen))
+
+    def _seen(self, corners, closest):
+        """Places (T, 3, 2) in pixels, and what is even across a triangle there, (T, 3), larger where it is nearer."""
+        self.check()
+        camera = self.camera
+        rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
         corners = _beyond(corners @ rotation, closest)
+        self.check()
         width, height = camera.resolution
         if camera.projection == "orthographic":
-            plane, self.value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
+            plane, value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
         else:
-            self.extent = 2.0 * np.tan(0.5 * camera.fov)
-            # What is even across a triangle on the screen, and larger where it is nearer.
-            self.value = -1.0 / corners[..., 2]
-            plane = corners[..., :2] * self.value[..., None] / self.extent
-        self.place = np.stack([(plane[..., 0] - camera.shift[0] + 0.5) * width,
-                               0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
+            value = -1.0 / corners[..., 2]
+            plane = corners[..., :2] * value[..., None] / self.extent
+        place = np.stack([(plane[..., 0] - camera.shift[0] + 0.5) * width,
+                          0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
+        return place, value
 
     def distances(self, window) -> np.ndarray:
         """float64 (N, PLACES^2) along rays through the window's pixels, row by row; infinity where nothing is."""
@@ -67,7 +79,7 @@ class Screen:
         size = np.array([x1 - x0, y1 - y0]) * PLACES
         place = (self.place - [x0, y0]) * PLACES - 0.5
         found = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in covered(place, self.value, size):
+        for flat, value, _ in covered(place, self.value, size, self.check):
             np.maximum.at(found, flat, value)
         distance = self._along(found.reshape(size[1], size[0]), x0, y0)
         parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
@@ -121,16 +133,21 @@ def _beyond(corners, closest: float):
     return np.concatenate(parts)
 
 
-def covered(place, value, size):
-    """Yield (flat index, value, triangle) of whole places in a raster of `size` columns and rows that triangles cover."""
+def covered(place, value, size, check=lambda: None):
+    """Yield (flat index, value, triangle) of whole places in a raster of `size` columns and rows that triangles cover.
+
+    check: called several times a second.
+    """
     first = np.ceil(np.clip(place.min(axis=1), 0, size)).astype(int)
     last = np.floor(np.clip(place.max(axis=1), -1, size - 1)).astype(int)
+    check()
     spans = np.maximum(last - first + 1, 0)
     counts = spans.prod(axis=1)
     some = np.flatnonzero(counts)
     ends = np.cumsum(counts[some])
     start = 0
     while start < len(some):
+        check()
         done = ends[start - 1] if start else 0
         end = max(int(np.searchsorted(ends, done + PAIRS_AT_ONCE, side="right")), start + 1)
         triangle = np.repeat(some[start:end], counts[some[start:end]])

@@ -1,5 +1,7 @@
 """Opaque meshes before, in and behind volumes, against Cycles rendering everything together."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -141,3 +143,25 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
     error = np.sqrt(((layer.single - expected[..., :3])[seen] ** 2).mean()) / expected[..., :3][seen].mean()
     before = np.sqrt(((alone.single - expected[..., :3])[seen] ** 2).mean()) / expected[..., :3][seen].mean()
     assert error < 0.3 * before
+
+
+def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_path):
+    """Two of half a million triangles: a second of two threads at most between two looks whether to stop."""
+    blender_scenes.cloud_scene(scene, tmp_path)
+    for height in (-1.0, 0.2):
+        bpy.ops.mesh.primitive_grid_add(x_subdivisions=500, y_subdivisions=500, size=8.0, location=(0.0, 0.0, height))
+    looks, marching = [time.process_time()], []
+
+    def look():
+        looks.append(time.process_time())
+        return bool(marching)
+
+    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph(), check=look)
+    assert [len(surface.triangles) for surface in described.surfaces] == [500_000] * 2
+    read = len(looks)
+    with pytest.raises(addon.inference.scene.Cancelled):
+        addon.inference.render(
+            described.volumes, described.suns, described.camera, addon.inference.Settings(multiple=False), cancelled=look,
+            progress=lambda share, message: "single" in message and marching.append(message), surfaces=described.surfaces)
+    assert marching and 4 < read < len(looks) - 10
+    assert max(np.diff(looks)) < 2.0
