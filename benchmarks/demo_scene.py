@@ -7,6 +7,8 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from .shaders import add_shader
+
 EDGE = 2.0
 MARGIN = 0.97
 LENS_DEGREES = 32.0
@@ -107,17 +109,10 @@ def _corners(grid) -> np.ndarray:
 
 
 def _fog(data, grid_name: str):
-    material = bpy.data.materials.new("fog")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader = tree.nodes.new("ShaderNodeVolumePrincipled")
+    shader = add_shader(data, "fog", "VolumePrincipled")
     shader.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     shader.inputs["Anisotropy"].default_value = 0.6
     shader.inputs["Density Attribute"].default_value = grid_name
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(shader.outputs["Volume"], output.inputs["Volume"])
-    data.materials.append(material)
     return shader
 
 

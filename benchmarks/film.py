@@ -129,8 +129,8 @@ def page(found, options) -> str:
     ]
     lines += [f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
               for frame in compared]
-    lines += ["", "What a frame changes by where nothing in the picture does, root mean square over its mean. A voxel of next",
-              "to no density beyond one face of the grid makes another working cube, as a cloud that grows does.", "",
+    lines += ["", "What a frame changes by where nothing in the picture does, root mean square over its mean. A voxel of",
+              "next to no density beyond one face of the grid makes another working cube, as a cloud that grows does.", "",
               "| | change |", "|---|---|"]
     lines += [f"| {name} | {value:.2%} |" for name, value in found["steadiness"].items()]
     return "\n".join(lines) + "\n"

@@ -97,9 +97,9 @@ def _shared_view(name: str) -> View:
 
     volume, _, light = name.split("-")[:3]
     return View(
-        name, volume, light, functools.partial(_shared_density, volume), float(facts["sigma"]),
-        round(float(facts["g"]), 6), tuple(round(float(value), 6) for value in facts["albedo"]), facts["sun"], facts["cam"], (0.0, 1.0, 0.0), float(facts["fov"]), size,
-        int(facts["spp"]), halves,
+        name, volume, light, functools.partial(_shared_density, volume), float(facts["sigma"]), round(float(facts["g"]), 6),
+        tuple(round(float(value), 6) for value in facts["albedo"]), facts["sun"], facts["cam"], (0.0, 1.0, 0.0),
+        float(facts["fov"]), size, int(facts["spp"]), halves,
     )
 
 

@@ -16,7 +16,8 @@ def density_feature(sigma_hat, density):
 class LatticeField:
     """Density at RPNN's lattices, and the network that reads it.
 
-    network: its `points` are the SunLattice; cube: of the volume; check: asked often. The anisotropy is the one it was trained for.
+    network: its `points` are the SunLattice; cube: of the volume; check: asked often. The anisotropy is the one it
+    was trained for.
     """
 
     needs_light = False

@@ -20,9 +20,10 @@ FLUENCE_MOST = 5.04
 class MultipleField:
     """Everything that predicts multiple scattering in one volume, for one extinction and sun.
 
-    system: what `load_network` gives. check: asked often while the field is made. Outside the range of optical density that it was made for, the
-    prediction is that at the range's end: scaled down in proportion below it, where multiple scattering is
-    linear in density, and held above it. Outside the ranges of anisotropy and albedo the nearest value is used.
+    system: what `load_network` gives. check: asked often while the field is made. Outside the range of optical density
+    that it was made for, the prediction is that at the range's end: scaled down in proportion below it, where multiple
+    scattering is linear in density, and held above it. Outside the ranges of anisotropy and albedo the nearest value is
+    used.
     No prediction exceeds what the largest fluence that one sun can make, all of it arriving where the
     phase function is largest, would give.
     """

@@ -24,8 +24,9 @@ class Obstacles:
             self.sun_maps = None
         # Only those that reach into the volumes' box: light that leaves it does not come back.
         low, high = corners.min(axis=0), corners.max(axis=0)
-        stopping = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)
-                    and np.all(surface.triangles.min(axis=(0, 1)) < high) and np.all(surface.triangles.max(axis=(0, 1)) > low)]
+        stopping = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)]
+        stopping = [triangles for triangles in stopping
+                    if np.all(triangles.min(axis=(0, 1)) < high) and np.all(triangles.max(axis=(0, 1)) > low)]
         self.triangles = np.concatenate(stopping) if stopping else np.zeros((0, 3, 3))
         self.shading, self.directions = shading if self.sun_maps else [], directions
 

@@ -119,7 +119,8 @@ def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
 
 def glows(volume: Volume, medium: Medium) -> bool:
     """Whether a volume emits light."""
-    return volume.emission is not None and medium.emission > 0.0 and any(channel.any() for channel in volume.emission_channels())
+    shines = volume.emission is not None and medium.emission > 0.0
+    return shines and any(channel.any() for channel in volume.emission_channels())
 
 
 def attenuates(volume: Volume, medium: Medium) -> bool:

@@ -40,7 +40,8 @@ def page(comparison: Comparison, title: str, pictures: Dict[str, bytes], error_m
         table=_table(["image", "samples", "error (95 %)", "bias (95 %)", "seconds", "once", "processor seconds", "FLIP"],
                      [_row(rung) for rung in comparison.rungs]),
         equal_table=_table(
-            ["Cycles", "clock", "the layer's seconds", "seconds to its error", "times as long", "as a further frame", "error in its time"],
+            ["Cycles", "clock", "the layer's seconds", "seconds to its error", "times as long", "as a further frame",
+             "error in its time"],
             [[one.method, "wall" if one.clock == "seconds" else "processor", f"{one.seconds:.3g}", str(one.needed),
               f"{one.ratio:.3g}", f"{one.frame_ratio:.3g}", str(one.error)] for one in comparison.equal]),
         facts=_table(["", ""], [[key, value] for key, value in facts.items()]))

@@ -18,8 +18,8 @@ from .pass_store import CYCLES, DENOISED
 from .whole_file import whole_file
 
 TOO_DARK, TOO_BRIGHT = np.array([0.13, 0.40, 0.67]), np.array([0.70, 0.09, 0.17])
-COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "rmse", "rmse_low", "rmse_high", "bias", "bias_low",
-           "bias_high", "flip")
+COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "rmse", "rmse_low", "rmse_high", "bias",
+           "bias_low", "bias_high", "flip")
 
 
 def writing(run, comparison: Comparison):

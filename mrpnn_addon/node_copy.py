@@ -12,6 +12,8 @@ import numpy as np
 from .node_functions import CURVE_CELLS, RAMP_CELLS
 
 PLAIN = {'BOOLEAN', 'INT', 'FLOAT', 'STRING', 'ENUM'}
+# Sockets that hold a value.
+VALUED = {'VALUE', 'INT', 'BOOLEAN', 'VECTOR', 'RGBA', 'ROTATION', 'STRING'}
 
 
 class Copy(types.SimpleNamespace):
@@ -80,7 +82,7 @@ def _value(value):
 
 def _socket(socket, node) -> Copy:
     copy = Copy(node=node, name=socket.name, identifier=socket.identifier, type=socket.type, links=[])
-    if socket.type in ('VALUE', 'INT', 'BOOLEAN', 'VECTOR', 'RGBA', 'ROTATION', 'STRING') and hasattr(socket, 'default_value'):
+    if socket.type in VALUED and hasattr(socket, 'default_value'):
         copy.default_value = _value(socket.default_value)
     return copy
 

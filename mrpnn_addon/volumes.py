@@ -137,7 +137,8 @@ def _mesh_source(shown: Shown, where: str) -> MeshSource:
     material = VolumeMaterial(first_material(shown.object), where)
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
-    return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, triangles_of(shown.object), _generated(shown.object))
+    triangles, generated = triangles_of(shown.object), _generated(shown.object)
+    return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, triangles, generated)
 
 
 def _generated(mesh_object) -> np.ndarray:

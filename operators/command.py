@@ -66,7 +66,8 @@ def _parser() -> argparse.ArgumentParser:
                             help="json: one object a line on standard output")
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("memory-limit", float),
-                           ("model", str), ("provider", str), ("resolution-percentage", _positive), ("camera", str), ("view-layer", str)):
+                           ("model", str), ("provider", str), ("resolution-percentage", _positive), ("camera", str),
+                           ("view-layer", str)):
             action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")

@@ -124,5 +124,6 @@ def test_what_is_kept_knows_when_surfaces_and_suns_change():
 
 def test_a_network_that_sees_no_light_says_so():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
-    layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"), surfaces=[wall])
+    layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
+                   surfaces=[wall])
     assert "fog: the network rpnn does not know of surfaces" in layer.report.warnings

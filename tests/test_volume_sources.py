@@ -61,7 +61,8 @@ def test_a_missing_file_of_a_sequence_is_named(addon, scene, tmp_path):
     sequence(scene, tmp_path, (1, 3))
     lit(scene)
     scene.frame_set(11)
-    with pytest.raises(addon.inference.SceneError, match="\"Cloud\": this frame.s file of its sequence cannot be read .*fog_002.vdb"):
+    message = "\"Cloud\": this frame.s file of its sequence cannot be read .*fog_002.vdb"
+    with pytest.raises(addon.inference.SceneError, match=message):
         read(addon)
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
+from ..shaders import add_shader
+
 SEED = 1_000_003
 CELLS = 64
 # Of the cloud, edge 2, at its densest.
@@ -89,16 +91,10 @@ def aim(camera, location, at=Vector((0.0, 0.0, 0.0))):
 
 def fog(data, name, density=DENSITY):
     """Principled Volume on new data; gives the node."""
-    material = bpy.data.materials.new(f"{name} fog")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader = tree.nodes.new("ShaderNodeVolumePrincipled")
+    shader = add_shader(data, f"{name} fog", "VolumePrincipled")
     shader.inputs["Density"].default_value = density
     shader.inputs["Color"].default_value = (0.9, 0.9, 0.9, 1.0)
     shader.inputs["Anisotropy"].default_value = 0.4
-    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
-    data.materials.append(material)
     return shader
 
 

@@ -3,6 +3,7 @@
 import bpy
 from mathutils import Vector
 
+from ..shaders import add_shader
 from .stage import smooth_cube
 
 
@@ -16,14 +17,8 @@ def black_ball(stage, location):
 
 def paint_black(stage, shown):
     """Hold an object out of Cycles' image; it reflects nothing."""
-    material = bpy.data.materials.new("Black")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    black = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    black = add_shader(shown.data, "Black", "BsdfDiffuse", "Surface")
     black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
-    tree.links.new(black.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
-    shown.data.materials.append(material)
     shown.is_holdout = True
     stage.surfaces.append(shown)
 
