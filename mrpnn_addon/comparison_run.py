@@ -64,7 +64,7 @@ class ComparisonRun:
             depsgraph = context.evaluated_depsgraph_get()
             # The layer and Cycles' image both have the region's size.
             # Volumes and lights alone: Cycles' image will hold no surface.
-            self.description = replace(read_scene(depsgraph, reader), crop=True, surfaces=[])
+            self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
             process = CyclesProcess(
                 context.scene, volumes_and_suns(depsgraph), options.bounces,
                 context.scene.world if self.description.environment else None)

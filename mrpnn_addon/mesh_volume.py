@@ -53,20 +53,6 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None
     return Inside(share, index)
 
 
-def triangles_of(mesh_object) -> np.ndarray:
-    """float64 (T, 3, 3): corners of an evaluated object's mesh in object space."""
-    mesh = mesh_object.to_mesh()
-    try:
-        mesh.calc_loop_triangles()
-        places = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", places)
-        order = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", order)
-    finally:
-        mesh_object.to_mesh_clear()
-    return places.reshape(-1, 3).astype(np.float64)[order].reshape(-1, 3, 3)
-
-
 def _share(corners: np.ndarray, cells, check) -> tuple:
     """Share inside of each voxel, and the share of columns that enter more often than they leave.
 

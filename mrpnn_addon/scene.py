@@ -1,5 +1,6 @@
 """The evaluated scene as plain descriptions that `inference.render` takes."""
 
+import functools
 from dataclasses import dataclass, field
 from typing import List, Tuple
 
@@ -9,7 +10,7 @@ from .camera import read_camera
 from .lights import read_suns
 from .material import SURFACES, shows_volume
 from .overlap_warnings import overlap_warnings
-from .surfaces import read_surface, surface_warnings
+from .surfaces import OpaqueMesh, read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
 from .volumes import VolumeReader, outside_sequence
 from .world import read_world
@@ -17,7 +18,7 @@ from .world import read_world
 
 @dataclass
 class SceneDescription:
-    """volumes, suns, camera, surfaces: arguments of `inference.render`.
+    """volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: what the surfaces are made of.
     crop: whether the image has the region's size, or the full frame's with nothing around it.
     view_layer: its name.
     frame: the scene's frame number.
@@ -28,13 +29,18 @@ class SceneDescription:
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
     suns: List[Sun] = field(default_factory=list)
     camera: Camera = None
-    surfaces: List[Surface] = field(default_factory=list)
+    opaque: List[OpaqueMesh] = field(default_factory=list)
     crop: bool = True
     view_layer: str = "ViewLayer"
     frame: int = 0
     environment: bool = False
     warnings: List[str] = field(default_factory=list)
     unseen: List[str] = field(default_factory=list)
+
+    @functools.cached_property
+    def surfaces(self) -> List[Surface]:
+        """Made when they are first asked for, which takes a while for large meshes: by the thread that renders."""
+        return [mesh.surface() for mesh in self.opaque]
 
 
 def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> SceneDescription:
@@ -58,7 +64,7 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
         check()
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings(description.volumes)
-    description.warnings += surface_warnings(description.surfaces, camera.projection == "equirectangular")
+    description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
     lights, warnings = read_world(scene, description.suns)
     description.environment = bool(lights)
     description.suns += lights
@@ -90,7 +96,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
         description.warnings.append(f"light \"{shown.name}\", of type {lamp}, is not rendered; only suns are")
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
-        description.surfaces += [surface] if surface else []
+        description.opaque += [surface] if surface else []
         description.warnings += warnings
 
 

@@ -1,11 +1,12 @@
 """Opaque surfaces that cover and shade volumes, in the world."""
 
+from dataclasses import dataclass
 from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
 from ..inference.surfaces import Surface
-from .mesh_volume import triangles_of
+from .mesh_triangles import Mesh, read_mesh
 from .sockets import Unsupported, active_output, input_of, source_of
 from .visibility import Shown
 
@@ -14,10 +15,26 @@ MESHES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT'}
 SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction', 'ShaderNodeHoldout'}
 
 
-def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tuple[Optional[Surface], List[str]]:
+@dataclass
+class OpaqueMesh:
+    """A Surface before its triangles are made. name, covers, shades, stops: as of Surface. matrix: (4, 4), to the world."""
+
+    mesh: Mesh
+    matrix: np.ndarray
+    name: str
+    covers: bool
+    shades: bool
+    stops: bool
+
+    def surface(self) -> Surface:
+        """Any thread may ask. Raises SceneError where its vertices are not finite."""
+        return Surface(self.mesh.triangles(self.matrix), self.name, self.covers, self.shades, self.stops)
+
+
+def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Optional[OpaqueMesh], List[str]]:
     """A visible object's surface where it is opaque and volumes meet it, and warnings.
 
-    known: triangles of meshes read before, in their own space; instances share them.
+    known: meshes read before; instances share them.
     """
     where = f"{shown.object.type.lower()} object \"{shown.name}\""
     if shown.object.type not in MESHES:
@@ -30,12 +47,12 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, np.ndarray]) -> Tu
         return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]
     key = (shown.object.data.name_full, shown.object.as_pointer())
     if key not in known:
-        known[key] = triangles_of(shown.object)
-    triangles = known[key] @ shown.matrix[:3, :3].T + shown.matrix[:3, 3]
-    return (Surface(triangles, where, covers, shades, stops) if len(triangles) else None), []
+        known[key] = read_mesh(shown.object)
+    mesh = known[key]
+    return (OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops) if len(mesh.corners) else None), []
 
 
-def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
+def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
     """Says what surfaces do and what not."""
     found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
@@ -47,7 +64,7 @@ def surface_warnings(surfaces: List[Surface], panorama: bool) -> List[str]:
     return found
 
 
-def _names(surfaces: List[Surface]) -> str:
+def _names(surfaces: List[OpaqueMesh]) -> str:
     more = f" and {len(surfaces) - 1} more" if len(surfaces) > 1 else ""
     return surfaces[0].name + more
 

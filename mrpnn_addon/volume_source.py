@@ -11,6 +11,7 @@ from .common_blocks import CommonBlocks
 from .density_grid import MAX_SPAN, MAX_VOXELS, EmptyGrid, read_density_grid
 from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial
+from .mesh_triangles import Mesh
 from .mesh_volume import fill
 from .shaded_grid import VOXELS_ARE_HOT, ShadedGrid, is_linear, refine, require_empty_background, shade
 from .voxel_points import Probe
@@ -45,13 +46,13 @@ class VolumeSource:
 
 @dataclass
 class MeshSource(VolumeSource):
-    """triangles: float64 (T, 3, 3), corners in object space. generated: (4, 4), object to texture space."""
+    """mesh: in object space. generated: (4, 4), object to texture space."""
 
-    triangles: np.ndarray
+    mesh: Mesh
     generated: np.ndarray
 
     def _read(self, started, check):
-        inside = fill(self.triangles, self.matrix, self.where, check)
+        inside = fill(self.mesh.triangles(), self.matrix, self.where, check)
         frames = {"object": inside.object_from_index, "world": self.matrix @ inside.object_from_index,
                   "generated": self.generated @ inside.object_from_index}
         return shade(self.material, {}, frames, inside.share, check=check), inside.object_from_index, []

@@ -13,7 +13,7 @@ import numpy as np
 from ..inference.scene import Medium, SceneError, Volume
 from .density_grid import unreadable
 from .material import VolumeMaterial, first_material, shows_volume
-from .mesh_volume import triangles_of
+from .mesh_triangles import Mesh, read_mesh
 from .shaded_grid import ShadedGrid
 from .visibility import Shown, shown_objects, why_unseen
 from .volume_source import FileSource, MeshSource, VolumeSource
@@ -22,12 +22,12 @@ from .voxel_points import Probe
 
 @dataclass
 class VolumeReader:
-    """Reads volumes; what instances share is read once. known: what sources have read, by their key. meshes: triangles of
+    """Reads volumes; what instances share is read once. known: what sources have read, by their key. meshes: of
     surfaces, for `read_surface`.
     """
 
     known: Dict[tuple, Tuple[ShadedGrid, np.ndarray, List[str]]] = field(default_factory=dict)
-    meshes: Dict[tuple, np.ndarray] = field(default_factory=dict)
+    meshes: Dict[tuple, Mesh] = field(default_factory=dict)
 
     def read(self, shown: Shown) -> Tuple[Volume, Medium, List[str]]:
         """The density, placement and shading of one visible volume, and warnings.
@@ -137,8 +137,8 @@ def _mesh_source(shown: Shown, where: str) -> MeshSource:
     material = VolumeMaterial(first_material(shown.object), where)
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
-    triangles, generated = triangles_of(shown.object), _generated(shown.object)
-    return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, triangles, generated)
+    mesh, generated = read_mesh(shown.object), _generated(shown.object)
+    return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 
 
 def _generated(mesh_object) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+from mathutils import Vector
 
 from . import blender_scenes
 
@@ -165,3 +166,42 @@ def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_p
             progress=lambda share, message: "single" in message and marching.append(message), surfaces=described.surfaces)
     assert marching and 4 < read < len(looks) - 10
     assert max(np.diff(looks)) < 2.0
+
+
+@pytest.mark.parametrize("kind", ["triangles", "quads", "concave quads", "pentagons"])
+def test_triangles_are_those_of_blender(addon, scene, kind):
+    """Of polygons that are not plane, too."""
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3) if kind == "triangles" else bpy.ops.mesh.primitive_uv_sphere_add()
+    shown, random = bpy.context.object, np.random.default_rng(2)
+    if kind == "concave quads":
+        shown.data.clear_geometry()
+        shown.data.from_pydata([(0, 0, 0), (1, 0, 0), (0.2, 0.2, 0), (0, 1, 0), (1, 1, 0)], [], [(1, 2, 3, 0), (0, 1, 2, 3)])
+    elif kind == "pentagons":
+        shown.data.clear_geometry()
+        shown.data.from_pydata([(np.cos(a), np.sin(a), 0.1 * a) for a in range(6)], [], [(0, 1, 2, 3, 4), (0, 4, 5)])
+    else:
+        for vertex in shown.data.vertices:
+            vertex.co += Vector(0.02 * random.normal(size=3))
+    matrix = np.eye(4)
+    matrix[:3] += 0.3 * random.normal(size=(3, 4))
+    found = addon.mrpnn_addon.mesh_triangles.read_mesh(
+        shown.evaluated_get(blender_scenes.depsgraph())).triangles(matrix)
+    shown.data.calc_loop_triangles()
+    places = np.array([vertex.co for vertex in shown.data.vertices]) @ matrix[:3, :3].T + matrix[:3, 3]
+    expected = places[[tuple(triangle.vertices) for triangle in shown.data.loop_triangles]]
+    assert len(found) > 2
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_million_triangles_hold_blender_s_main_thread_for_a_moment(addon, scene, tmp_path):
+    """0.2 processor seconds at most; the rest of the work is that of the thread which renders."""
+    blender_scenes.cloud_scene(scene, tmp_path)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=707, y_subdivisions=707, size=8.0)
+    reader, depsgraph = addon.mrpnn_addon.volumes.VolumeReader(), blender_scenes.depsgraph()
+    for source in reader.wanted(depsgraph):
+        reader.known[source.key] = source.read()
+    start = time.thread_time()
+    described = addon.mrpnn_addon.scene.read_scene(depsgraph, reader)
+    assert time.thread_time() - start < 0.2
+    (surface,) = described.surfaces
+    assert len(surface.triangles) == 2 * 707**2
