@@ -1,11 +1,14 @@
 """Targets, the loss and the trainer, on data small enough for a test."""
 
 import json
+import pathlib
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 
+import inference
 from inference import Medium, Sun
 from inference.cube import fit_cube
 from inference.descriptors import angle_to_sun, read_fields
@@ -19,6 +22,9 @@ from training import evaluate, train
 from training.networks import RayMRPNN
 from training.seeded_volume import seeded_volume
 from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
+from training.volumes import make_volume
+
+WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +101,49 @@ def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatc
     assert abs(whole["configuration"]["held_bias"]) < 0.5
 
 
+def test_a_step_draws_from_the_folders_in_their_shares():
+    random = torch.Generator().manual_seed(0)
+    limits, shares = np.array([0, 10, 5000, 5003]), torch.tensor([0.5, 0.2, 0.3], dtype=torch.float64)
+    rows = torch.cat([train.draw_rows(limits, shares, random) for _ in range(20)]).numpy()
+    assert rows.min() == 0 and rows.max() == 5002
+    counts, _ = np.histogram(rows, bins=limits)
+    np.testing.assert_allclose(counts / len(rows), shares, atol=5 * np.sqrt(0.25 / len(rows)))
+    # Within a folder every row is as likely.
+    few = np.bincount(rows[rows < 10], minlength=10)
+    np.testing.assert_allclose(few, few.mean(), atol=5 * np.sqrt(few.mean()))
+
+
+def test_training_goes_on_from_exported_weights(data, tmp_path, monkeypatch):
+    """They predict as onnxruntime does with the file, however inputs are standardised, and keep their history."""
+    monkeypatch.setattr(train, "BATCH", 64)
+    loaded, path = load_network("mrpnn"), WEIGHTS / "mrpnn.onnx"
+    files = sorted(data.glob("*.npz"))
+    net = RayMRPNN()
+    rows = train.load(files, net.columns)
+    inputs = net.inputs(rows, torch.arange(len(rows["gamma"])))
+    net.calibrate(*(values[::3] for values in inputs))
+    configuration = train.start_from(net, path)
+    albedo = np.array([1.0, 0.8], np.float32)
+    feed = dict(zip(("stencil", "ray", "anisotropy", "gamma"), (values.numpy() for values in inputs)))
+    expected = onnxruntime.InferenceSession(path).run(None, {**feed, "albedo": albedo})[0]
+    with torch.no_grad():
+        predicted = net(*inputs, torch.from_numpy(albedo)[:, None].expand(2, len(rows["gamma"])))
+    np.testing.assert_allclose(predicted, expected, rtol=1e-4)
+    assert configuration == loaded.configuration
+    train.main(["--network", "mrpnn", "--data", str(data), str(data), "--shares", "3", "1", "--held", str(data),
+                "--run", str(tmp_path), "--initial", str(path), "--learning-rate", "1e-5", "--steps", "2"])
+    tuned = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["configuration"]
+    assert tuned["initial"] == configuration and tuned["shares"] == [0.75, 0.25]
+    # Two small steps leave it nearly where it was; weights that start at random err several times as much.
+    assert tuned["held_rmse"] == pytest.approx(train.held_error(net, rows)[0], rel=0.02)
+
+
+def test_only_the_default_starts_from_exported_weights(data, tmp_path):
+    with pytest.raises(SystemExit):
+        train.main(["--network", "mrpnn-paper", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
+                    "--initial", str(WEIGHTS / "mrpnn-paper.onnx")])
+
+
 def test_held_back_error_leaves_the_targets_noise_out():
     """Targets with noise around what the network predicts: no error, where plain squares would show the noise."""
     torch.manual_seed(0)
@@ -131,9 +180,11 @@ def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
     evaluate.main(["--held", str(data), "--checkpoint", str(checkpoint)])
-    lines = [line.split("|") for line in capsys.readouterr().out.splitlines() if "| gamma" in line]
+    printed = [[cell.strip() for cell in line.split("|")] for line in capsys.readouterr().out.splitlines()]
     rows = sum(len(np.load(file)["gamma"]) for file in data.glob("*.npz"))
-    assert sum(int(line[4]) for line in lines) == rows
+    for quantity in ("gamma", "anisotropy", "sigma_hat", "kind", "folder"):
+        assert sum(int(line[4]) for line in printed if line[1] == quantity) == rows, quantity
+    assert {line[2] for line in printed if line[1] == "kind"} == {make_volume(seed, 48).kind for seed in (3, 4, 5)}
 
 
 def test_inputs_are_those_that_rendering_uses():

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from training.noise import CELLS, TILE, Fractal, curl_tile
 from training.shapes import BOX, TORUS, ball_union, constructive_solid
-from training.volumes import HELD_BACK, make_volume
+from training.solids import SOLIDS
+from training.volumes import HELD_BACK, HELD_BACK_SOLIDS, SOLID_SEEDS, make_volume
 
 RESOLUTION = 40
 SEEDS = range(24)
@@ -58,6 +60,20 @@ def test_the_seeds_give_different_characters(samples):
     dense_share = [(s.density > 0.5).sum() / (s.density > 0).sum() for s in samples]
     # from a few cores in thin smoke to solid shapes
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
+
+
+def test_seeds_of_solids_give_even_fog_with_hard_faces():
+    seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
+    samples = [make_volume(seed, RESOLUTION) for seed in seeds]
+    assert {sample.kind for sample in samples} == {kind.__name__ for kind in SOLIDS}
+    spreads = []
+    for seed, sample in zip(seeds, samples):
+        # Away from the faces, where a cell's neighbours are filled too, density is even or nearly.
+        inner = sample.density[binary_erosion(sample.density > 0)]
+        spreads.append(inner.std() / inner.mean())
+        assert spreads[-1] < 0.4, (seed, sample.kind)
+    assert np.mean(np.array(spreads) < 1e-3) > 0.4
+    assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
 def test_too_few_cells_are_refused():

@@ -89,3 +89,12 @@ class Graph:
         helper.set_model_props(model, metadata)
         onnx.checker.check_model(model, full_check=True)
         return model
+
+
+def linear_layers(model: onnx.ModelProto) -> list:
+    """Weight (out, in) and bias (out,) of the fully connected layers of a graph, in its order, as tensors."""
+    constants = {constant.name: constant for constant in model.graph.initializer}
+    return [
+        [torch.from_numpy(numpy_helper.to_array(constants[name]).copy()) for name in node.input[1:]]
+        for node in model.graph.node if node.op_type == "Gemm"
+    ]

@@ -1,8 +1,12 @@
 """Train one of the networks on the files of training.targets (or, for RPNN, of training.lattice_rows).
 
     nice python -m training.train --network mrpnn --data data/train --held data/test --run runs/mrpnn
+    nice python -m training.train --network mrpnn --data data/train data/solids --shares 0.6 0.4 --held data/test \\
+        --run runs/tuned --initial inference/weights/mrpnn.onnx --learning-rate 3e-4 --steps 3000
 
-Reads the data into memory and goes on from the run's checkpoint if there is one. The loss is relative
+The second starts from exported weights and draws the rows of a step from several folders in the shares named; the
+configuration of those weights is kept in that of the new ones. Both read the data into memory and go on from their run's
+checkpoint if there is one. The loss is relative
 L2 on radiance, (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2), where m is the mean radiance of rows of like optical density,
 anisotropy and angle: what is dark among its like shows little. It is linear in the targets'
 noise, so that it converges to their mean. The exported weights are an exponential moving average. progress.jsonl holds
@@ -17,9 +21,11 @@ import pathlib
 import time
 
 import numpy as np
+import onnx
 import torch
 
 from training.networks import NETWORKS
+from training.onnx_graph import linear_layers
 from training.targets import ANISOTROPY_RANGE, SIGMA_HAT_RANGE, SUNS
 
 STEPS = 12000
@@ -45,22 +51,26 @@ BFLOAT16 = bool(torch.cpu.get_capabilities().get("amx_bf16") or torch.cpu.get_ca
 CALIBRATION_ROWS = 100_000
 
 
-def load(files, columns):
-    """Rows of all files as torch tensors: the columns named, albedo, BINS', and radiance (rows, halves, albedos)."""
-    columns = {*columns, *BINS, "albedo", "radiance"}
-    counts = []
+def first_rows(files):
+    """Of each file the number of its first row when `load` has read them all, and the number of rows: (files + 1,)."""
+    counts = [0]
     for file in files:
         with np.load(file) as data:
             counts.append(len(data["gamma"]))
-    total, start, arrays = sum(counts), 0, {}
-    for file, count in zip(files, counts):
+    return np.cumsum(counts)
+
+
+def load(files, columns):
+    """Rows of all files as torch tensors: the columns named, albedo, BINS', and radiance (rows, halves, albedos)."""
+    columns = {*columns, *BINS, "albedo", "radiance"}
+    firsts, arrays = first_rows(files), {}
+    for file, start, end in zip(files, firsts, firsts[1:]):
         with np.load(file) as data:
             for key in columns:
                 values = data[key]
                 if key not in arrays:
-                    arrays[key] = np.empty((total, *values.shape[1:]), values.dtype)
-                arrays[key][start : start + count] = values
-        start += count
+                    arrays[key] = np.empty((firsts[-1], *values.shape[1:]), values.dtype)
+                arrays[key][start:end] = values
     return {key: torch.from_numpy(array) for key, array in arrays.items()}
 
 
@@ -107,6 +117,21 @@ def held_error(net, data):
     return math.sqrt(max(squares / count, 0.0)), predicted / expected - 1.0
 
 
+def draw_rows(limits, shares, random):
+    """(BATCH,) rows: those between limits[i] and limits[i + 1] make up shares[i] of them, on average."""
+    limits = torch.as_tensor(limits)
+    part = torch.multinomial(torch.as_tensor(shares), BATCH, replacement=True, generator=random)
+    place = torch.rand(BATCH, generator=random, dtype=torch.float64)
+    return (limits[part] + place * (limits[part + 1] - limits[part])).long()
+
+
+def start_from(net, path):
+    """Give the network the weights of an ONNX file that `training.export` wrote; returns their configuration."""
+    model = onnx.load(path)
+    net.restore(linear_layers(model))
+    return json.loads({entry.key: entry.value for entry in model.metadata_props}["configuration"])
+
+
 def rate(step: int, steps: int) -> float:
     """Linear warm-up, then cosine decay to zero."""
     if step < WARM_UP:
@@ -122,11 +147,14 @@ def save(state, path):
 def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--network", choices=sorted(NETWORKS), required=True)
-    parser.add_argument("--data", type=pathlib.Path, required=True)
+    parser.add_argument("--data", type=pathlib.Path, nargs="+", required=True, help="folders of rows")
+    parser.add_argument("--shares", type=float, nargs="+", help="of each folder in a step's rows, not its rows' number")
     parser.add_argument("--held", type=pathlib.Path, required=True, help="data of held-back volumes")
     parser.add_argument("--run", type=pathlib.Path, required=True)
     parser.add_argument("--steps", type=int, default=STEPS)
-    parser.add_argument("--volumes", type=int, help="train on the first so many files only")
+    parser.add_argument("--initial", type=pathlib.Path, help="weights to start from, an exported ONNX file")
+    parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE)
+    parser.add_argument("--volumes", type=int, help="train on the first so many files of each folder only")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report-every", type=int, default=1000, help="steps between reports and checkpoints")
     parser.add_argument("--seed", type=int, default=0)
@@ -136,42 +164,55 @@ def main(options=None):
     torch.manual_seed(arguments.seed)
 
     net, averaged = NETWORKS[arguments.network](), NETWORKS[arguments.network]()
-    files, held_files = (sorted(folder.glob("*.npz")) for folder in (arguments.data, arguments.held))
-    files = files[: arguments.volumes]
-    if not files or not held_files:
-        parser.error(f"no volumes in {arguments.data if not files else arguments.held}")
+    folders = [sorted(folder.glob("*.npz"))[: arguments.volumes] for folder in arguments.data]
+    held_files = sorted(arguments.held.glob("*.npz"))
+    for folder, found in zip([*arguments.data, arguments.held], [*folders, held_files], strict=True):
+        if not found:
+            parser.error(f"no volumes in {folder}")
+    if arguments.shares and len(arguments.shares) != len(folders):
+        parser.error(f"{len(arguments.shares)} shares for {len(folders)} folders: name one for each")
+    files = sum(folders, [])
     train, held = load(files, net.columns), load(held_files, net.columns)
     train["radiance"] = train["radiance"].mean(dim=1)
     train["typical"] = typical_radiance(train)
     rows, albedos = train["albedo"].shape
     used = min(ALBEDOS_A_STEP, albedos)
+    limits = first_rows(files)[np.cumsum([0, *map(len, folders)])]
+    shares = torch.tensor(arguments.shares or np.diff(limits), dtype=torch.float64)
+    shares /= shares.sum()
     configuration = {
         "network": arguments.network,
         "anisotropy_range": ANISOTROPY_RANGE,
         "sigma_hat_range": SIGMA_HAT_RANGE,
         "volumes": len(files),
-        "first_and_last_volume": [files[0].stem, files[-1].stem],
+        "first_and_last_volume": [[found[0].stem, found[-1].stem] for found in folders],
+        "volumes_a_folder": [len(found) for found in folders],
+        "shares": shares.tolist(),
         "held_volumes": [held_files[0].stem, held_files[-1].stem],
         "rows": rows,
         "suns_a_point": SUNS,
         "steps": arguments.steps,
         "batch": BATCH,
         "albedos_a_step": used,
-        "learning_rate": LEARNING_RATE,
+        "learning_rate": arguments.learning_rate,
         "weight_decay": WEIGHT_DECAY,
         "typical_share": TYPICAL_SHARE,
         "averaging": AVERAGING,
         "parameters": sum(p.numel() for p in net.parameters()),
         "seed": arguments.seed,
     } | net.ranges
-    (arguments.run / "configuration.json").write_text(json.dumps(configuration, indent=1))
-    print(json.dumps(configuration), flush=True)
-
     if hasattr(net, "calibrate"):
         random = torch.Generator().manual_seed(arguments.seed)
         net.calibrate(*net.inputs(train, torch.randint(rows, (CALIBRATION_ROWS,), generator=random)))
+    if arguments.initial:
+        if not hasattr(net, "restore"):
+            parser.error(f"--initial knows mrpnn alone, not {arguments.network}")
+        configuration["initial"] = start_from(net, arguments.initial)
+    (arguments.run / "configuration.json").write_text(json.dumps(configuration, indent=1))
+    print(json.dumps(configuration), flush=True)
+
     averaged.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(net.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=arguments.learning_rate, weight_decay=WEIGHT_DECAY)
     first, path = 0, arguments.run / "checkpoint.pt"
     if path.exists():
         checkpoint = torch.load(path, weights_only=True)
@@ -184,7 +225,7 @@ def main(options=None):
     for step in range(first, arguments.steps):
         # Each step draws from its own stream, so that a resumed run takes the same path.
         random = torch.Generator().manual_seed(arguments.seed * 1_000_003 + step)
-        picked = torch.randint(rows, (BATCH,), generator=random)
+        picked = draw_rows(limits, shares, random)
         columns = torch.rand(BATCH, albedos, generator=random).argsort(dim=1)[:, :used]
         albedo = train["albedo"][picked].gather(1, columns).T
         target, typical = (train[key][picked].gather(1, columns).T for key in ("radiance", "typical"))
@@ -193,7 +234,7 @@ def main(options=None):
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_NORM)
         for group in optimizer.param_groups:
-            group["lr"] = LEARNING_RATE * rate(step, arguments.steps)
+            group["lr"] = arguments.learning_rate * rate(step, arguments.steps)
         optimizer.step()
         with torch.no_grad():
             keep = min(AVERAGING, (1 + step) / (10 + step))

@@ -17,10 +17,14 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from .shapes import random_rotation
+from .solids import SOLIDS
 from .volume_kinds import KINDS
 
 #: Seeds kept for measuring what a network makes of volumes it was not trained on.
 HELD_BACK = range(1_000_000, 1_001_000)
+#: Seeds that give solids filled with even fog, to train on and to measure with.
+SOLID_SEEDS = range(500_000, 600_000)
+HELD_BACK_SOLIDS = range(1_500_000, 1_501_000)
 
 _COARSE = 64
 _THIN = 0.003
@@ -119,13 +123,14 @@ def make_volume(seed: int, resolution: int = 192) -> Sample:
     """The volume of a seed; the same seed gives the same volume.
 
     resolution: N >= 8, cells per edge. Raises ValueError below that.
-    Seeds in HELD_BACK are for measuring, never for training.
+    Seeds in HELD_BACK and HELD_BACK_SOLIDS are for measuring, never for training.
     """
     if resolution < 8:
         raise ValueError(f"a volume needs at least 8 cells per edge, not {resolution}")
+    kinds = SOLIDS if seed in SOLID_SEEDS or seed in HELD_BACK_SOLIDS else KINDS
     for attempt in range(20):
         rng = np.random.default_rng([seed, attempt])
-        kind = rng.choice(np.array(list(KINDS), dtype=object), p=list(KINDS.values()))
+        kind = rng.choice(np.array(list(kinds), dtype=object), p=list(kinds.values()))
         field = _Field(rng, kind)
         centre, edge = np.zeros(3), 2 * _HALF
         # look at it coarsely, twice, to find its brightest value and its active box

@@ -88,6 +88,27 @@ class RayMRPNN(nn.Module):
         self.mean.copy_(x.mean(dim=0))
         self.deviation.copy_(x.std(dim=0) + 1e-2)
 
+    @torch.no_grad()
+    def restore(self, layers):
+        """Take the weights of a graph that `graph` has made: its fully connected layers, weights and biases, in its order.
+
+        The means and deviations stay, and what the graph folded into its first layers is taken out again: the outputs
+        are the graph's.
+        """
+        layers, angles = list(layers), len(self.modulation[0].weight.T)
+        for module, mean, deviation in (
+            (self.modulation[0], self.mean[-angles:], self.deviation[-angles:]), (self.modulation[1], None, None),
+            (self.first, self.mean, self.deviation), *((module, None, None) for module in (*self.hidden, self.last)),
+        ):
+            weight, bias = layers.pop(0)
+            if module is self.modulation[1]:
+                # The graph's scale is 1 + scale.
+                bias[: len(bias) // 2] -= 1.0
+            if mean is not None:
+                bias, weight = bias + weight @ mean, weight * deviation
+            module.weight.copy_(weight)
+            module.bias.copy_(bias)
+
     def assemble(self, stencil, ray, anisotropy, gamma):
         """All inputs (N, k) but the angles, and the angles (N, 8), before standardisation."""
         with torch.autocast("cpu", enabled=False):
