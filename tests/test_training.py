@@ -4,6 +4,7 @@ import json
 import pathlib
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -18,8 +19,9 @@ from inference.march import light_at
 from inference.multiple import MultipleField
 from inference.network import load_network
 from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
-from training import evaluate, train
+from training import evaluate, export, train
 from training.networks import RayMRPNN
+from training.onnx_graph import linear_layers
 from training.seeded_volume import seeded_volume
 from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
 from training.volumes import make_volume
@@ -138,6 +140,25 @@ def test_training_goes_on_from_exported_weights(data, tmp_path, monkeypatch):
     assert tuned["held_rmse"] == pytest.approx(train.held_error(net, rows)[0], rel=0.02)
 
 
+def test_weights_part_of_the_way_are_exported(data, tmp_path, monkeypatch):
+    """Half of the way: every weight the mean of both, and the file says so."""
+    monkeypatch.setattr(train, "BATCH", 64)
+    before, after = WEIGHTS / "mrpnn.onnx", tmp_path / "after.onnx"
+    train.main(["--network", "mrpnn", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
+                "--initial", str(before), "--learning-rate", "1e-2", "--steps", "2"])
+    checkpoint = str(tmp_path / "checkpoint.pt")
+    export.main([checkpoint, str(after)])
+    export.main([checkpoint, str(tmp_path / "half.onnx"), "--initial", str(before), "--share", "0.5"])
+    ends, half = [linear_layers(onnx.load(path)) for path in (before, after)], onnx.load(tmp_path / "half.onnx")
+    for one, other, mean in zip(*ends, linear_layers(half)):
+        assert not torch.allclose(one[0], other[0], rtol=1e-4, atol=1e-6)
+        torch.testing.assert_close(0.5 * (one[0] + other[0]), mean[0], rtol=1e-3, atol=1e-5)
+    configuration = json.loads({entry.key: entry.value for entry in half.metadata_props}["configuration"])
+    assert configuration["share_of_training"] == 0.5 and "held_rmse" not in configuration
+    with pytest.raises(SystemExit):
+        export.main([checkpoint, str(after), "--initial", str(after), "--share", "0.5"])
+
+
 def test_only_the_default_starts_from_exported_weights(data, tmp_path):
     with pytest.raises(SystemExit):
         train.main(["--network", "mrpnn-paper", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
@@ -182,9 +203,18 @@ def test_evaluation_bins_every_row(data, tmp_path, capsys):
     evaluate.main(["--held", str(data), "--checkpoint", str(checkpoint)])
     printed = [[cell.strip() for cell in line.split("|")] for line in capsys.readouterr().out.splitlines()]
     rows = sum(len(np.load(file)["gamma"]) for file in data.glob("*.npz"))
-    for quantity in ("gamma", "anisotropy", "sigma_hat", "kind", "folder"):
+    for quantity in ("gamma", "anisotropy", "sigma_hat", "thickness", "kind", "folder"):
         assert sum(int(line[4]) for line in printed if line[1] == quantity) == rows, quantity
     assert {line[2] for line in printed if line[1] == "kind"} == {make_volume(seed, 48).kind for seed in (3, 4, 5)}
+
+
+def test_thickness_is_the_largest_balls_radius():
+    """A slab 10 of 40 cells thick; a ball of a quarter of the cube."""
+    slab = np.zeros((40, 40, 40), np.float32)
+    slab[2:38, 2:38, 15:25] = 0.5
+    assert evaluate.thickness(slab) == pytest.approx(5 / 40, abs=1 / 40)
+    x, y, z = (np.mgrid[:40, :40, :40] + 0.5) / 40 - 0.5
+    assert evaluate.thickness((x**2 + y**2 + z**2 < 0.25**2).astype(np.float32)) == pytest.approx(0.25, abs=1 / 40)
 
 
 def test_inputs_are_those_that_rendering_uses():

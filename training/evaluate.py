@@ -1,4 +1,4 @@
-"""Where a network is right: bias and error by angle, anisotropy, optical density and kind of volume.
+"""Where a network is right: bias and error by angle, anisotropy, optical density, thickness and kind of volume.
 
     python -m training.evaluate --held data/test data/solids-test --checkpoint runs/mrpnn/checkpoint.pt
 
@@ -11,6 +11,7 @@ import pathlib
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 
 from training.networks import NETWORKS
 from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
@@ -21,8 +22,10 @@ BINS = {
     "anisotropy": (-0.3, 0.0, 0.4, 0.7, 0.85, 0.9, 0.951),
     "sigma_hat": (1, 5, 20, 60, 200, 600, 2001),
 }
-#: Cells an edge of the volumes that are made to see which kind a seed gives.
-KIND_CELLS = 32
+#: Radii of the largest ball that lies in what a volume fills, in units of the cube's edge.
+THICKNESS = (0.0, 0.05, 0.1, 0.2, 0.3, 1.0)
+#: Cells an edge of the volumes that are made to see what a seed gives.
+CELLS = 48
 
 
 def load_weights(path: pathlib.Path):
@@ -37,19 +40,24 @@ def load_weights(path: pathlib.Path):
     return net
 
 
+def thickness(density: np.ndarray) -> float:
+    """Radius of the largest ball within a volume's filled cells, (n, n, n), in units of the cube's edge."""
+    return distance_transform_edt(density > 0).max() / len(density)
+
+
 def groups(files, data):
-    """Names, ends and rows (N,) bool of what is told apart: bins of BINS, kinds of volume, all of a folder."""
-    for name, edges in BINS.items():
+    """Names, ends and rows (N,) bool of what is told apart: bins of BINS, thicknesses and kinds of volumes, folders."""
+    volumes, counts = [make_volume(int(file.stem), CELLS) for file in files], np.diff(first_rows(files))
+    values = {name: (data[name].numpy(), edges) for name, edges in BINS.items()}
+    values["thickness"] = np.repeat([thickness(volume.density) for volume in volumes], counts), THICKNESS
+    for name, (value, edges) in values.items():
         for low, high in zip(edges[:-1], edges[1:]):
-            yield name, f"{low:g}", f"{high:g}", (data[name] >= low) & (data[name] < high)
-    counts = np.diff(first_rows(files))
-    for name, values in (
-        ("kind", [make_volume(int(file.stem), KIND_CELLS).kind for file in files]),
-        ("folder", [file.parent.name for file in files]),
-    ):
-        for value in sorted(set(values)):
-            which = np.array(values) == value
-            yield name, value, f"{which.sum()} volumes", torch.from_numpy(np.repeat(which, counts))
+            yield name, f"{low:g}", f"{high:g}", (value >= low) & (value < high)
+    labels = {"kind": [volume.kind for volume in volumes], "folder": [file.parent.name for file in files]}
+    for name, label in labels.items():
+        for one in sorted(set(label)):
+            which = np.array(label) == one
+            yield name, one, f"{which.sum()} volumes", np.repeat(which, counts)
 
 
 def predictions(net, data):
@@ -73,7 +81,8 @@ def main(options=None):
     y, (a, b) = predictions(net, data)
     square = (y - a) * (y - b) / (y**2 + RADIANCE_EPS**2)
     print("| quantity | from | to | rows | bias | relative RMSE of a point |\n|---|---|---|---|---|---|")
-    for name, low, high, inside in groups(files, data):
+    for name, low, high, chosen in groups(files, data):
+        inside = torch.from_numpy(chosen)
         if inside.any():
             bias = y[inside].sum() / (0.5 * (a + b)[inside].sum()) - 1.0
             error = square[inside].mean().clamp(min=0.0).sqrt()

@@ -1,13 +1,15 @@
 """Write a network as ONNX, with its stencil or lattice and the configuration that made it inside.
 
-    python -m training.export CHECKPOINT.pt inference/weights/NAME.onnx
+    python -m training.export CHECKPOINT.pt inference/weights/NAME.onnx [--initial BEFORE.onnx --share 0.6]
 
 Which network it is stands in the checkpoint's configuration. Output: radiance (A, N) for albedos (A,); the
-other inputs are those of the network's kind: "ray", "stencil" or "lattice".
+other inputs are those of the network's kind: "ray", "stencil" or "lattice". Of weights that were trained on from
+others, --share 0.6 goes six tenths of the way from those to these: a mean of both forgets less of what they knew.
 """
 
 import argparse
 import base64
+import copy
 import functools
 import hashlib
 import json
@@ -21,6 +23,7 @@ from inference.sun_lattice import make_sun_lattice
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
 from training.stencil import load_stencil
+from training.train import start_from
 
 
 @functools.cache
@@ -56,15 +59,27 @@ def save(model: onnx.ModelProto, path: str):
         os.replace(partial, target)
 
 
-def main():
+def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint")
     parser.add_argument("output")
-    arguments = parser.parse_args()
+    parser.add_argument("--initial", help="the weights that training started from")
+    parser.add_argument("--share", type=float, default=1.0, help="of the way from --initial to the checkpoint")
+    arguments = parser.parse_args(options)
     checkpoint = torch.load(arguments.checkpoint, map_location="cpu", weights_only=True)
-    net = NETWORKS[checkpoint["configuration"]["network"]]()
+    configuration = checkpoint["configuration"]
+    net = NETWORKS[configuration["network"]]()
     net.load_state_dict(checkpoint["averaged"])
-    save(export(net, checkpoint["configuration"]), arguments.output)
+    if arguments.share != 1.0:
+        # Its error is no longer that of the checkpoint.
+        configuration = {key: value for key, value in configuration.items() if not key.startswith("held_")}
+        configuration["share_of_training"] = arguments.share
+        trained = copy.deepcopy(net.state_dict())
+        if start_from(net, arguments.initial) != configuration.get("initial"):
+            parser.error(f"{arguments.checkpoint} was not trained on from {arguments.initial}")
+        initial = net.state_dict()
+        net.load_state_dict({key: torch.lerp(initial[key], trained[key], arguments.share) for key in trained})
+    save(export(net, configuration), arguments.output)
 
 
 if __name__ == "__main__":
