@@ -3,7 +3,7 @@
     python -m training.evaluate --held data/test data/solids-test --checkpoint runs/mrpnn/checkpoint.pt
 
 Compares predictions with the targets of held-back volumes at albedo 1. The targets' halves are
-independent, so that their noise does not count. --checkpoint may also be an exported `mrpnn`, an ONNX file.
+independent, so that their noise does not count; how large it is, relative to the predictions, stands in a column of its own. --checkpoint may also be an exported `mrpnn`, an ONNX file.
 """
 
 import argparse
@@ -79,14 +79,17 @@ def main(options=None):
     files = [file for folder in arguments.held for file in sorted(folder.glob("*.npz"))]
     data = load(files, net.columns)
     y, (a, b) = predictions(net, data)
-    square = (y - a) * (y - b) / (y**2 + RADIANCE_EPS**2)
-    print("| quantity | from | to | rows | bias | relative RMSE of a point |\n|---|---|---|---|---|---|")
+    scale = y**2 + RADIANCE_EPS**2
+    # The halves differ by twice the deviation of their mean.
+    square, noise = (y - a) * (y - b) / scale, 0.25 * (a - b) ** 2 / scale
+    print("| quantity | from | to | rows | bias | relative RMSE of a point | noise of its target |")
+    print("|---|---|---|---|---|---|---|")
     for name, low, high, chosen in groups(files, data):
         inside = torch.from_numpy(chosen)
         if inside.any():
             bias = y[inside].sum() / (0.5 * (a + b)[inside].sum()) - 1.0
-            error = square[inside].mean().clamp(min=0.0).sqrt()
-            print(f"| {name} | {low} | {high} | {inside.sum()} | {100 * bias:+.1f} % | {error:.3f} |")
+            error, noisy = (values[inside].mean().clamp(min=0.0).sqrt() for values in (square, noise))
+            print(f"| {name} | {low} | {high} | {inside.sum()} | {100 * bias:+.1f} % | {error:.3f} | {noisy:.2f} |")
 
 
 if __name__ == "__main__":

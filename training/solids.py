@@ -35,7 +35,7 @@ def _joined(rng, kinds, centres, sizes, removed, turned):
 
 
 def single_solid(rng):
-    """A box, ellipsoid, ring, capsule or cylinder: one in three a ball or a cube, the rest of any proportions."""
+    """A box, ellipsoid, ring, capsule or cylinder: three in ten as long as wide, the rest of any proportions, some of them thin."""
     low = rng.choice([1.0, 0.5, 0.1], p=[0.3, 0.4, 0.3])
     sizes = 0.8 * np.exp(rng.uniform(np.log(low), 0.0, (1, 3)))
     kinds = rng.integers(BOX, CYLINDER + 1, 1)
@@ -57,8 +57,8 @@ def polyhedron(rng):
     """A convex body between planes."""
     count = int(rng.integers(5, 24))
     normals = rng.standard_normal((count, 3))
-    # One plane against the sum of the others' normals, so that the body ends on every side.
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    # A last plane faces the sum of the others' normals.
     normals = np.vstack([normals, -normals.sum(axis=0) / np.linalg.norm(normals.sum(axis=0))]).astype(np.float32)
     offsets = rng.uniform(0.2, 0.7, count + 1).astype(np.float32)
     ball = np.float32(rng.uniform(0.8, 1.1))
