@@ -18,6 +18,7 @@ from .shaded_grid import ShadedGrid
 from .visibility import Shown, shown_objects, why_unseen
 from .volume_source import FileSource, MeshSource, VolumeSource
 from .voxel_points import Probe
+from .world import wanted_world
 
 
 @dataclass
@@ -50,7 +51,7 @@ class VolumeReader:
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
     def wanted(self, depsgraph) -> List[VolumeSource]:
-        """What this would have to read for the scene: for a `VolumeLoading`.
+        """What this would have to read for the scene, and the World where Cycles has to show it: for a `VolumeLoading`.
 
         Up to where something keeps the scene from being read; reading it says what.
         """
@@ -63,7 +64,7 @@ class VolumeReader:
                     found[source.key] = source
         except SceneError:
             pass
-        return list(found.values())
+        return [*found.values(), *wanted_world(depsgraph.scene)]
 
     def _known_key(self, shown: Shown) -> Optional[tuple]:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)

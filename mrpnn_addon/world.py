@@ -11,17 +11,29 @@ from .environment import Sphere, quadrature
 from .lights import disc_directions
 from .node_values import NodeValues
 from .sockets import Unsupported, active_output, input_of, source_of
-from .world_picture import PictureFailed, world_picture
+from .world_picture import PictureFailed, WorldSource, is_known, world_picture
 
 # A World hardly counts where it gives less than this share of the suns' light: half the directions do.
 HARDLY = 0.1
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
-def read_world(scene, suns: List[Sun]) -> Tuple[List[Sun], List[str]]:
+def wanted_world(scene) -> List[WorldSource]:
+    """What Cycles has to show of an evaluated scene's World before `read_world` can tell its light: one or none."""
+    world = scene.world
+    if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
+        return []
+    try:
+        _radiance(world, active_output(world), Sphere(1, images=False))
+    except Unsupported:
+        return [] if is_known(world) else [WorldSource(world, scene)]
+    return []
+
+
+def read_world(scene, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun], List[str]]:
     """Parallel lights that stand for the light in volumes of an evaluated scene's World, and warnings.
 
-    suns: of the scene; beside bright ones the World needs fewer directions.
+    suns: of the scene; beside bright ones the World needs fewer directions. check: called often while Cycles shows it.
 
     A World with nodes that cannot be evaluated is as Cycles shows it. Where that fails, or the World has light that cannot
     be read, it is left out with a warning that names it.
@@ -42,7 +54,7 @@ def read_world(scene, suns: List[Sun]) -> Tuple[List[Sun], List[str]]:
         if directions < 1:
             return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
         try:
-            radiance, discs = _picture(world, scene, sphere, name)
+            radiance, discs = _picture(world, scene, sphere, name, check)
         except PictureFailed as failure:
             return [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
     if not radiance.max() > 0.0 and not discs:
@@ -57,9 +69,9 @@ def read_world(scene, suns: List[Sun]) -> Tuple[List[Sun], List[str]]:
     return discs + lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions{beside}"]
 
 
-def _picture(world, scene, sphere, name):
+def _picture(world, scene, sphere, name, check):
     """Radiance (n, 3) at the sphere's directions and the Suns of discs, as Cycles shows them. Raises PictureFailed."""
-    picture, discs = world_picture(world, scene), []
+    picture, discs = world_picture(world, scene, check), []
     for x, y, z, red, green, blue, angle in picture.suns:
         frame = np.array(Vector((x, y, z)).to_track_quat('Z', 'Y').to_matrix())
         discs += [Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")

@@ -86,3 +86,22 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     scene.mrpnn.world_directions = 0
     with pytest.raises(addon.inference.SceneError, match="no sun"):
         addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+
+
+def test_a_thread_has_the_world_shown_and_can_be_stopped(addon, scene, tmp_path, pictures):
+    """Reading asks for the World beside the volumes; once it is known nothing is left to wait for."""
+    reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.{name}") for name in ("volumes", "volume_loading"))
+    blender_scenes.cloud_scene(scene, tmp_path)
+    feed(scene, "ShaderNodeTexVoronoi", "Color").inputs["Scale"].default_value = 3.25
+    wanted = reading.VolumeReader().wanted(blender_scenes.depsgraph())
+    assert [source.key[0] for source in wanted[1:]] == ["world"]
+    stopped = loading.VolumeLoading(reading.VolumeReader(), wanted[1:])
+    stopped.stop()
+    stopped.wait(30.0)
+    assert stopped.done and stopped.cancelled
+    assert len(reading.VolumeReader().wanted(blender_scenes.depsgraph())) == 2
+    done = loading.VolumeLoading(reading.VolumeReader(), wanted[1:])
+    done.wait()
+    assert done.error is None
+    assert len(reading.VolumeReader().wanted(blender_scenes.depsgraph())) == 1
+    assert shown(scene, pictures).sky.max() > 0.1
