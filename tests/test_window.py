@@ -316,6 +316,45 @@ def test_f12_renders_and_esc_stops(window):
     window.until(f"not {THREADS}")
 
 
+# A sky with its sun instead of the lamp, and back again.
+SKY = """
+world, lamp = bpy.context.scene.world, bpy.data.objects["Sun"]
+sky = bpy.data.worlds.new("Sky"); sky.use_nodes = True
+texture = sky.node_tree.nodes.new("ShaderNodeTexSky"); texture.sun_elevation = ELEVATION
+sky.node_tree.links.new(texture.outputs[0], sky.node_tree.nodes["Background"].inputs["Color"])
+sky.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.05
+bpy.context.scene.world, lamp.hide_render, lamp.hide_viewport = sky, True, True
+"""
+NO_SKY = "bpy.context.scene.world, lamp.hide_render, lamp.hide_viewport = world, False, False"
+
+
+def test_a_sky_is_shown_by_cycles_beside_the_interface(window):
+    window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.overlay.show_overlays = False")
+    window.do(LOOKS)
+    window.do(SKY.replace("ELEVATION", "0.6"))
+    window.do("s.shading.type = 'RENDERED'")
+    left, top, right, bottom = window.box("VIEW_3D")
+    start, bright, dark = time.monotonic(), 0, 0
+    while not bright > dark + 20 and time.monotonic() - start < LONG:
+        time.sleep(1.0)
+        picture = window.shot("sky").mean(axis=2)
+        bright, dark = picture[(top + bottom) // 2, (left + right) // 2], picture[bottom - 30, left + 30]
+    assert bright > dark + 20
+    window.until(f"not {THREADS}")
+    assert float(window.do(LONGEST)) < BLOCKED
+    window.do("s.shading.type = 'SOLID'; texture.sun_elevation = 0.9")
+    window.press("96")
+    window.until(RENDERING)
+    window.until(f"not {RENDERING}")
+    window.do("bpy.data.images['Render Result'].save_render(WORK + '/window-sky.png')")
+    with Image.open(window.work / "window-sky.png") as image:
+        grey = image.convert("L")
+        assert grey.getpixel((80, 60)) > 20 + grey.getpixel((2, 2))
+    window.press("Escape")
+    window.do(NO_SKY)
+    window.until(f"not {THREADS}")
+
+
 def test_a_click_on_the_button_renders_into_the_image(window):
     left, top, right, _ = window.box("PROPERTIES")
     window.do("area('PROPERTIES').spaces.active.context = 'RENDER'")
