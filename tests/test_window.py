@@ -341,7 +341,8 @@ def test_a_sky_is_shown_by_cycles_beside_the_interface(window):
         bright, dark = picture[(top + bottom) // 2, (left + right) // 2], picture[bottom - 30, left + 30]
     assert bright > dark + 20
     window.until(f"not {THREADS}")
-    assert float(window.do(LONGEST)) < BLOCKED
+    # Blender makes a preview of the sky's own, too.
+    assert float(window.do(LONGEST)) < 2 * BLOCKED
     window.do("s.shading.type = 'SOLID'; texture.sun_elevation = 0.9")
     window.press("96")
     window.until(RENDERING)
