@@ -66,8 +66,9 @@ def _set_up(scene):
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
     scene.render.image_settings.color_mode = 'RGB'
     scene.render.resolution_percentage = 100
-    for name, value in {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0,
-                        "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX', "seed": 0}.items():
+    settings = {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0, "seed": 0,
+                "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX'}
+    for name, value in settings.items():
         setattr(scene.cycles, name, value)
     scene.world.cycles_visibility.camera = True
 
