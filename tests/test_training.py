@@ -201,7 +201,8 @@ def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
     evaluate.main(["--held", str(data), "--checkpoint", str(checkpoint)])
-    printed = [[cell.strip() for cell in line.split("|")] for line in capsys.readouterr().out.splitlines()]
+    lines = capsys.readouterr().out.splitlines()
+    printed = [[cell.strip() for cell in line.split("|")] for line in lines if "|" in line]
     rows = sum(len(np.load(file)["gamma"]) for file in data.glob("*.npz"))
     for quantity in ("gamma", "anisotropy", "sigma_hat", "thickness", "kind", "folder"):
         assert sum(int(line[4]) for line in printed if line[1] == quantity) == rows, quantity
@@ -215,6 +216,15 @@ def test_thickness_is_the_largest_balls_radius():
     assert evaluate.thickness(slab) == pytest.approx(5 / 40, abs=1 / 40)
     x, y, z = (np.mgrid[:40, :40, :40] + 0.5) / 40 - 0.5
     assert evaluate.thickness((x**2 + y**2 + z**2 < 0.25**2).astype(np.float32)) == pytest.approx(0.25, abs=1 / 40)
+
+
+def test_noise_that_suns_share_is_told_from_their_own():
+    """A part common to the suns of a point and a part of their own, of variances 1 and 3: correlation 1/4."""
+    random = np.random.default_rng(0)
+    sizes = (3000, 5000)
+    files = [random.normal(size=n) + np.sqrt(3.0) * random.normal(size=(SUNS, n)) for n in sizes]
+    noise, firsts = np.concatenate([file.ravel() for file in files]), np.cumsum([0, *(SUNS * n for n in sizes)])
+    assert evaluate.noise_correlation(noise, firsts) == pytest.approx(0.25, abs=0.02)
 
 
 def test_inputs_are_those_that_rendering_uses():

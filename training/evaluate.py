@@ -2,8 +2,9 @@
 
     python -m training.evaluate --held data/test data/solids-test --checkpoint runs/mrpnn/checkpoint.pt
 
-Compares predictions with the targets of held-back volumes at albedo 1. The targets' halves are
-independent, so that their noise does not count; how large it is, relative to the predictions, stands in a column of its own. --checkpoint may also be an exported `mrpnn`, an ONNX file.
+Compares predictions with the targets of held-back volumes at albedo 1. The targets' halves are independent, so that
+their noise does not count; how large it is, relative to the predictions, stands in a column of its own, and the last
+line tells how far it is the same for two suns. --checkpoint may also be an exported `mrpnn`, an ONNX file.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from training.networks import NETWORKS
+from training.targets import SUNS
 from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
 from training.volumes import make_volume
 
@@ -60,6 +62,15 @@ def groups(files, data):
             yield name, one, f"{which.sum()} volumes", np.repeat(which, counts)
 
 
+def noise_correlation(noise, firsts) -> float:
+    """Mean correlation of the noise (N,) of two suns' targets at one point; firsts (files + 1,): files' first rows."""
+    # A file holds all its points for one sun after the other.
+    suns = np.concatenate([noise[i:j].reshape(SUNS, -1) for i, j in zip(firsts, firsts[1:])], axis=1)
+    products = suns @ suns.T
+    own = np.trace(products)
+    return float((products.sum() - own) / (own * (SUNS - 1)))
+
+
 def predictions(net, data):
     """Predicted radiance (N,) and its targets' halves (2, N), at albedo 1, the first of each row."""
     net.eval()
@@ -90,6 +101,8 @@ def main(options=None):
             bias = y[inside].sum() / (0.5 * (a + b)[inside].sum()) - 1.0
             error, noisy = (values[inside].mean().clamp(min=0.0).sqrt() for values in (square, noise))
             print(f"| {name} | {low} | {high} | {inside.sum()} | {100 * bias:+.1f} % | {error:.3f} | {noisy:.2f} |")
+    shared = noise_correlation(((a - b) / scale.sqrt()).numpy().astype(np.float64), first_rows(files))
+    print(f"\nnoise of two suns' targets at one point: correlation {shared:.2f}")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def _joined(rng, kinds, centres, sizes, removed, turned):
 
 
 def single_solid(rng):
-    """A box, ellipsoid, ring, capsule or cylinder: three in ten as long as wide, the rest of any proportions, some of them thin."""
+    """A box, ellipsoid, ring, capsule or cylinder: three in ten as long as wide, others thin."""
     low = rng.choice([1.0, 0.5, 0.1], p=[0.3, 0.4, 0.3])
     sizes = 0.8 * np.exp(rng.uniform(np.log(low), 0.0, (1, 3)))
     kinds = rng.integers(BOX, CYLINDER + 1, 1)

@@ -5,12 +5,12 @@
         --run runs/tuned --initial inference/weights/mrpnn.onnx --learning-rate 3e-4 --steps 3000
 
 The second starts from exported weights and draws the rows of a step from several folders in the shares named; the
-configuration of those weights is kept in that of the new ones. Both read the data into memory and go on from their run's
-checkpoint if there is one. The loss is relative
-L2 on radiance, (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2), where m is the mean radiance of rows of like optical density,
-anisotropy and angle: what is dark among its like shows little. It is linear in the targets'
-noise, so that it converges to their mean. The exported weights are an exponential moving average. progress.jsonl holds
-the loss and the error on held-back volumes against steps; step-N.pt are early and late checkpoints.
+configuration of those weights is kept in that of the new ones. Both read the data into memory and go on from their
+run's checkpoint if there is one. The loss is relative L2 on radiance, (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2),
+where m is the mean radiance of rows of like optical density, anisotropy and angle: what is dark among its like shows
+little. It is linear in the targets' noise, so that it converges to their mean. The exported weights are an
+exponential moving average. progress.jsonl holds the loss and the error on held-back volumes against steps; step-N.pt
+are early and late checkpoints.
 """
 
 import argparse
