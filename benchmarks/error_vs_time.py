@@ -4,8 +4,9 @@
 
 Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept
 under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
---samples continue the references that are there. With other weights or --again cases are measured anew against
-Cycles' images as they are; --table only writes the page anew, from what the present weights were measured on.
+--samples continue the references that are there. With other weights cases are measured anew against Cycles' images as
+they are; with --again against the references as they are, every image that is timed being made anew. --table only
+writes the page anew, from what the present weights were measured on.
 """
 
 import argparse
@@ -32,6 +33,9 @@ def main(arguments=None) -> int:
     options = parse(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "results.json"
+    if options.again:
+        for timed in (file, *(options.out / "images").glob("*/cycles-*.npz")):
+            timed.unlink(missing_ok=True)
     results = json.loads(file.read_text()) if file.is_file() else {}
     cases = error_vs_time_cases.cases(options.size)
     if not options.table:
@@ -40,7 +44,7 @@ def main(arguments=None) -> int:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples]
-            if options.again or results.get(case.name, {}).get("state") != state:
+            if results.get(case.name, {}).get("state") != state:
                 results[case.name] = {"case": asdict(case), "state": state, **measured(case, options)}
                 replace(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
@@ -108,7 +112,7 @@ def parse(arguments):
     parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
     parser.add_argument("--samples", type=int, default=64, help="a pixel in each half of the reference (64)")
     parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo")
-    parser.add_argument("--again", action="store_true", help="measure finished cases anew")
+    parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()

@@ -20,6 +20,8 @@ MASK_ALPHA = 0.02
 # Beyond this the two images show different volumes.
 ALPHA_TOLERANCE = 0.05
 CLOCKS = ("seconds", "cpu_seconds")
+# So many of Cycles' rungs tell what its samples cost; with fewer the reference's passes are asked too.
+RUNGS_ENOUGH = 3
 # A layer keeps one processor busy, or more; with less than this share of one something else ran.
 BUSY = 0.7
 
@@ -201,7 +203,9 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
     ladders = {method: [r for r in result.rungs if r.method == method] for method in (CYCLES, DENOISED)}
     for clock in CLOCKS:
         known = [(r.samples, getattr(r, clock)) for r in ladders[CYCLES]]
-        known += [(job.samples, getattr(done, clock)) for job, done in references]
+        # The reference may be of another day, when the machine had other work.
+        if len(known) < RUNGS_ENOUGH:
+            known += [(job.samples, getattr(done, clock)) for job, done in references]
         law = PathTracing(*cost(*zip(*known)), variance, max(n for n, _ in known))
         result.path_tracing[clock] = law
         seconds = getattr(result.judged, clock)
