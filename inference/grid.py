@@ -3,7 +3,7 @@
 import numpy as np
 
 from .cube import filled_bounds
-from .dense_grid import DenseGrid
+from .dense_grid import DenseGrid, refined, refinement
 from .occupancy import Occupancy
 from .rays import box_interval
 from .scene import SceneError, Volume
@@ -14,9 +14,9 @@ from .sun_depth import SunDepth
 class Grid:
     """The active part of a volume's density and emission, and its optical depth towards each sun.
 
-    Indices count from the first active voxel's centre; the support of the trilinear
-    interpolation is the box from -1 to the number of voxels on each axis. All optical
-    depths are for an extinction of 1 per unit density and world unit.
+    Voxels are the volume's, or finer ones where these are few. Indices count from the centre of the first of them that is
+    active; the support of the trilinear interpolation is the box from -1 to the number of voxels on each axis. All
+    optical depths are for an extinction of 1 per unit density and world unit.
     """
 
     def __init__(self, volume: Volume):
@@ -26,18 +26,19 @@ class Grid:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
         low = np.min([first for first, _ in bounds], axis=0)
         high = np.max([end for _, end in bounds], axis=0)
-        self.density = _part(volume.density, low, high)
+        times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
+        self.density = _part(volume.density, low, high, times)
         # One grid a colour channel, or none.
-        self.emission = [_part(channel, low, high) for channel in emission]
+        self.emission = [_part(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
-        self.linear = index_from_world[:3, :3]
-        self.offset = index_from_world[:3, 3] - low
-        sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0)
+        self.linear = times * index_from_world[:3, :3]
+        self.offset = times * (index_from_world[:3, 3] - low + 1.0) - 1.0
+        sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0) / times
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
         self.sun_directions, self.sun_depths = [], []
 
@@ -99,8 +100,9 @@ class Grid:
         return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth
 
 
-def _part(values, low, high):
-    """DenseGrid or SparseGrid of voxels from low (3,) to before high (3,)."""
+def _part(values, low, high, times: int):
+    """DenseGrid or SparseGrid of voxels from low (3,) to before high (3,); of an array on finer ones if times > 1."""
     if isinstance(values, SparseGrid):
         return values.crop(low, high)
-    return DenseGrid(values[tuple(map(slice, low, high))])
+    inside = values[tuple(map(slice, low, high))]
+    return DenseGrid(refined(inside, times) if times > 1 else inside)

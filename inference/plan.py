@@ -5,6 +5,7 @@ from typing import List, Tuple
 
 import numpy as np
 
+from .dense_grid import refinement
 from .overlap import overlapping
 from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
@@ -139,7 +140,7 @@ def grid_bytes(volume: Volume, glows: bool, suns: List[Sun]) -> int:
     """Bytes that a volume's grid needs on top of the volume, for itself and its optical depths towards suns."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * glows
-        return volume.density.size * voxel
+        return volume.density.size * refinement(volume.density.shape) ** 3 * voxel
     linear = np.linalg.inv(volume.world_from_index)[:3, :3]
     depths = sum(column_bytes(volume.density, linear @ sun.direction) for sun in suns)
     # A row of blocks as an array, and the cells that rays skip.

@@ -95,3 +95,21 @@ def test_sums_along_rays_are_those_of_loops():
         same = ray == ray[p]
         assert blocks.before(values)[p] == pytest.approx(values[:p][same[:p]].sum(), abs=1e-12)
         assert blocks.behind(values)[p] == pytest.approx(values[p + 1 :][same[p + 1 :]].sum(), abs=1e-12)
+
+
+def test_finer_voxels_hold_the_same_interpolant():
+    random = np.random.default_rng(7)
+    values = random.random((5, 7, 3)).astype(np.float32)
+    matrix = np.array([[0.1, 0.02, 0.0, 3.0], [0.0, 0.2, 0.05, -1.0], [0.03, 0.0, 0.3, 2.0], [0.0, 0.0, 0.0, 1.0]])
+    grid = Grid(Volume(values, matrix, "few voxels"))
+    assert max(grid.shape) > 100
+    index = random.uniform(-1.5, 7.5, (2000, 3))
+    world = index @ matrix[:3, :3].T + matrix[:3, 3]
+    found = grid.sample_density(grid.index(world).T.astype(np.float32))
+    expected = DenseGrid(values).sample(index.T.astype(np.float32))
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+    # The support is the same box.
+    corners = grid.corners()
+    ends = (corners - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
+    np.testing.assert_allclose(ends.min(axis=0), -1.0, atol=1e-9)
+    np.testing.assert_allclose(ends.max(axis=0), values.shape, atol=1e-9)

@@ -17,7 +17,8 @@ from inference.sun_depth import SunDepth
 
 from .conftest import ROOT, SHARED
 
-SHAPE = (53, 70, 41)
+# More voxels than are refined.
+SHAPE = (53, 110, 41)
 DIRECTIONS = [(0.0, 0.0, 1.0), (0.3, -0.9, 0.2), (-0.8, 0.5, 0.45), (0.6, 0.6, 0.6), (-0.6, -0.6, 0.6)]
 SHEARED = np.array([[1.0, 0.3, 0.0, 0.0], [0.0, 0.9, 0.2, 0.0], [-0.1, 0.0, 1.1, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
