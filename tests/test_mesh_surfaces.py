@@ -148,6 +148,8 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
 
 def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_path):
     """Two of half a million triangles: a second of two threads at most between two looks whether to stop."""
+    # Enough rays for several tasks.
+    scene.render.resolution_x = scene.render.resolution_y = 128
     blender_scenes.cloud_scene(scene, tmp_path)
     for height in (-1.0, 0.2):
         bpy.ops.mesh.primitive_grid_add(x_subdivisions=500, y_subdivisions=500, size=8.0, location=(0.0, 0.0, height))
