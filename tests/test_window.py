@@ -261,7 +261,7 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
 def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
     window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'SOLID'\n"
               "s.overlay.show_overlays = False")
-    window.do("s.shading.type = 'RENDERED'")
+    window.do("s.shading.type = 'RENDERED'; area('PROPERTIES').spaces.active.context = 'RENDER'")
     left, top, right, bottom = window.box("VIEW_3D")
     # Threads read and refine; none is left once the last picture is there.
     start, red, blue = time.monotonic(), 0, 0
@@ -270,6 +270,7 @@ def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
         red, _, blue = window.shot("preview")[(top + bottom) // 2, (left + right) // 2].astype(int)
     assert red > blue + 10
     window.until(f"not {THREADS}")
+    window.shot("viewport")
     # Turned while it refines.
     for angle in range(5):
         window.do("r = area('VIEW_3D').spaces.active.region_3d; r.view_perspective = 'PERSP'\n"
