@@ -234,8 +234,26 @@ def test_a_comparison_goes_on_beside_the_interface_and_esc_keeps_what_is_finishe
               "for text in list(bpy.data.texts): bpy.data.texts.remove(text)")
 
 
+# A cube with a procedural shader.
+FOG = """
+mesh = bpy.data.meshes.new("Fog")
+mesh.from_pydata([(x, y, z) for x in (2, 3) for y in (0, 1) for z in (0, 1)], [],
+                 [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+fog, material = bpy.data.objects.new("Fog", mesh), bpy.data.materials.new("Fog")
+bpy.context.scene.collection.objects.link(fog)
+material.use_nodes = True
+nodes, link = material.node_tree.nodes, material.node_tree.links.new
+nodes.clear()
+principled = nodes.new("ShaderNodeVolumePrincipled")
+link(principled.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
+link(nodes.new("ShaderNodeTexNoise").outputs[0], principled.inputs["Density"])
+mesh.materials.append(material)
+"""
+
+
 def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
-    """320^3 voxels in a shape that Blender itself does not draw here: its software OpenGL would take seconds."""
+    """320^3 voxels, in a shape that Blender itself does not draw here: its software OpenGL would take seconds. Beside them
+    a cube of fog whose noise takes seconds to be evaluated."""
     window.do("import numpy\n"
               "try: import openvdb\n"
               "except ImportError: import pyopenvdb as openvdb\n"
@@ -246,6 +264,7 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
               "openvdb.write(WORK + '/large.vdb', grids=[grid])\n"
               "area('VIEW_3D').type = 'IMAGE_EDITOR'\n"
               "bpy.data.volumes['Ball'].filepath = WORK + '/large.vdb'")
+    window.do(FOG)
     try:
         window.do(LOOKS)
         window.do("with over(area('IMAGE_EDITOR')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
@@ -253,7 +272,7 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
         assert float(window.do(LONGEST)) < BLOCKED
     finally:
         window.do("area('IMAGE_EDITOR').type = 'VIEW_3D'\n"
-                  "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'\n"
+                  "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'; bpy.data.objects.remove(fog)\n"
                   "for image in [i for i in bpy.data.images if i.name == 'MRPNN']: bpy.data.images.remove(image)")
         window.until(f"not {THREADS}")
 
