@@ -103,7 +103,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         warnings = finished.warnings
         image = rgba(finished.layer)
         if not depsgraph.scene.render.film_transparent:
-            behind, more = background(depsgraph.scene)
+            behind, more = background(depsgraph)
             warnings = [*warnings, *more]
             image = on_background(finished.layer, behind)
         for warning in warnings:
@@ -131,7 +131,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         x, y = self.resolution_x, self.resolution_y
         image = np.zeros((y, x, 4), np.float32)
         if not depsgraph.scene.render.film_transparent:
-            image[...] = (*background(depsgraph.scene)[0], 1.0)
+            image[...] = (*background(depsgraph)[0], 1.0)
         self._write(depsgraph.view_layer, image, [], {})
 
     def _write(self, view_layer, image, extras, stamped):

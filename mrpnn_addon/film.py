@@ -8,15 +8,16 @@ import numpy as np
 from .layer_frame import rgba
 from .node_values import constant
 from .sockets import Unsupported, active_output, linked_node
+from .visibility import evaluated_world
 
 
-def background(scene) -> Tuple[np.ndarray, List[str]]:
+def background(depsgraph) -> Tuple[np.ndarray, List[str]]:
     """The World's own colour as the camera sees it, float32 (3,), and warnings.
 
     Only a constant Background is shown. An image or a sky is black, with a warning.
     """
     black = np.zeros(3, np.float32)
-    world = scene.world
+    world = evaluated_world(depsgraph)
     if world is None or not _seen_by_camera(world):
         return black, []
     output = active_output(world)

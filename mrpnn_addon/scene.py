@@ -65,7 +65,7 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
         _add(description, shown, reader, depsgraph.view_layer)
     description.warnings += overlap_warnings(description.volumes)
     description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
-    lights, warnings = read_world(scene, description.suns, check)
+    lights, warnings = read_world(depsgraph, description.suns, check)
     description.environment = bool(lights)
     description.suns += lights
     description.warnings += warnings

@@ -79,6 +79,15 @@ def _rendered_collections(layer_collection):
         yield from _rendered_collections(child)
 
 
+def evaluated_world(depsgraph):
+    """The World of an evaluated scene as its animation has it in this frame, or None.
+
+    The evaluated scene itself names the original World, which F12 leaves as it was before.
+    """
+    world = depsgraph.scene.world
+    return None if world is None else world.evaluated_get(depsgraph)
+
+
 def require_evaluated(depsgraph) -> None:
     """Outside a render, Blender evaluates only what the viewport shows.
 

@@ -64,7 +64,7 @@ class VolumeReader:
                     found[source.key] = source
         except SceneError:
             pass
-        return [*found.values(), *wanted_world(depsgraph.scene)]
+        return [*found.values(), *wanted_world(depsgraph)]
 
     def _known_key(self, shown: Shown) -> Optional[tuple]:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)

@@ -11,6 +11,7 @@ from .environment import Sphere, quadrature
 from .lights import disc_directions
 from .node_values import NodeValues
 from .sockets import Unsupported, active_output, input_of, source_of
+from .visibility import evaluated_world
 from .world_picture import PictureFailed, WorldSource, is_known, world_picture
 
 # A World hardly counts where it gives less than this share of the suns' light: half the directions do.
@@ -18,9 +19,9 @@ HARDLY = 0.1
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
-def wanted_world(scene) -> List[WorldSource]:
-    """What Cycles has to show of an evaluated scene's World before `read_world` can tell its light: one or none."""
-    world = scene.world
+def wanted_world(depsgraph) -> List[WorldSource]:
+    """What Cycles has to show of the World before `read_world` can tell its light: one or none."""
+    scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
         return []
     try:
@@ -30,15 +31,16 @@ def wanted_world(scene) -> List[WorldSource]:
     return []
 
 
-def read_world(scene, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun], List[str]]:
-    """Parallel lights that stand for the light in volumes of an evaluated scene's World, and warnings.
+def read_world(depsgraph, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun], List[str]]:
+    """Parallel lights that stand for the World's light in volumes, and warnings.
 
     suns: of the scene; beside bright ones the World needs fewer directions. check: called often while Cycles shows it.
 
     A World with nodes that cannot be evaluated is as Cycles shows it. Where that fails, or the World has light that cannot
     be read, it is left out with a warning that names it.
     """
-    world, directions = scene.world, scene.mrpnn.world_directions
+    scene, world = depsgraph.scene, evaluated_world(depsgraph)
+    directions = scene.mrpnn.world_directions
     if world is None:
         return [], []
     name, warnings = f"World \"{world.name}\"", []

@@ -155,7 +155,7 @@ def test_a_world_that_cannot_be_shown_is_named(addon, scene, cloud):
     scene.world.node_tree.links.new(
         scene.world.node_tree.nodes.new("ShaderNodeTexEnvironment").outputs["Color"],
         scene.world.node_tree.nodes["Background"].inputs["Color"])
-    colour, warnings = addon.mrpnn_addon.film.background(scene)
+    colour, warnings = addon.mrpnn_addon.film.background(blender_scenes.depsgraph())
     assert np.all(colour == 0.0) and len(warnings) == 1
     assert "World \"World\"" in warnings[0] and "Environment Texture" in warnings[0]
 
@@ -171,6 +171,24 @@ def test_an_animation_writes_each_frame_as_alone(addon, scene, cloud, tmp_path):
     assert not np.array_equal(frames[0], frames[1]) and not np.array_equal(frames[1], frames[2])
     scene.frame_set(2)
     np.testing.assert_array_equal(combined_of(scene, tmp_path / "alone.exr"), frames[1])
+
+
+def test_an_animated_world_is_that_of_each_frame(addon, scene, cloud, tmp_path):
+    """In F12 too, which evaluates frames that the scene itself does not show."""
+    scene.mrpnn.world_directions = 1
+    scene.render.film_transparent = False
+    strength = scene.world.node_tree.nodes["Background"].inputs["Strength"]
+    for frame, value in ((2, 0.4), (1, 0.1)):
+        strength.default_value = value
+        strength.keyframe_insert("default_value", frame=frame)
+    bpy.data.objects.remove(scene.objects["Sun"])
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.filepath = str(tmp_path / "world")
+    bpy.ops.render.render(animation=True)
+    first, second = (combined(tmp_path / f"world000{frame}.exr") for frame in (1, 2))
+    # Light and what is seen behind are four times as bright.
+    np.testing.assert_allclose(second[..., :3], 4.0 * first[..., :3], rtol=2e-3, atol=1e-6)
+    assert first[..., :3].min() > 0.0
 
 
 def test_a_mistake_ends_the_render_with_its_message_and_without_a_file(addon, scene, cloud, tmp_path):

@@ -17,8 +17,8 @@ def pictures(addon):
 
 
 def shown(scene, pictures):
-    evaluated = blender_scenes.depsgraph().scene
-    return pictures.world_picture(evaluated.world, evaluated)
+    depsgraph = blender_scenes.depsgraph()
+    return pictures.world_picture(scene.world.evaluated_get(depsgraph), depsgraph.scene)
 
 
 def feed(scene, kind, output=0):
