@@ -25,8 +25,8 @@ def blender_command(script: Path, arguments) -> list:
     if not bpy.app.binary_path:
         # The bpy module has no program of its own.
         return [sys.executable, str(script), *arguments]
-    return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script),
-            "--", *arguments]
+    return [bpy.app.binary_path, "--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "1",
+            "--python", str(script), "--", *arguments]
 
 
 class PassFailed(Exception):
