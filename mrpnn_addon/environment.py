@@ -100,4 +100,6 @@ def _icosahedron():
     half = np.array([[0.0, 1.0, GOLDEN], [0.0, -1.0, GOLDEN]])
     corners = np.concatenate([half, -half])
     corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])
-    return corners / np.linalg.norm(corners[0])
+    # Turned, so that one looks up and none at the horizon: half of even light comes from above a ground.
+    y, z = np.array([[0.0, GOLDEN, -1.0], [0.0, 1.0, GOLDEN]])
+    return corners @ np.stack([[np.linalg.norm(z), 0.0, 0.0], y, z], axis=1) / (z @ z)

@@ -48,6 +48,9 @@ def test_even_light_keeps_its_moments(environment, count):
     assert sphere.solid_angle.sum() == pytest.approx(4 * math.pi)
     found = environment.quadrature(sphere, np.full((len(sphere.directions), 3), 0.5), count)
     assert len(found) == count
+    if count == 12:
+        # Half of it is above the horizon, none on it.
+        assert sorted(np.sign(np.round(direction[2], 3)) for direction, _ in found) == [-1] * 6 + [1] * 6
     total = sum(irradiance[0] for _, irradiance in found)
     assert total == pytest.approx(2 * math.pi)
     second = sum(irradiance[0] * np.outer(direction, direction) for direction, irradiance in found) / total

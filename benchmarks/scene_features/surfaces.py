@@ -43,6 +43,12 @@ def ground(stage):
     paint_black(stage, shown)
 
 
+def ground_under_world(stage):
+    ground(stage)
+    bpy.data.objects.remove(stage.sun)
+    stage.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+
+
 def ball_above(stage):
     """Its shadow alone falls on the cloud."""
     shown = black_ball(stage, Vector((-0.8, -0.3, 0.6)) * 2.2)
@@ -54,5 +60,6 @@ MEASURED = {
     "Opaque mesh inside a volume, without its shadow": ball_inside,
     "Opaque mesh inside a volume": ball_inside_with_shadow,
     "Opaque ground through a volume": ground,
+    "Even World over opaque ground": ground_under_world,
     "Shadow of an opaque mesh": ball_above,
 }
