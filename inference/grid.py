@@ -1,5 +1,7 @@
 """A volume at the density's own resolution: what camera rays and exact shadows read."""
 
+import copy
+
 import numpy as np
 
 from .cube import filled_bounds
@@ -52,6 +54,13 @@ class Grid:
         depth = (known or {}).get(bytes(index_direction)) or SunDepth(self.density, index_direction, check)
         self.sun_directions.append(index_direction)
         self.sun_depths.append(depth)
+
+    def of_suns(self, numbers) -> "Grid":
+        """The same for some of its suns."""
+        some = copy.copy(self)
+        some.sun_directions = [self.sun_directions[n] for n in numbers]
+        some.sun_depths = [self.sun_depths[n] for n in numbers]
+        return some
 
     def index(self, world: np.ndarray) -> np.ndarray:
         """World positions (N, 3) as continuous indices, float64."""

@@ -102,6 +102,13 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
         if surfaces and plan.volumes:
             corners = np.concatenate([grid.corners() for grid in grids])
             obstacles = Obstacles(surfaces, [sun.direction for sun in plan.suns], corners, work.check)
+            if len(obstacles.lit) < len(plan.suns):
+                report.left_out.append(
+                    f"{len(plan.suns) - len(obstacles.lit)} suns: surfaces keep all of their light from the volumes")
+                # One stays where all are dark, for the single scattering's sake, which is 0.
+                lit, multiple = obstacles.lit or [0], [one and bool(obstacles.lit) for one in plan.multiple]
+                plan = replace(plan, suns=[plan.suns[n] for n in lit], multiple=multiple)
+                grids, obstacles = [grid.of_suns(lit) for grid in grids], obstacles.of_suns(lit)
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None

@@ -9,8 +9,10 @@ from .surfaces import covered
 
 # Cells along the longer side of the volumes, as the sun sees them.
 CELLS = 1024
-# Of the map's rows and columns, one in so many is looked at first for whether anything is shaded.
+# Of the map's rows and columns, one in so many is looked at first for whether anything or all is shaded.
 FEW = 16
+# Boxes are widened by this share before all of them counts as shaded.
+MARGIN = 0.1
 
 
 class SunMap:
@@ -41,17 +43,25 @@ class SunMap:
 
     def shades(self, corners) -> bool:
         """Whether a surface lies above any part of some boxes; corners: (B, 8, 3), as `Grid.corners` gives them."""
-        return any(self._shades(box, every) for every in (FEW, 1) for box in corners)
+        return any(np.any(self._met(box, every)[1]) for every in (FEW, 1) for box in corners)
 
-    def _shades(self, box, every: int) -> bool:
+    def darkens(self, corners) -> bool:
+        """Whether surfaces lie above all of some boxes, so that none of the sun's light reaches them."""
+        return all(np.all(self._met(box, every, MARGIN)[0]) for every in (FEW, 1) for box in corners)
+
+    def _met(self, box, every: int, margin: float = 0.0):
+        """Of the cells, one in `every`, that a box's columns meet, widened by a share of it: whether surfaces lie above all
+        of the box there, and above any of it.
+        """
         heights = self.heights[::every, ::every]
-        row, column = np.nonzero(np.isfinite(heights))
+        row, column = np.indices(heights.shape).reshape(2, -1)
         # A cell's column as a ray in the frame in which the box is a unit cube.
         place = box @ self.linear.T + self.offset
         turn = np.linalg.inv(place[[4, 2, 1]] - place[0])
         foot = np.stack([column * every, row * every, np.zeros(len(row))], axis=1)
-        low, high = box_interval((foot - place[0]) @ turn, turn[2:], 0.0, 1.0)
-        return bool(np.any((low < high) & (heights[row, column] > low)))
+        low, high = box_interval((foot - place[0]) @ turn, turn[2:], -margin, 1.0 + margin)
+        met = low < high
+        return heights.reshape(-1)[met] > high[met], heights.reshape(-1)[met] > low[met]
 
     def seen_from(self, turn, centre) -> "SunMap":
         """The same in a frame in which x stands for the world's turn @ x + centre; turn: (3, 3), centre: (3,)."""

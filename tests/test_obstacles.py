@@ -127,3 +127,21 @@ def test_a_network_that_sees_no_light_says_so():
     layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
                    surfaces=[wall])
     assert "fog: the network rpnn does not know of surfaces" in layer.report.warnings
+
+
+def test_suns_below_a_ground_are_left_out():
+    ground, settings = rectangle(-9, 9, -9, 9, -2.0), Settings(2)
+    pair = [(fog(), Medium(2.0, 0.9, 0.6))]
+    above, below = Sun((0.3, 0.2, 0.9), 2.0), [Sun((0.1, 0.5, -0.8), 5.0), Sun((-0.6, 0.0, -0.7), 1.0)]
+    alone = render(pair, [above], camera(), settings, surfaces=[ground])
+    found = render(pair, [below[0], above, below[1]], camera(), settings, surfaces=[ground])
+    assert any("2 suns" in reason for reason in found.report.left_out)
+    np.testing.assert_array_equal(found.rgb, alone.rgb)
+    assert found.report.counts["network points"] == alone.report.counts["network points"]
+    # A ground that ends below the volume leaves light.
+    half = rectangle(-9, 0, -9, 9, -2.0)
+    lit = render(pair, [above, *below], camera(), settings, surfaces=[half])
+    assert not any("suns" in reason for reason in lit.report.left_out)
+    # Where none shines there is nothing but alpha.
+    dark = render(pair, below, camera(), settings, surfaces=[ground])
+    assert dark.alpha.max() > 0.1 and dark.rgb.max() < 1e-3 * alone.rgb.max()
