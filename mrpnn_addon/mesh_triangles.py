@@ -45,6 +45,9 @@ def read_mesh(mesh_object) -> Mesh:
     """The mesh of an evaluated object, in its own space. On Blender's main thread, or in a render."""
     mesh = mesh_object.to_mesh()
     try:
+        # Without faces, or without vertices, Blender leaves the attributes away.
+        if not len(mesh.polygons):
+            return Mesh(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int32))
         places, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.loops), np.int32)
         first = np.empty(len(mesh.polygons), np.int32)
         # As attributes they are copied whole; as vertices and loops one by one, which takes fifty times as long.
