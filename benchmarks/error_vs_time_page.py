@@ -55,7 +55,7 @@ def page(results, wanted: int) -> str:
         f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
         "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
         "changes little; the CSV has wall clock too. *First* counts fields, shadows and loading of the network, which "
-        "further frames of the same volume and sun do not pay again; *frame* does not. At this few pixels *first* is "
+        "further frames of the same volume and sun do not pay again; *frame* does not: at few pixels *first* is "
         "nearly all of it.\n",
     ]
     if main:
