@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inference.cube import active_bounds, fit_cube, level0_density
+from inference.cube import fit_cube, level0_density
 from inference.fields import density_pyramid
 from inference.grid import Grid
 from inference.march import mean_transmittance
@@ -24,8 +24,8 @@ def shadows(density, sigma_t):
         grid.add_sun(SUN.direction)
         grid.set_extinction(sigma_t)
         index = np.random.default_rng(0).uniform(-1.0, np.array(density.shape), (2000, 3))
-        first, _ = active_bounds(density)
-        found = grid.sun_depth((index - first).T.astype(np.float32), 0, may_be_outside=True)
+        world = index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+        found = grid.sun_depth(grid.index(world).T.astype(np.float32), 0, may_be_outside=True)
         error = np.exp(-found) - np.exp(-exact.to_sun(index, SUN.direction))
         return Outcome({"root mean square": float(np.sqrt((error**2).mean())), "mean": float(abs(error.mean()))})
 
