@@ -1,6 +1,6 @@
 """Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
 
-    python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 128] [--samples 128] [--only WORDS] [--table]
+    python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
 
 Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept
 under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
@@ -109,8 +109,8 @@ def csv_text(results) -> str:
 def parse(arguments):
     parser = argparse.ArgumentParser(prog="python -m benchmarks.error_vs_time", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
-    parser.add_argument("--size", type=int, default=128, help="pixels an edge (128)")
-    parser.add_argument("--samples", type=int, default=128, help="a pixel in each half of the reference (128)")
+    parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
+    parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")
     parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo")
     parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
