@@ -89,7 +89,8 @@ def main():
     camera = camera_covering(volume, medium, arguments.size, arguments.coverage)
     rate = sgemm_rate()
     before = process_peak_memory()
-    layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, Settings(arguments.depth_samples, model=arguments.model))
+    settings = Settings(arguments.depth_samples, model=arguments.model)
+    layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, settings)
     report = layer.report
     points = report.counts["network points"]
     print(f"{arguments.size} x {arguments.size}, {arguments.depth_samples} depth samples, {os.cpu_count()} cores")

@@ -12,8 +12,7 @@ class Obstacles:
     """Surfaces that keep suns, or light that is scattered, from volumes; black.
 
     sun_maps: a SunMap of each sun, or None where nothing is shaded from any. lit: numbers of the suns of which some
-    light may reach the volumes. triangles: float64 (T, 3, 3), in the world,
-    of the surfaces that end scattered light.
+    light may reach the volumes. triangles: float64 (T, 3, 3), in the world, of the surfaces that end scattered light.
     """
 
     def __init__(self, surfaces, directions: List[np.ndarray], corners: np.ndarray, check=lambda: None):

@@ -209,7 +209,8 @@ def test_a_million_triangles_hold_blender_s_main_thread_for_a_moment(addon, scen
     assert len(surface.triangles) == 2 * 707**2
 
 
-@pytest.mark.parametrize("places, edges", [([], []), ([(0.0, 0.0, 3.0), (1.0, 0.0, 3.0)], [(0, 1)])], ids=["empty", "an edge"])
+@pytest.mark.parametrize(
+    "places, edges", [([], []), ([(0.0, 0.0, 3.0), (1.0, 0.0, 3.0)], [(0, 1)])], ids=["empty", "an edge"])
 def test_meshes_without_faces_are_no_surfaces(addon, scene, tmp_path, places, edges):
     blender_scenes.cloud_scene(scene, tmp_path)
     mesh = bpy.data.meshes.new("bare")
