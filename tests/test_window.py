@@ -98,7 +98,7 @@ class Window:
     def shot(self, name, box=None):
         """A picture of the screen, or of a box (left, top, right, bottom) of it."""
         # Two answers from the main loop lie two drawings apart.
-        self.do("[a.tag_redraw() for a in win().screen.areas]")
+        self.do("[a.tag_redraw() for w in bpy.context.window_manager.windows for a in w.screen.areas]")
         time.sleep(1.0)
         self.do("pass")
         self._tool("gui", "shot", self.suite, f"{name}.png")
@@ -146,6 +146,28 @@ def test_the_panels_draw_and_say_nothing_on_the_console(window):
     for context in ("VIEW_LAYER", "OBJECT", "RENDER"):
         window.do(f"area('PROPERTIES').spaces.active.context = '{context}'")
         window.shot(f"panel-{context.lower()}", window.box("PROPERTIES"))
+    assert window.console == before
+
+
+# Windows of renders and preferences lie over the viewport, and Escape may go elsewhere.
+CLOSE = """
+for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:
+    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()
+"""
+
+
+def test_the_preferences_draw_and_say_nothing_on_the_console(window):
+    before = window.console
+    window.do("bpy.context.window_manager.addon_search = 'MRPNN'; bpy.ops.screen.userpref_show(section='ADDONS')\n"
+              "own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))")
+    closed = window.shot("preferences-closed").astype(int)
+    window.do("bpy.ops.preferences.addon_expand(module=own)")
+    opened = window.shot("preferences").astype(int)
+    window.do("bpy.ops.preferences.addon_expand(module=own); bpy.context.window_manager.addon_search = ''")
+    window.do(CLOSE)
+    window.until("len(bpy.context.window_manager.windows) == 1")
+    # Settings under the extension's own row.
+    assert (np.abs(opened - closed).max(axis=(1, 2)) > 60).sum() > 100
     assert window.console == before
 
 
@@ -318,13 +340,6 @@ def watch():
     if {RENDERING}: return 0.01
     ended.append(time.process_time())
 bpy.app.timers.register(watch)
-"""
-
-
-# The render's window lies over the viewport, and Escape may go elsewhere.
-CLOSE = """
-for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:
-    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()
 """
 
 
