@@ -1,10 +1,9 @@
 """Many renders in one Blender process: does memory grow?
 
-    python -m benchmarks.soak [--renders 200]
+    python -m benchmarks.soak [--renders 200] [--figures docs/soak.csv]
 
 Renders a small cloud by the operator, its sun, density, size and number of depth samples changing, and an animation
-frame by the engine now and then. Prints the process's resident memory after each tenth and writes the figures to
-docs/soak.csv.
+frame by the engine now and then. Prints the process's resident memory after each tenth and writes the figures.
 Exit status 1 where the second half needs more than 5 % more than the first ended with, or threads or images are left.
 """
 
@@ -45,6 +44,7 @@ def vary(scene, number: int) -> None:
 def main(options=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--renders", type=int, default=200)
+    parser.add_argument("--figures", type=pathlib.Path, default=DOCS / "soak.csv")
     arguments = parser.parse_args(options)
     package = load_extension()
     scene = blender_scenes.empty_scene()
@@ -65,7 +65,7 @@ def main(options=None) -> int:
         left = sorted(path.name for path in pathlib.Path(folder).iterdir())
     threads, images = threading.active_count(), len(bpy.data.images)
     package.unregister()
-    with open(DOCS / "soak.csv", "w", newline="") as file:
+    with open(arguments.figures, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["render", "resident MiB"])
         writer.writerows([n + 1, f"{size:.1f}"] for n, size in enumerate(held))
