@@ -71,7 +71,7 @@ def march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups,
+            settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups, settings.thin_faint,
         )
         cosine = directions[rays] @ suns.T
         phase = np.stack([m.phase(cosine) if m.phase else henyey_greenstein(cosine, m.anisotropy)

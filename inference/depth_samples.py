@@ -27,8 +27,10 @@ def gauss(count: int):
     return 0.5 + 0.5 * places, 0.5 * weights
 
 
-def sample_counts(alpha: np.ndarray, most: int) -> np.ndarray:
-    """int (R,) depths of each ray: `most` where it is opaque, fewer where its error shows less."""
+def sample_counts(alpha: np.ndarray, most: int, thin_faint: bool = True) -> np.ndarray:
+    """int (R,) depths of each ray: `most` where it is opaque, fewer where its error shows less if `thin_faint`."""
+    if not thin_faint:
+        return np.where(alpha > 0.0, most, 0)
     counts = np.ceil(most * np.sqrt(alpha)).astype(int)
     # Many need not be told apart, and their places take time to find.
     counts = np.where(counts > MANY, -(-counts // MANY) * MANY, counts)
@@ -36,12 +38,12 @@ def sample_counts(alpha: np.ndarray, most: int) -> np.ndarray:
     return np.where(alpha > FAINTEST_ALPHA, np.clip(counts, min(2, most), most), 0)
 
 
-def sample_opacities(alpha: np.ndarray, most: int):
+def sample_opacities(alpha: np.ndarray, most: int, thin_faint: bool = True):
     """Where on rays to sample: their ray int (M,), opacity from the ray's start (M,), and weight (M,).
 
     alpha: (R,), each ray's whole opacity; its samples' weights sum to it.
     """
-    counts = sample_counts(alpha, most)
+    counts = sample_counts(alpha, most, thin_faint)
     ray = np.repeat(np.arange(len(alpha)), counts)
     number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
     places, weights = np.zeros((2, most + 1, most))

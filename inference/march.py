@@ -92,6 +92,7 @@ class _Medium:
 def march(
     grids: List[Grid], sigma_t, origins, directions, near, far, depth_samples: int,
     diffused: Optional[List[Optional[DiffusedLight]]] = None, sun_maps: Optional[List[SunMap]] = None, groups=None,
+    thin_faint: bool = True,
 ) -> RaySegment:
     """March rays through all grids.
 
@@ -99,7 +100,8 @@ def march(
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
     grids; depth_samples: of an opaque ray; diffused: of each group, for `sample_light`, or None where that is not
     wanted; a group's is None where nothing is predicted in it; sun_maps: of each sun, where surfaces shade; groups: lists
-    of numbers of volumes that networks see as one, each alone where None.
+    of numbers of volumes that networks see as one, each alone where None; thin_faint: whether fainter rays get fewer depth
+    samples.
     """
     behind = BEHIND if diffused is None else REACH
     medium = _cut(grids, sigma_t, origins, directions, near, far, behind)
@@ -114,7 +116,7 @@ def march(
     shadows = _shadows(grids, medium, total > 0.0)
     lit = _lit(sun_maps, medium, origins, directions) if sun_maps else None
     single = _single(medium, shadows, transmitted, lit)
-    block, step, inside, weight = _sample_depths(medium, alpha, depth_samples)
+    block, step, inside, weight = _sample_depths(medium, alpha, depth_samples, thin_faint)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     light = None
@@ -186,10 +188,10 @@ def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -
     return sigma
 
 
-def _sample_depths(medium: _Medium, alpha, most: int):
+def _sample_depths(medium: _Medium, alpha, most: int, thin_faint: bool):
     """Depths at Gauss's places in the rays' opacity: block, step, place within the step and weight, (M,) each."""
     blocks = medium.blocks
-    ray, opacity, weight = sample_opacities(alpha, most)
+    ray, opacity, weight = sample_opacities(alpha, most, thin_faint)
     # One search in all rays at once: the n-th ray's opacities lie in [2n, 2n + 1].
     starts = 2.0 * blocks.ray - np.expm1(-medium.before)
     block = np.searchsorted(starts, opacity + 2.0 * ray, side="right") - 1

@@ -227,7 +227,7 @@ class Camera:
 class Settings:
     """How to render.
 
-    depth_samples: network evaluations along a camera ray that the medium hides, up to 512; fainter rays get fewer.
+    depth_samples: network evaluations along a camera ray that the medium hides, up to 512.
     model: name of the network (a file in inference/weights).
     seed: of the lookups' offsets; the same seed gives the same image.
     threads: worker threads, 0 for one a core; the image does not depend on it.
@@ -236,6 +236,7 @@ class Settings:
     multiple: whether to predict multiple scattering; without, the layer is darker.
     provider: of onnxruntime, that runs the network: one of `provider.PROVIDERS`.
     share_pixels: whether pixels may take their multiple scattering from their neighbours where these agree.
+    thin_faint: whether fainter rays get fewer depth samples, and the faintest none.
     """
 
     depth_samples: int = 4
@@ -246,6 +247,7 @@ class Settings:
     multiple: bool = True
     provider: str = "CPU"
     share_pixels: bool = True
+    thin_faint: bool = True
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -60,6 +60,9 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     share_pixels: BoolProperty(
         name="Share Between Pixels", default=Settings.share_pixels,
         description="Let pixels take their multiple scattering from their neighbours where these agree")
+    thin_faint: BoolProperty(
+        name="Fewer on Faint Rays", default=Settings.thin_faint,
+        description="Take fewer depth samples where the volume is faint, in proportion to the root of its opacity")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
     memory_limit: IntProperty(
@@ -84,6 +87,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
             depth_samples=self.depth_samples, model=model, seed=self.seed, share_pixels=self.share_pixels,
+            thin_faint=self.thin_faint,
             threads=self.threads or preferred.threads, provider=preferred.provider,
             memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
 

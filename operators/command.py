@@ -71,8 +71,9 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")
-        action.add_argument("--share-pixels", action=argparse.BooleanOptionalAction,
-                            help="let pixels take multiple scattering from their neighbours where these agree")
+        for name, what in (("share-pixels", "let pixels take multiple scattering from their neighbours where these agree"),
+                           ("thin-faint", "take fewer depth samples where volumes are faint")):
+            action.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=what)
     return parser
 
 

@@ -44,6 +44,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         column.prop(settings, "model")
         column.prop(settings, "seed")
         column.prop(settings, "share_pixels")
+        column.prop(settings, "thin_faint")
         row = column.row()
         row.active = context.scene.world is not None
         row.prop(settings, "world_directions")

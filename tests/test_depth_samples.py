@@ -23,6 +23,10 @@ def test_weights_sum_to_the_rays_opacity_and_faint_rays_get_fewer():
     assert counts[0] == counts[1] == 0 and counts[2] == 2 and counts[-1] == 8
     np.testing.assert_allclose(np.bincount(ray, weight, 6)[2:], alpha[2:], rtol=1e-12)
     assert np.all((opacity > 0.0) & (opacity < alpha[ray]))
+    # Unless that is turned off.
+    ray, _, weight = sample_opacities(alpha, 8, thin_faint=False)
+    np.testing.assert_array_equal(np.bincount(ray, minlength=6), [0, 8, 8, 8, 8, 8])
+    np.testing.assert_allclose(np.bincount(ray, weight, 6), alpha, rtol=1e-12)
 
 
 def test_the_error_told_is_none_for_a_line_and_that_of_noise_for_noise():

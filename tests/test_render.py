@@ -210,6 +210,20 @@ def test_uncertainty_is_the_error_that_more_depths_take_away():
     np.testing.assert_allclose(one.uncertainty, one.multiple.mean(axis=2), rtol=1e-5, atol=1e-7)
 
 
+def test_fewer_samples_on_faint_rays_cost_less_than_the_error_told():
+    """A thin cloud, most of whose rays are faint; turned off, every ray that meets it gets all samples."""
+    def layer(samples, **settings):
+        return render([(cloud(), Medium(3.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, share_pixels=False, **settings))
+
+    best, fewer, every = layer(64, thin_faint=False), layer(8), layer(8, thin_faint=False)
+    assert every.report.counts["network points"] == 8 * np.count_nonzero(every.alpha)
+    assert fewer.report.counts["network points"] < 0.7 * every.report.counts["network points"]
+    np.testing.assert_array_equal(fewer.single, every.single)
+    off = fewer.multiple.mean(axis=2) - best.multiple.mean(axis=2)
+    assert np.sqrt((off**2).mean()) < 2.5 * np.sqrt((fewer.uncertainty**2).mean())
+    assert np.sqrt((off**2).mean()) < 0.02 * best.multiple.mean()
+
+
 def test_a_sun_without_light_leaves_the_shape_alone():
     layer = render([(cloud(), Medium(30.0, 0.9))], [Sun((0.0, 0.0, 1.0), 0.0)], camera())
     assert np.all(layer.rgb == 0.0) and layer.alpha.max() > 0.5
