@@ -8,6 +8,7 @@ from .depth_samples import DepthSamples
 from .emission import emitted
 from .march import march
 from .phase import henyey_greenstein
+from .products import product
 from .ray_light import RayLight
 from .ray_steps import step_counts
 from .rays import camera_rays, window_around
@@ -73,7 +74,7 @@ def march_camera_rays(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
             settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups, settings.thin_faint,
         )
-        cosine = directions[rays] @ suns.T
+        cosine = product(directions[rays], suns.T)
         phase = np.stack([m.phase(cosine) if m.phase else henyey_greenstein(cosine, m.anisotropy)
                           for _, m in plan.volumes], axis=1)
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],

@@ -10,6 +10,7 @@ from typing import Optional
 
 import numpy as np
 
+from .products import product
 from .ray_light import RayLight
 
 # Rays fainter than this are not sampled in depth.
@@ -111,4 +112,4 @@ def _upper_quarter(parts, count: int):
         return np.abs(parts[:, 0])
     degrees = np.arange(max(3 * count // 4, 1), count)
     basis = np.polynomial.legendre.legvander(2.0 * gauss(count)[0] - 1.0, count - 1)[:, degrees]
-    return CANCELLED * np.sqrt(((parts @ (basis * np.sqrt(2 * degrees + 1.0))) ** 2).mean(axis=1))
+    return CANCELLED * np.sqrt((product(parts, basis * np.sqrt(2 * degrees + 1.0)) ** 2).mean(axis=1))

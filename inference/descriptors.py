@@ -6,8 +6,8 @@ from .fields import Lattices
 from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil, frames
 
-# Points looked up together, so that what is made on the way stays in the cache.
-POINTS_A_STEP = 256
+# Points looked up together, so that what is made on the way stays in the cache, and products are small (`products.py`).
+POINTS_A_STEP = 192
 
 
 def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
