@@ -7,7 +7,6 @@ import numpy as np
 from .depth_samples import DepthSamples
 from .emission import emitted
 from .march import march
-from .phase import henyey_greenstein
 from .products import product
 from .ray_light import RayLight
 from .ray_steps import step_counts
@@ -35,9 +34,12 @@ def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
 
 
 def march_camera_rays(
-    plan, channels, grids, camera, screen, obstacles, settings, diffused, work, report, start, end, images
+    plan, channels, grids, camera, screen, obstacles, spread, settings, diffused, work, report, start, end, images
 ):
-    """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume."""
+    """Fill single, emission, alpha and depth; return the DepthSamples of all rays, or None where no ray meets a volume.
+
+    spread: SpreadLight of those of the plan's suns that have a spread, or None.
+    """
     # Rays through pixels that lie away from every volume are not even made.
     around, pixel = _around(camera, grids)
     report.count("rays that miss every volume", len(images.alpha) - len(pixel))
@@ -68,6 +70,8 @@ def march_camera_rays(
     size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
     tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
     suns = np.array([sun.direction for sun in plan.suns]).reshape(-1, 3)
+    wide = [l for l, sun in enumerate(plan.suns) if sun.spread is not None]
+    x0, y0, x1, _ = camera.window
 
     def task(rays):
         segment = march(
@@ -75,8 +79,10 @@ def march_camera_rays(
             settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups, settings.thin_faint,
         )
         cosine = product(directions[rays], suns.T)
-        phase = np.stack([m.phase(cosine) if m.phase else henyey_greenstein(cosine, m.anisotropy)
-                          for _, m in plan.volumes], axis=1)
+        phase = np.stack([m.scattered(cosine) for _, m in plan.volumes], axis=1)
+        if spread is not None:
+            row, column = np.divmod(pixel[rays], x1 - x0)
+            phase[..., wide] = spread.phase(column + x0 + 0.5, row + y0 + 0.5)
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
                        near[rays], far[rays])
         return rays, segment, segment.single * phase, glow

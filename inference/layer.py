@@ -15,6 +15,7 @@ from .obstacles import Obstacles
 from .plan import make_plan
 from .report import Report, process_peak_memory
 from .scene import Camera, Settings
+from .spread_light import SpreadLight
 from .surfaces import Screen
 from .work import Work
 
@@ -109,6 +110,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 lit, multiple = obstacles.lit or [0], [one and bool(obstacles.lit) for one in plan.multiple]
                 plan = replace(plan, suns=[plan.suns[n] for n in lit], multiple=multiple)
                 grids, obstacles = [grid.of_suns(lit) for grid in grids], obstacles.of_suns(lit)
+    wide = [sun for sun in plan.suns if sun.spread is not None]
+    spread = SpreadLight(camera, wide, [medium.scattered for _, medium in plan.volumes], work.check) if wide else None
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
@@ -122,7 +125,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 middle = start + share * MARCH_SHARE
                 part = images.part(slice((top - y0) * width, (bottom - y0) * width))
                 samples = march_camera_rays(
-                    plan, channels, grids, rows, screen, obstacles, settings, diffused, work, report, start, middle, part)
+                    plan, channels, grids, rows, screen, obstacles, spread, settings, diffused, work, report, start, middle, part)
                 if samples is not None and any(plan.scattered_glow):
                     add_glow(plan, channels, kept, grids, samples, work, report, part.multiple)
                 if network is not None and samples is not None:

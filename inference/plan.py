@@ -1,6 +1,6 @@
 """What this scene needs, decided before any work: pure functions of the scene."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import List, Tuple
 
 import numpy as np
@@ -85,11 +85,11 @@ def merge_parallel(suns: List[Sun]) -> List[Sun]:
     merged = []
     for sun in suns:
         for other in merged:
-            if np.linalg.norm(sun.direction - other.direction) < PARALLEL:
+            if np.linalg.norm(sun.direction - other.direction) < PARALLEL and sun.spread is None and other.spread is None:
                 other.irradiance = other.irradiance + sun.irradiance
                 break
         else:
-            merged.append(Sun(sun.direction, sun.irradiance, sun.name))
+            merged.append(replace(sun))
     return merged
 
 

@@ -12,11 +12,22 @@ def camera_rays(camera: Camera):
     (N,) along each ray to the near and the far clipping plane.
     """
     x0, y0, x1, y1 = camera.window
-    width, height = camera.resolution
     columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    origins, directions, cosine = image_rays(camera, columns.ravel() + 0.5, rows.ravel() + 0.5)
+    # Clipping planes are perpendicular to the viewing axis, around a panorama they are spheres.
+    return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
+
+
+def image_rays(camera: Camera, x, y):
+    """Rays through places (N,) of the image, in pixels from its upper left corner.
+
+    Returns origins and unit directions, float64 (N, 3) in the world, and the cosines (N,) to the viewing axis, 1
+    where clipping does not know it.
+    """
+    width, height = camera.resolution
     # Image plane coordinates in units of the image's width, x right, y up.
-    u = ((columns.ravel() + 0.5) - 0.5 * width) / width + camera.shift[0]
-    v = (0.5 * height - (rows.ravel() + 0.5)) / width + camera.shift[1]
+    u = (x - 0.5 * width) / width + camera.shift[0]
+    v = (0.5 * height - y) / width + camera.shift[1]
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
     eye = camera.world_matrix[:3, 3]
     forward = np.full_like(u, -1.0)
@@ -26,8 +37,8 @@ def camera_rays(camera: Camera):
         directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
         cosine = np.ones_like(u)
     elif camera.projection == "equirectangular":
-        longitude = _between(camera.longitude, (columns.ravel() + 0.5) / width)
-        latitude = _between(camera.latitude, 1.0 - (rows.ravel() + 0.5) / height)
+        longitude = _between(camera.longitude, x / width)
+        latitude = _between(camera.latitude, 1.0 - y / height)
         local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
                           -np.cos(latitude) * np.cos(longitude)], axis=1)
         directions = local @ rotation.T
@@ -40,8 +51,17 @@ def camera_rays(camera: Camera):
         directions = (local / length[:, None]) @ rotation.T
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = 1.0 / length
-    # Clipping planes are perpendicular to the viewing axis, around a panorama they are spheres.
-    return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
+    return origins, directions, cosine
+
+
+def widest_angle(camera: Camera) -> float:
+    """Between the rays at the ends of the image's longer edge, about; radians."""
+    if camera.projection == "orthographic":
+        return 0.0
+    if camera.projection == "equirectangular":
+        return max(abs(ends[1] - ends[0]) for ends in (camera.longitude, camera.latitude))
+    width, height = camera.resolution
+    return 2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width)
 
 
 def _between(ends, share):

@@ -9,6 +9,7 @@ from typing import Literal, Optional, Tuple, Union
 
 import numpy as np
 
+from .phase import henyey_greenstein
 from .phase_function import PhaseFunction
 from .sparse_grid import SparseGrid
 
@@ -137,6 +138,10 @@ class Medium:
         if not 0.0 <= self.emission < np.inf:
             raise SceneError(f"the factor of emission must be finite and not negative, not {self.emission:g}")
 
+    def scattered(self, cosine):
+        """Phase function, 1/sr, of light scattered once, at cosines between the directions before and after it."""
+        return self.phase(cosine) if self.phase else henyey_greenstein(cosine, self.anisotropy)
+
 
 @dataclass
 class Sun:
@@ -144,6 +149,8 @@ class Sun:
 
     direction: (3,) world vector towards the sun; normalised here.
     irradiance: W/m^2 on a surface that faces the sun, scalar or RGB, in [0, 1e30].
+    spread: where the light comes from if not from one direction: unit vectors (K, 3) and shares (K,) that sum to 1.
+        Scattered once, it goes where it would go from there; shadows and multiple scattering are those of `direction`.
 
     Raises SceneError for a zero direction or negative irradiance.
     """
@@ -151,6 +158,7 @@ class Sun:
     direction: np.ndarray
     irradiance: np.ndarray = 1.0
     name: str = "sun"
+    spread: Optional[Tuple[np.ndarray, np.ndarray]] = None
 
     def __post_init__(self):
         direction = np.asarray(self.direction, dtype=np.float64)

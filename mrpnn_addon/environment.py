@@ -1,14 +1,17 @@
 """Light from all around, gathered into a few directions."""
 
-from typing import List, Tuple
+from typing import List
 
 import numpy as np
 
+from ..inference.scene import Sun
 from .sockets import Unsupported
 
 ROWS = 128
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0]])
+# Edge of the boxes within which the directions of light are put together, radians.
+COARSE = 0.03
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -40,8 +43,8 @@ class Sphere:
         raise Unsupported(f"node \"{node.name}\" reads an attribute, which a World does not have")
 
 
-def quadrature(sphere: Sphere, radiance: np.ndarray, count: int) -> List[Tuple[np.ndarray, np.ndarray]]:
-    """Up to `count` directions (3,) and their irradiances (3,), which add up to the light's fluence.
+def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> List[Sun]:
+    """Up to `count` suns whose irradiances add up to the light's fluence, each spread over its part of the sphere.
 
     radiance: (n, 3) at the sphere's directions.
 
@@ -64,7 +67,18 @@ def quadrature(sphere: Sphere, radiance: np.ndarray, count: int) -> List[Tuple[n
         if halves is None:
             break
         cells[widest : widest + 1] = halves
-    return [(_mean(sphere.directions[cell], power[cell]), light[cell].sum(axis=0)) for cell in cells]
+    return [Sun(_mean(sphere.directions[cell], power[cell]), light[cell].sum(axis=0), name,
+                _coarsened(sphere.directions[cell], power[cell])) for cell in cells]
+
+
+def _coarsened(directions, power):
+    """The light of directions (n, 3) from fewer: unit vectors (K, 3) and shares of its power (K,), as `Sun.spread`."""
+    # Boxes of space, of which those that the sphere meets hold directions close together.
+    boxes, box = np.unique(np.floor(directions / COARSE).astype(int), axis=0, return_inverse=True)
+    box = box.reshape(-1)
+    share = np.bincount(box, power, len(boxes))
+    mean = np.stack([np.bincount(box, power * axis, len(boxes)) for axis in directions.T], axis=1)
+    return mean / np.linalg.norm(mean, axis=1, keepdims=True), share / share.sum()
 
 
 def _mean(directions, power):

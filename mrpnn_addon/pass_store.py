@@ -71,6 +71,8 @@ def scene_key(description, bounces: int, version: str) -> str:
         digest.update(repr((medium.anisotropy, medium.phase)).encode())
     for sun in description.suns:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
+        for array in sun.spread or ():
+            digest.update(np.ascontiguousarray(array))
     camera = asdict(description.camera)
     digest.update(camera.pop("world_matrix").tobytes())
     digest.update(repr(sorted(camera.items())).encode())

@@ -65,8 +65,7 @@ def read_world(depsgraph, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun
         return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
     suns = suns + discs
     count = _count(float((radiance * sphere.solid_angle[:, None]).sum(axis=0) @ LUMA), suns, directions)
-    shared = quadrature(sphere, radiance, count) if count else []
-    lights = [Sun(direction, irradiance, name=name) for direction, irradiance in shared]
+    lights = quadrature(sphere, radiance, count, name) if count else []
     beside = " beside its sun" if discs else ""
     return discs + lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions{beside}"]
 

@@ -50,10 +50,10 @@ def test_even_light_keeps_its_moments(environment, count):
     assert len(found) == count
     if count == 12:
         # Half of it is above the horizon, none on it.
-        assert sorted(np.sign(np.round(direction[2], 3)) for direction, _ in found) == [-1] * 6 + [1] * 6
-    total = sum(irradiance[0] for _, irradiance in found)
+        assert sorted(np.sign(np.round(sun.direction[2], 3)) for sun in found) == [-1] * 6 + [1] * 6
+    total = sum(sun.irradiance[0] for sun in found)
     assert total == pytest.approx(2 * math.pi)
-    second = sum(irradiance[0] * np.outer(direction, direction) for direction, irradiance in found) / total
+    second = sum(sun.irradiance[0] * np.outer(sun.direction, sun.direction) for sun in found) / total
     np.testing.assert_allclose(second, np.eye(3) / 3, atol={4: 0.01, 6: 0.01, 12: 0.01, 20: 0.12}.get(count, 1.0))
 
 
@@ -62,10 +62,22 @@ def test_a_bright_spot_is_met(environment):
     sun = np.array([0.3, -0.7, 0.5]) / np.linalg.norm([0.3, -0.7, 0.5])
     radiance = np.where(sphere.directions @ sun > math.cos(0.06), 300.0, 0.1)[:, None] * [1.0, 0.8, 0.6]
     found = environment.quadrature(sphere, radiance, 16)
-    brightest = max(found, key=lambda light: light[1][0])
-    assert brightest[0] @ sun > math.cos(0.03)
-    np.testing.assert_allclose(
-        sum(irradiance for _, irradiance in found), sphere.solid_angle @ radiance)
+    brightest = max(found, key=lambda light: light.irradiance[0])
+    assert brightest.direction @ sun > math.cos(0.03)
+    np.testing.assert_allclose(sum(light.irradiance for light in found), sphere.solid_angle @ radiance)
+
+
+def test_each_part_of_the_light_keeps_where_it_comes_from(environment):
+    """Together the parts' directions have the moments of all of the light, in fewer directions."""
+    sphere = environment.Sphere(64)
+    radiance = np.exp(4.0 * sphere.directions @ [0.6, 0.0, 0.8])[:, None] * [1.0, 0.8, 0.6]
+    found = environment.quadrature(sphere, radiance, 12)
+    assert 1000 < sum(len(sun.spread[1]) for sun in found) < len(sphere.directions)
+    light = sphere.solid_angle * radiance[:, 0]
+    for power in (0, 1, 2, 5):
+        wanted = light @ (sphere.directions @ [0.6, 0.0, 0.8]) ** power
+        parts = sum(sun.irradiance[0] * (sun.spread[1] @ (sun.spread[0] @ [0.6, 0.0, 0.8]) ** power) for sun in found)
+        assert parts == pytest.approx(wanted, rel=0.005)
 
 
 # The World

@@ -1,0 +1,86 @@
+"""Light from parts of the sphere, scattered once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import Medium, Settings, Sun, render
+from inference.phase_function import PhaseFunction
+from inference.rays import camera_rays
+from inference.spread_light import SpreadLight
+
+from .test_render import box, camera, cloud
+
+ONCE = Settings(multiple=False)
+
+
+def sphere(count=15000):
+    """Unit vectors (count, 3) evenly all over the sphere: Fibonacci's spiral."""
+    n = np.arange(count)
+    z, turn = (2 * n + 1) / count - 1, n * np.pi * (3 - np.sqrt(5))
+    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+
+
+def even_suns(radiance=1.0):
+    """Even light from everywhere as six suns, one for each face of a cube."""
+    directions = sphere()
+    face = np.abs(directions).argmax(axis=1)
+    face = 2 * face + (directions[np.arange(len(face)), face] > 0.0)
+    suns = []
+    for number in range(6):
+        inside = face == number
+        share = inside.mean()
+        suns.append(Sun(directions[inside].mean(axis=0), 4 * np.pi * radiance * share, "sky",
+                        (directions[inside], np.full(inside.sum(), 1.0 / inside.sum()))))
+    return suns
+
+
+@pytest.mark.parametrize("anisotropy", [-0.5, 0.0, 0.5, 0.857])
+@pytest.mark.parametrize("view", [camera(), camera(projection="orthographic", ortho_scale=1.6),
+                                  camera(0.2, projection="equirectangular", resolution=(48, 24))])
+def test_what_scatters_thin_even_light_cannot_be_seen(anisotropy, view):
+    """Radiance is that of the light times alpha, whatever the phase function, where nothing shadows."""
+    layer = render([(box(), Medium(0.01, 1.0, anisotropy))], even_suns(0.7), view, ONCE)
+    seen = layer.alpha > 1e-4
+    assert seen.sum() > 20
+    np.testing.assert_allclose(layer.single[seen, 1] / layer.alpha[seen], 0.7, rtol=0.02)
+
+
+def test_a_spread_sun_is_many_suns_of_its_directions():
+    """Seen through a medium too thin for shadows; a sun without spread beside it stays as it is."""
+    random = np.random.default_rng(2)
+    towards = random.normal(size=(40, 3)) * 0.3 + [0.3, 0.2, -1.0]
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    shares = random.random(40)
+    shares /= shares.sum()
+    lamp = Sun((0.5, 0.1, 0.3), 2.0)
+    volume, view = (cloud(), Medium(0.01, 1.0, 0.7)), camera()
+    wide = render([volume], [lamp, Sun(shares @ towards, 3.0, spread=(towards, shares))], view, ONCE)
+    many = render([volume], [lamp, *(Sun(one, 3.0 * share) for one, share in zip(towards, shares))], view, ONCE)
+    seen = many.alpha > 1e-5
+    np.testing.assert_allclose(wide.single[seen], many.single[seen], rtol=0.01)
+
+
+def test_means_between_places_are_those_at_pixels():
+    view = camera(resolution=(90, 60), fov=0.9)
+    phase = PhaseFunction(((0.6, "henyey_greenstein", (0.8,)), (0.4, "draine", (0.3, 1.0))))
+    suns = even_suns()
+    _, directions, _, _ = camera_rays(view)
+    rows, columns = np.divmod(np.arange(len(directions)), 90)
+    found = SpreadLight(view, suns, [phase]).phase(columns + 0.5, rows + 0.5)[:, 0]
+    wanted = np.stack([phase(directions @ sun.spread[0].T) @ sun.spread[1] for sun in suns], axis=1)
+    assert np.abs(found - wanted).max() < 0.01 * wanted.max()
+
+
+def test_a_part_of_the_image_and_its_tiles_show_what_the_whole_shows():
+    scene, view = [(cloud(), Medium(5.0, 0.9, 0.6))], camera(resolution=(60, 90))
+    whole = render(scene, even_suns(), view, ONCE).rgb
+    part = render(scene, even_suns(), replace(view, region=(10, 33, 51, 80)), ONCE).rgb
+    np.testing.assert_array_equal(part, whole[33:80, 10:51])
+
+
+def test_suns_that_are_spread_are_not_merged():
+    suns = even_suns()[:1]
+    layer = render([(cloud(), Medium(5.0, 0.9, 0.6))], [*suns, Sun(suns[0].direction, 1.0)], camera(), ONCE)
+    assert not any("merged" in sentence for sentence in layer.report.left_out)
