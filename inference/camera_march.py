@@ -82,10 +82,15 @@ def march_camera_rays(
         phase = np.stack([m.scattered(cosine) for _, m in plan.volumes], axis=1)
         if spread is not None:
             row, column = np.divmod(pixel[rays], x1 - x0)
-            phase[..., wide] = spread.phase(column + x0 + 0.5, row + y0 + 0.5)
+            phase[..., wide], ahead = spread.phase(column + x0 + 0.5, row + y0 + 0.5)
+            # Along the ray, wherever it scatters, light meets all that the ray does.
+            straight = segment.through * np.exp(-segment.through.sum(axis=1, keepdims=True))
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
                        near[rays], far[rays])
-        return rays, segment, segment.single * phase, glow
+        lit = segment.single * phase
+        if spread is not None:
+            lit[..., wide] += straight[..., None] * ahead
+        return rays, segment, lit, glow
 
     parts, light = [], []
     part = len(channels.indices) / 3.0

@@ -111,7 +111,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 plan = replace(plan, suns=[plan.suns[n] for n in lit], multiple=multiple)
                 grids, obstacles = [grid.of_suns(lit) for grid in grids], obstacles.of_suns(lit)
     wide = [sun for sun in plan.suns if sun.spread is not None]
-    spread = SpreadLight(camera, wide, [medium.scattered for _, medium in plan.volumes], work.check) if wide else None
+    phases = [medium.scattered for _, medium in plan.volumes]
+    spread = SpreadLight(camera, wide, phases, not surfaces, work.check) if wide else None
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None

@@ -33,7 +33,8 @@ OPAQUE = np.float32(60.0)
 class RaySegment:
     """What a ray bundle met.
 
-    alpha: (R,); depth: (R,) mean scattering distance; single: (R, V, L) single scattering
+    alpha: (R,); depth: (R,) mean scattering distance; through: (R, V) optical depth of each volume, of what is not
+    behind opaque parts; single: (R, V, L) single scattering
     by volume and sun for albedo 1, irradiance 1 and phase function 1.
     sample_ray: int (M,) ray of each depth sample; sample_distance: (M,); sample_weight: (M,)
     sums to alpha over a ray's samples; sample_fraction: (M, V) share of each volume in
@@ -42,6 +43,7 @@ class RaySegment:
 
     alpha: np.ndarray
     depth: np.ndarray
+    through: np.ndarray
     single: np.ndarray
     sample_ray: np.ndarray
     sample_distance: np.ndarray
@@ -129,6 +131,7 @@ def march(
     return RaySegment(
         alpha,
         depth,
+        np.stack([blocks.sums(_of_blocks(sigma * dt)) for sigma in medium.sigma], axis=1),
         single,
         sample_ray=ray,
         sample_distance=steps.near[ray] + (blocks.number[block] * STEPS + step + inside) * steps.dt[ray],

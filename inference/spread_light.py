@@ -1,8 +1,9 @@
 """Single scattering of light from a part of the sphere, for which one direction stands.
 
 A phase function may be far narrower than that part. Its mean over the part's light takes the place of its value at the one
-direction, so that light scatters forward wherever it comes from; shadows are those of the one direction. The mean is smooth
-across an image: it is taken at places all over it, and interpolated between.
+direction, so that light scatters forward wherever it comes from. What hardly turns, which may be most of it, comes along the
+camera ray itself, behind all that the ray meets; the rest is shadowed as the one direction is. The means are smooth across
+an image: they are taken at places all over it, and interpolated between.
 """
 
 import numpy as np
@@ -13,6 +14,8 @@ from .scene import Camera
 
 # Angle from place to place, and places along an image's longer edge at most.
 SPACING, MOST = np.radians(1.5), 96
+# Light that turns by no more than this counts, the more the less it turns, as coming along the camera ray; radians.
+AHEAD = np.radians(32.0)
 # Values of a phase function that are made at a time.
 AT_ONCE = 1 << 20
 
@@ -21,37 +24,43 @@ class SpreadLight:
     """Mean phase functions of suns across a camera's image.
 
     suns: L of them, each with its `spread`; phases: V functions of the cosine between the directions before and after
-    scattering; check: called often. A part of the image has the places of the whole.
+    scattering; see_ahead: whether nothing but the volumes may keep light from ahead; check: called often. A part of the
+    image has the places of the whole.
     """
 
-    def __init__(self, camera: Camera, suns, phases, check=lambda: None):
+    def __init__(self, camera: Camera, suns, phases, see_ahead: bool = True, check=lambda: None):
         width, height = camera.resolution
         self.step = max(width, height) / np.clip(np.ceil(widest_angle(camera) / SPACING), 1, MOST)
         self.count = [int(np.ceil(size / self.step)) + 1 for size in (height, width)]
         rows, columns = (self.step * np.arange(count) for count in self.count)
         x, y = (values.ravel() for values in np.meshgrid(columns, rows))
         _, directions, _ = image_rays(camera, x, y)
-        table = [[_means(directions, sun, phase, check) for sun in suns] for phase in phases]
-        #: float64 (rows, columns, V, L)
-        self.table = np.moveaxis(table, 2, 0).reshape(*self.count, len(phases), len(suns))
+        table = [[_means(directions, sun, phase, see_ahead, check) for sun in suns] for phase in phases]
+        #: float64 (rows, columns, V, L, 2)
+        self.table = np.moveaxis(table, 2, 0).reshape(*self.count, len(phases), len(suns), 2)
 
-    def phase(self, x, y) -> np.ndarray:
-        """(N, V, L) at places (N,) of the image, in pixels from its upper left corner."""
+    def phase(self, x, y):
+        """(N, V, L) at places (N,) of the image, in pixels from its upper left corner: from the suns' directions, and from
+        ahead; together they are the mean of the phase function.
+        """
         cells, parts = [], []
         for place, count in zip((y, x), self.count):
             cells.append(np.minimum((place / self.step).astype(int), count - 2))
-            parts.append((place / self.step - cells[-1])[:, None, None])
+            parts.append((place / self.step - cells[-1])[:, None, None, None])
         (i, j), (u, v) = cells, parts
         above, below = ((1.0 - v) * self.table[row, j] + v * self.table[row, j + 1] for row in (i, i + 1))
-        return (1.0 - u) * above + u * below
+        return np.moveaxis((1.0 - u) * above + u * below, -1, 0)
 
 
-def _means(directions, sun, phase, check) -> np.ndarray:
-    """(P,): at unit directions (P, 3) the mean of a phase function over the sun's light."""
+def _means(directions, sun, phase, see_ahead, check) -> np.ndarray:
+    """(P, 2): at unit directions (P, 3) the mean of a phase function over the sun's light, without and of what is ahead."""
     towards, shares = sun.spread
     rows = max(AT_ONCE // len(shares), 1)
     means = []
     for start in range(0, len(directions), rows):
         check()
-        means.append(product(phase(product(directions[start : start + rows], towards.T)), shares))
+        cosine = product(directions[start : start + rows], towards.T)
+        values = phase(cosine)
+        ahead = np.clip((cosine - np.cos(AHEAD)) / (1.0 - np.cos(AHEAD)), 0.0, 1.0) * see_ahead
+        means.append(np.stack([product(values * part, shares) for part in (1.0 - ahead, ahead)], axis=1))
     return np.concatenate(means)

@@ -68,9 +68,26 @@ def test_means_between_places_are_those_at_pixels():
     suns = even_suns()
     _, directions, _, _ = camera_rays(view)
     rows, columns = np.divmod(np.arange(len(directions)), 90)
-    found = SpreadLight(view, suns, [phase]).phase(columns + 0.5, rows + 0.5)[:, 0]
+    turned, ahead = SpreadLight(view, suns, [phase]).phase(columns + 0.5, rows + 0.5)
     wanted = np.stack([phase(directions @ sun.spread[0].T) @ sun.spread[1] for sun in suns], axis=1)
-    assert np.abs(found - wanted).max() < 0.01 * wanted.max()
+    assert np.abs((turned + ahead)[:, 0] - wanted).max() < 0.01 * wanted.max()
+    assert ahead.min() >= 0.0 and ahead.max() > 0.5 * wanted.max()
+    # Where surfaces may be in the way, nothing is said of what comes from ahead.
+    every, none = SpreadLight(view, suns, [phase], see_ahead=False).phase(columns + 0.5, rows + 0.5)
+    assert not none.any()
+    np.testing.assert_allclose(every, turned + ahead, rtol=1e-12)
+
+
+@pytest.mark.parametrize("anisotropy, most", [(0.5, 0.11), (0.857, 0.06), (0.95, 0.05)])
+def test_light_from_behind_meets_what_the_camera_ray_meets(anisotropy, most):
+    """Half of the sphere as one sun from its middle, which is not behind the cloud, against many small suns."""
+    towards = sphere(700)
+    towards = towards[towards @ [0.6, 0.0, -0.8] > 0.0]
+    shares = np.full(len(towards), 1.0 / len(towards))
+    volume, view = (cloud(), Medium(12.0, 1.0, anisotropy)), camera(resolution=(12, 8))
+    many = render([volume], [Sun(one, share) for one, share in zip(towards, shares)], view, ONCE).single
+    wide = render([volume], [Sun(shares @ towards, 1.0, spread=(towards, shares))], view, ONCE).single
+    assert np.sqrt(((wide - many) ** 2).mean()) < most * many.max()
 
 
 def test_a_part_of_the_image_and_its_tiles_show_what_the_whole_shows():

@@ -44,6 +44,14 @@ def environment_image(stage):
     tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
 
+def forward(world):
+    """The same in a medium that scatters forward, as clouds do."""
+    def narrow(stage):
+        world(stage)
+        stage.shader.inputs["Anisotropy"].default_value = 0.857
+    return narrow
+
+
 def sky(stage, strength=0.05):
     bpy.data.objects.remove(stage.sun)
     tree = stage.scene.world.node_tree
@@ -75,7 +83,9 @@ MEASURED = {
     "Sun of 40 degrees": sun_of(40.0),
     "Sun and a grey-blue World": grey_world,
     "Even World alone": even_world,
+    "Even World alone, G 0.857": forward(even_world),
     "Environment image alone": environment_image,
+    "Environment image alone, G 0.857": forward(environment_image),
     "Sky Texture": sky, "Sky Texture at dusk, without its disc": low_sky_without_disc,
     "Voronoi Texture in the World": voronoi_world,
 }
