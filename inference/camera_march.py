@@ -48,10 +48,10 @@ def march_camera_rays(
     origins, directions, clip_near, clip_far = camera_rays(around)
     offsets = lookup_offsets(around, settings.seed)
     near, far = _ray_intervals(plan, grids, channels.sigma_t, origins, directions, clip_near, clip_far, report)
-    share = np.ones(len(near))
+    share, free = np.ones((2, len(near)))
     if screen is not None:
         with report.stage("surfaces"):
-            kept, share, far = _cut(screen, around.window, near, far)
+            kept, far, share, free = _cut(screen, around.window, near, far)
         pixel, origins, directions, offsets, near = (values[kept] for values in (pixel, origins, directions, offsets, near))
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
@@ -84,7 +84,7 @@ def march_camera_rays(
             row, column = np.divmod(pixel[rays], x1 - x0)
             phase[..., wide], ahead = spread.phase(column + x0 + 0.5, row + y0 + 0.5)
             # Along the ray, wherever it scatters, light meets all that the ray does.
-            straight = segment.through * np.exp(-segment.through.sum(axis=1, keepdims=True))
+            straight = segment.through * np.exp(-segment.through.sum(axis=1, keepdims=True)) * free[rays, None]
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
                        near[rays], far[rays])
         lit = segment.single * phase
@@ -145,7 +145,7 @@ def _ray_intervals(plan, grids, sigma_t, origins, directions, clip_near, clip_fa
 
 
 def _cut(screen, window, near, far):
-    """Rays that end at surfaces, as `rays_to_surfaces`: pixel (M,), share (M,), far (M,)."""
+    """Rays that end at surfaces, as `rays_to_surfaces`."""
     x0, y0, x1, y1 = window
     rows, columns = np.divmod(np.flatnonzero(near < far), x1 - x0)
     distances = np.full((y1 - y0, x1 - x0, PLACES**2), np.inf)
@@ -154,5 +154,4 @@ def _cut(screen, window, near, far):
         left, top, right, bottom = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
         found = screen.distances((x0 + left, y0 + top, x0 + right, y0 + bottom))
         distances[top:bottom, left:right] = found.reshape(bottom - top, right - left, -1)
-    pixel, far, share = rays_to_surfaces(near, far, distances.reshape(len(near), -1))
-    return pixel, share, far
+    return rays_to_surfaces(near, far, distances.reshape(len(near), -1))

@@ -112,7 +112,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                 grids, obstacles = [grid.of_suns(lit) for grid in grids], obstacles.of_suns(lit)
     wide = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
-    spread = SpreadLight(camera, wide, phases, not surfaces, work.check) if wide else None
+    see_ahead = len(covering) == len(surfaces) and (screen is not None or not surfaces)
+    spread = SpreadLight(camera, wide, phases, see_ahead, work.check) if wide else None
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None

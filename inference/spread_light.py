@@ -24,7 +24,7 @@ class SpreadLight:
     """Mean phase functions of suns across a camera's image.
 
     suns: L of them, each with its `spread`; phases: V functions of the cosine between the directions before and after
-    scattering; see_ahead: whether nothing but the volumes may keep light from ahead; check: called often. A part of the
+    scattering; see_ahead: whether it is known of each ray what keeps light from ahead; check: called often. A part of the
     image has the places of the whole.
     """
 

@@ -98,9 +98,10 @@ class Screen:
 
 
 def rays_to_surfaces(near, far, distances):
-    """Rays (pixel int (M,), far (M,), share (M,)) for pixels with an interval (N,) and distances (N, K).
+    """Rays (pixel int (M,), far (M,), share (M,), open (M,)) for pixels with an interval (N,) and distances (N, K).
 
-    pixel: ascending; share: of the pixel that the ray stands for. Where a surface lies before the interval, none does.
+    pixel: ascending; share: of the pixel that the ray stands for; open: of the ray, that no surface ends behind the
+    interval either. Where a surface lies before the interval, none does.
     """
     # Where there is no interval, one of no length.
     near, far = (np.where(near < far, ends, 0.0) for ends in (near, far))
@@ -111,7 +112,9 @@ def rays_to_surfaces(near, far, distances):
     count = np.bincount(flat, minlength=len(near) * (DISTANCES + 1))
     total = np.bincount(flat, ends.ravel(), minlength=len(count))
     kept = np.flatnonzero((count > 0) & (np.arange(len(count)) % (DISTANCES + 1) > 0))
-    return kept // (DISTANCES + 1), total[kept] / count[kept], count[kept] / distances.shape[1]
+    pixel, last = kept // (DISTANCES + 1), kept % (DISTANCES + 1) == DISTANCES
+    free = np.isinf(distances).sum(axis=1)[pixel] * last / count[kept]
+    return pixel, total[kept] / count[kept], count[kept] / distances.shape[1], free
 
 
 def _beyond(corners, closest: float):

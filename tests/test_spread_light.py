@@ -11,6 +11,7 @@ from inference.rays import camera_rays
 from inference.spread_light import SpreadLight
 
 from .test_render import box, camera, cloud
+from .test_surfaces import rectangle
 
 ONCE = Settings(multiple=False)
 
@@ -88,6 +89,23 @@ def test_light_from_behind_meets_what_the_camera_ray_meets(anisotropy, most):
     many = render([volume], [Sun(one, share) for one, share in zip(towards, shares)], view, ONCE).single
     wide = render([volume], [Sun(shares @ towards, 1.0, spread=(towards, shares))], view, ONCE).single
     assert np.sqrt(((wide - many) ** 2).mean()) < most * many.max()
+
+
+def test_a_wall_behind_the_volume_keeps_light_from_ahead():
+    """From pixels that it fills, and half of it from those that it fills to a half. The light's own direction is not behind it."""
+    towards = sphere(4000)
+    towards = towards[towards @ [0.6, 0.0, -0.8] > 0.0]
+    light = Sun(towards.mean(axis=0), 1.0, spread=(towards, np.full(len(towards), 1.0 / len(towards))))
+    # The wall ends in the middle of column 19.
+    view, wall = camera(projection="orthographic", ortho_scale=1.2), rectangle(-0.9, 0.375, -2.0, 2.0, -2.0)
+    scene = [(cloud(), Medium(4.0, 1.0, 0.8))], [light], view, ONCE
+    free, walled = render(*scene).single[8, :, 0], render(*scene, surfaces=[replace(wall, shades=False)]).single[8, :, 0]
+    seen = np.flatnonzero(free)
+    assert seen[0] < 5 and seen[-1] >= 20
+    np.testing.assert_array_equal(walled[20:], free[20:])
+    behind = seen[seen < 19]
+    assert np.all(walled[behind] < 0.6 * free[behind])
+    assert walled[19] == pytest.approx((walled[18] / free[18] + 1.0) / 2.0 * free[19], rel=0.03)
 
 
 def test_a_part_of_the_image_and_its_tiles_show_what_the_whole_shows():
