@@ -13,7 +13,7 @@ from .rays import image_rays, widest_angle
 from .scene import Camera
 
 # Angle from place to place, and places along an image's longer edge at most.
-SPACING, MOST = np.radians(1.5), 96
+SPACING, MOST = np.radians(2.0), 96
 # Light that turns by no more than this counts, the more the less it turns, as coming along the camera ray; radians.
 AHEAD = np.radians(32.0)
 # Values of a phase function that are made at a time.

@@ -11,7 +11,7 @@ ROWS = 128
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0]])
 # Edge of the boxes within which the directions of light are put together, radians.
-COARSE = 0.03
+COARSE = 0.05
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
