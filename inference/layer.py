@@ -132,7 +132,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                     add_glow(plan, channels, kept, grids, samples, work, report, part.multiple)
                 if network is not None and samples is not None:
                     add_multiple(
-                        plan, channels, network, kept, grids, fields, obstacles, samples, rows.window, settings, work,
+                        plan, channels, network, kept, grids, fields, obstacles, samples, rows, settings, work,
                         report, middle, start + share, part, whole=len(plan.tiles) > 1)
 
     shape = (height, width)

@@ -7,6 +7,7 @@ import numpy as np
 from .multiple import POINTS_A_TASK, MultipleField
 from .plan import distinct_albedos
 from .shared_pixels import Squares, agreeing
+from .spread_light import turned
 
 
 def _scatters(plan, channels, g) -> bool:
@@ -42,14 +43,14 @@ def diffuse(plan, channels, network, kept, grids, fields, obstacles, work, repor
 
 
 def add_multiple(
-    plan, channels, network, kept, grids, fields, obstacles, samples, window, settings, work, report, start, end, images,
+    plan, channels, network, kept, grids, fields, obstacles, samples, camera, settings, work, report, start, end, images,
     whole: bool,
 ):
     """Add the predicted multiple scattering of every volume and sun to the image, and its uncertainty.
 
-    window: of the camera, whose pixels `images` are. whole: whether further samples may lie anywhere in the volumes.
+    camera: whose window's pixels `images` are. whole: whether further samples may lie anywhere in the volumes.
     """
-    squares = Squares(window) if settings.share_pixels else None
+    squares = Squares(camera.window) if settings.share_pixels else None
     jobs = [(g, l) for g in range(len(plan.groups)) if _scatters(plan, channels, g) for l in range(len(plan.suns))]
     for number, (g, l) in enumerate(jobs):
         sun, group = plan.suns[l], plan.groups[g]
@@ -71,6 +72,8 @@ def add_multiple(
         # Of each volume in the group, (V, 3), scaled by the sun.
         scattered = np.array([plan.volumes[v][1].albedo * sun.irradiance for v in group], np.float32)
         seen = _Seen(samples, group, g, l, field, channels.indices, scattered, len(images.alpha))
+        if sun.spread is not None:
+            seen.directions = turned(camera, samples.pixel, samples.directions, sun, field.medium.anisotropy)
         with report.stage("network"):
             if squares is None:
                 seen.look(inside, work, report, first, last, message)
@@ -97,6 +100,7 @@ class _Seen:
         self.albedos = distinct_albedos(field.medium, indices)
         self.fraction = samples.fraction[:, group]
         self.scattered = scattered
+        self.directions = samples.directions
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(indices), pixels))
         self.error = np.zeros(pixels, np.float32)
@@ -108,7 +112,7 @@ class _Seen:
         parts = np.zeros(len(self.pixel), np.float32)
 
         def task(points):
-            directions = self.samples.directions[self.samples.ray[points]]
+            directions = self.directions[self.samples.ray[points]]
             return points, self.field.predict(
                 self.samples.positions(points), directions, values, self.samples.jitter(points), self._light(points))
 

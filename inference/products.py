@@ -12,9 +12,11 @@ VECTOR_WORK, MATRIX_WORK = 8192, 1 << 17
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a @ b for a (..., M, K) and b (K,) or (K, N), in parts of some rows each."""
+    if not a.size or not b.size:
+        return a @ b
     work = VECTOR_WORK if b.ndim == 1 else MATRIX_WORK
     rows = a.reshape(-1, a.shape[-1])
-    each = max(work // max(b.size, 1), 1)
+    each = max(work // b.size, 1)
     whole = len(rows) // each * each
     result = np.empty((len(rows), *b.shape[1:]), np.result_type(a, b))
     np.matmul(rows[:whole].reshape(-1, each, a.shape[-1]), b, out=result[:whole].reshape(-1, each, *b.shape[1:]))

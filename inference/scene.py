@@ -150,7 +150,7 @@ class Sun:
     direction: (3,) world vector towards the sun; normalised here.
     irradiance: W/m^2 on a surface that faces the sun, scalar or RGB, in [0, 1e30].
     spread: where the light comes from if not from one direction: unit vectors (K, 3) and shares (K,) that sum to 1.
-        Scattered once, it goes where it would go from there; shadows and multiple scattering are those of `direction`.
+        Scattered, it goes about where it would go from there; its shadows are those of `direction`.
 
     Raises SceneError for a zero direction or negative irradiance.
     """

@@ -1,4 +1,4 @@
-"""Single scattering of light from a part of the sphere, for which one direction stands.
+"""Light from a part of the sphere, for which one direction stands.
 
 A phase function may be far narrower than that part. Its mean over the part's light takes the place of its value at the one
 direction, so that light scatters forward wherever it comes from. What hardly turns, which may be most of it, comes along the
@@ -8,6 +8,7 @@ an image: they are taken at places all over it, and interpolated between.
 
 import numpy as np
 
+from .phase import henyey_greenstein
 from .products import product
 from .rays import image_rays, widest_angle
 from .scene import Camera
@@ -16,6 +17,9 @@ from .scene import Camera
 SPACING, MOST = np.radians(2.0), 96
 # Light that turns by no more than this counts, the more the less it turns, as coming along the camera ray; radians.
 AHEAD = np.radians(32.0)
+# How often light that counts as multiple scattering has been scattered, of light in clouds and smoke that fits best; the
+# anisotropy after that below which it matters little where light comes from.
+ORDER, LEAST = 4, 0.02
 # Values of a phase function that are made at a time.
 AT_ONCE = 1 << 20
 
@@ -50,6 +54,27 @@ class SpreadLight:
         (i, j), (u, v) = cells, parts
         above, below = ((1.0 - v) * self.table[row, j] + v * self.table[row, j + 1] for row in (i, i + 1))
         return np.moveaxis((1.0 - u) * above + u * below, -1, 0)
+
+
+def turned(camera: Camera, pixel, directions, sun, anisotropy: float) -> np.ndarray:
+    """Unit directions (N, 3) of camera rays, turned in their planes with the sun to where a phase function has its mean over
+    the sun's light: Henyey and Greenstein's of light scattered ORDER times, whose anisotropy is that power.
+
+    Of a network that knows one direction of light this makes about the mean over all that the sun stands for.
+    pixel: int (N,) of the camera's window.
+    """
+    g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
+    if abs(g) < LEAST:
+        return directions
+    x0, y0, x1, _ = camera.window
+    row, column = np.divmod(pixel, x1 - x0)
+    spread = SpreadLight(camera, [sun], [lambda cosine: henyey_greenstein(cosine, g)], see_ahead=False)
+    mean = spread.phase(column + x0 + 0.5, row + y0 + 0.5)[0][:, 0, 0]
+    # Henyey and Greenstein's phase function, solved for the cosine.
+    cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)
+    across = directions - (directions @ sun.direction)[:, None] * sun.direction
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
+    return cosine[:, None] * sun.direction + np.sqrt(1.0 - cosine**2)[:, None] * across
 
 
 def _means(directions, sun, phase, see_ahead, check) -> np.ndarray:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from inference import Medium, Settings, Sun, render
+from inference.phase import henyey_greenstein
 from inference.phase_function import PhaseFunction
 from inference.rays import camera_rays
-from inference.spread_light import SpreadLight
+from inference.spread_light import ORDER, SpreadLight, turned
 
 from .test_render import box, camera, cloud
 from .test_surfaces import rectangle
@@ -89,6 +90,23 @@ def test_light_from_behind_meets_what_the_camera_ray_meets(anisotropy, most):
     many = render([volume], [Sun(one, share) for one, share in zip(towards, shares)], view, ONCE).single
     wide = render([volume], [Sun(shares @ towards, 1.0, spread=(towards, shares))], view, ONCE).single
     assert np.sqrt(((wide - many) ** 2).mean()) < most * many.max()
+
+
+@pytest.mark.parametrize("anisotropy", [-0.9, 0.5, 0.857, 0.95])
+def test_directions_are_turned_to_where_the_phase_function_has_its_mean(anisotropy):
+    """Within the plane of ray and sun; a sun that is no wider than a point leaves them alone, as even scattering does."""
+    view = camera(resolution=(70, 50), fov=1.2)
+    sun, g = even_suns()[4], np.copysign(abs(anisotropy) ** ORDER, anisotropy)
+    _, directions, _, _ = camera_rays(view)
+    pixel = np.arange(len(directions))
+    found = turned(view, pixel, directions, sun, anisotropy)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
+    mean = henyey_greenstein(directions @ sun.spread[0].T, g) @ sun.spread[1]
+    assert np.abs(henyey_greenstein(found @ sun.direction, g) - mean).max() < 0.02 * mean.max()
+    assert np.abs((found * np.cross(directions, sun.direction)).sum(axis=1)).max() < 1e-12
+    point = Sun(sun.direction, 1.0, spread=(sun.direction[None], np.ones(1)))
+    np.testing.assert_allclose(turned(view, pixel, directions, point, anisotropy), directions, atol=0.03)
+    assert turned(view, pixel, directions, sun, 0.1) is directions
 
 
 def test_a_wall_behind_the_volume_keeps_light_from_ahead():
