@@ -98,9 +98,9 @@ class Screen:
 
 
 def rays_to_surfaces(near, far, distances):
-    """Rays (pixel int (M,), far (M,), share (M,), open (M,)) for pixels with an interval (N,) and distances (N, K).
+    """Rays (pixel int (M,), far (M,), share (M,), free (M,)) for pixels with an interval (N,) and distances (N, K).
 
-    pixel: ascending; share: of the pixel that the ray stands for; open: of the ray, that no surface ends behind the
+    pixel: ascending; share: of the pixel that the ray stands for; free: of the ray, what no surface ends behind the
     interval either. Where a surface lies before the interval, none does.
     """
     # Where there is no interval, one of no length.
