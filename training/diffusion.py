@@ -1,16 +1,19 @@
 """The diffusion approximation at points of training data, which have an optical density each.
 
-The equation depends on the reduced extinction alone. It is solved for values REDUCED, and the logarithm of the
-fluence is interpolated between them in the logarithm of the extinction.
+The equation depends on the reduced extinction alone. It is solved for values SOLVED, and the logarithm of the
+fluence is interpolated between them in the logarithm of the extinction: by a cubic spline at values REDUCED, and
+linearly from there.
 """
 
 import numba
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from inference.diffusion import CELLS, LEAST, MOST_ITERATIONS, TOLERANCE, diffusion_equation, probe_points
 from inference.transmittance import sun_optical_depth
 
-REDUCED = np.geomspace(0.04, 2700.0, 9)
+SOLVED = np.geomspace(0.04, 2700.0, 17)
+REDUCED = np.geomspace(0.04, 2700.0, 33)
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -95,16 +98,17 @@ def _read(fields, index, place):
 
 
 def log_fluences(density, suns):
-    """The logarithm of the fluence for each sun and each of REDUCED: float32 (S, 9, 34, 34, 34).
+    """The logarithm of the fluence for each sun and each of REDUCED: float32 (S, 33, 34, 34, 34).
 
     density: (32, 32, 32), level 3 of the pyramid; suns: (S, 3) in the cube's frame.
     """
     fields = []
     for sun in suns:
         tau = sun_optical_depth(density, sun, 1.0 / CELLS).astype(np.float64)
-        fluences = [solve(*diffusion_equation(density, tau, s)) for s in REDUCED]
-        fields.append([np.pad(np.log(fluence + LEAST), 1, mode="edge") for fluence in fluences])
-    return np.array(fields, np.float32)
+        logs = [np.log(solve(*diffusion_equation(density, tau, s)) + LEAST) for s in SOLVED]
+        between = CubicSpline(np.log(SOLVED), logs)(np.log(REDUCED)).astype(np.float32)
+        fields.append(np.pad(between, ((0, 0), (1, 1), (1, 1), (1, 1)), mode="edge"))
+    return np.array(fields)
 
 
 def place_in_reduced(reduced):
