@@ -7,7 +7,10 @@ from scipy.ndimage import binary_erosion
 from training.noise import CELLS, TILE, Fractal, curl_tile
 from training.shapes import BOX, TORUS, ball_union, constructive_solid
 from training.solids import SOLIDS
-from training.volumes import HELD_BACK, HELD_BACK_SOLIDS, SOLID_SEEDS, make_volume
+from training.volume_kinds import KINDS
+from training.volumes import (
+    HELD_BACK, HELD_BACK_SATURATED, HELD_BACK_SOLIDS, SATURATED_SEEDS, SOLID_SEEDS, make_volume,
+)
 
 RESOLUTION = 40
 SEEDS = range(24)
@@ -74,6 +77,21 @@ def test_seeds_of_solids_give_even_fog_with_hard_faces():
         assert spreads[-1] < 0.4, (seed, sample.kind)
     assert np.mean(np.array(spreads) < 1e-3) > 0.4
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
+
+
+def test_saturated_seeds_give_clouds_and_smoke_with_even_cores():
+    seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
+    saturated = [make_volume(seed, RESOLUTION) for seed in seeds]
+    assert {sample.kind for sample in saturated} <= {kind.__name__ for kind in KINDS}
+    usual = [make_volume(seed, RESOLUTION) for seed in range(16)]
+
+    def near_the_most(sample):
+        return (sample.density > 0.8).sum() / (sample.density > 0).sum()
+
+    assert np.median([near_the_most(sample) for sample in saturated]) > 0.15
+    assert np.median([near_the_most(sample) for sample in usual]) < 0.1
+    assert all(sample.density.max() == 1.0 for sample in saturated)
+    assert not set(SATURATED_SEEDS) & {*HELD_BACK_SATURATED, *HELD_BACK, *HELD_BACK_SOLIDS, *SOLID_SEEDS}
 
 
 def test_too_few_cells_are_refused():

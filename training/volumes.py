@@ -25,6 +25,9 @@ HELD_BACK = range(1_000_000, 1_001_000)
 #: Seeds that give solids filled with even fog, to train on and to measure with.
 SOLID_SEEDS = range(500_000, 600_000)
 HELD_BACK_SOLIDS = range(1_500_000, 1_501_000)
+#: Seeds that give the same kinds as others, with their denser parts made even, and the same to measure with.
+SATURATED_SEEDS = range(600_000, 700_000)
+HELD_BACK_SATURATED = range(1_600_000, 1_601_000)
 
 _COARSE = 64
 _THIN = 0.003
@@ -119,11 +122,19 @@ def _fill(field, active, scanned, points):
     return values.reshape((cells,) * 3)
 
 
+def _saturate(rng, density):
+    """Denser parts (cells above a quantile) made even or nearly so, as where a source has filled what is around it."""
+    level = np.quantile(density[density > 0], rng.uniform(0.3, 0.98))
+    if rng.random() < 0.5:
+        return np.minimum(density / level, 1)
+    return 1 - np.exp(-density / level)
+
+
 def make_volume(seed: int, resolution: int = 192) -> Sample:
     """The volume of a seed; the same seed gives the same volume.
 
     resolution: N >= 8, cells per edge. Raises ValueError below that.
-    Seeds in HELD_BACK and HELD_BACK_SOLIDS are for measuring, never for training.
+    Seeds in HELD_BACK, HELD_BACK_SOLIDS and HELD_BACK_SATURATED are for measuring, never for training.
     """
     if resolution < 8:
         raise ValueError(f"a volume needs at least 8 cells per edge, not {resolution}")
@@ -149,6 +160,8 @@ def make_volume(seed: int, resolution: int = 192) -> Sample:
         density[1:-1, 1:-1, 1:-1] = _fill(field, active, scanned, _lattice(centre, edge, resolution - 2))
         # an almost empty cube teaches nothing: draw again
         if density.max() > 0 and np.count_nonzero(density) > 0.002 * density.size:
+            if seed in SATURATED_SEEDS or seed in HELD_BACK_SATURATED:
+                density = _saturate(rng, density).astype(np.float32)
             density /= density.max()
             return Sample(kind.__name__, density)
     raise RuntimeError(f"seed {seed}: twenty draws gave no volume")
