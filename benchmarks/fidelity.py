@@ -1,11 +1,12 @@
 """How far each system's image is from path-traced references: the paper's Tables 1 and 2 on our scenes.
 
-    python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference] [--views shared procedural]
+    python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference] [--views shared procedural real]
 
-Views: those of ../shared/fidelity, whose references share no code with the project, and held-back
-procedural volumes, whose references our own tracer makes once (build/references). Every reference is two
-independent halves, so that errors are measured without its own noise. Writes fidelity.csv (a row for each
-view and system), fidelity.md (the tables) and a picture a view: reference, systems, signed errors.
+Views: those of ../shared/fidelity, whose references share no code with the project, held-back procedural
+volumes, and real ones of ../shared/volumes, which bpy reads; references of these our own tracer makes once
+(build/references). Every reference is two independent halves, so that errors are measured without its own
+noise. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a picture a view:
+reference, systems, signed errors.
 """
 
 import argparse
@@ -23,6 +24,7 @@ from inference.network import load_network, register_system
 from training.reference import PATHS, PathTracer
 
 from . import fidelity_tables, view_pictures
+from .real_volumes import real_views
 from .references import relative_variance, seconds_a_sample
 from .views import MASK_ALPHA, SHARED, View, procedural_views, shared_views
 
@@ -107,12 +109,13 @@ def main(options=None):
     parser.add_argument("--out", type=pathlib.Path, required=True)
     present = [system for system in SYSTEMS if system in available_models()]
     parser.add_argument("--models", nargs="+", default=present, choices=available_models(), metavar="NAME")
-    parser.add_argument("--views", nargs="+", default=["shared", "procedural"], choices=["shared", "procedural"])
+    sources = ["shared", "procedural", "real"]
+    parser.add_argument("--views", nargs="+", default=sources[:2], choices=sources)
     parser.add_argument("--match", default="", metavar="TEXT", help="only views whose name holds this")
     parser.add_argument("--depth-samples", type=int, default=128)
-    parser.add_argument("--size", type=int, default=64, help="pixels an edge of procedural views")
+    parser.add_argument("--size", type=int, default=64, help="pixels an edge of procedural and real views")
     parser.add_argument("--samples", type=int, default=1024, help="paths a pixel in each half of their references")
-    parser.add_argument("--cells", type=int, default=128, help="cells an edge of their volumes")
+    parser.add_argument("--cells", type=int, default=128, help="cells an edge of procedural volumes")
     parser.add_argument("--paths", type=int, default=PATHS, help="paths a depth sample of the system `reference`")
     parser.add_argument("--references", type=pathlib.Path, default=pathlib.Path("build/references"))
     arguments = parser.parse_args(options)
@@ -120,9 +123,11 @@ def main(options=None):
     views = shared_views() if "shared" in arguments.views else []
     if "procedural" in arguments.views:
         views += procedural_views(arguments.size, arguments.samples, arguments.cells, arguments.references)
+    if "real" in arguments.views:
+        views += real_views(arguments.size, arguments.samples, arguments.references)
     views = [view for view in views if arguments.match in view.name]
     if not views:
-        parser.error(f"there is no view to measure: none is called {arguments.match!r} or ../shared/fidelity is absent")
+        parser.error(f"there is no view to measure: none is called {arguments.match!r} or ../shared is absent")
     arguments.out.mkdir(parents=True, exist_ok=True)
     measured = []
     for view in views:

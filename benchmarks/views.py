@@ -124,16 +124,21 @@ def sun_direction(light: str, position=POSITION, up=(0.0, 0.0, 1.0)) -> np.ndarr
     return direction / np.linalg.norm(direction)
 
 
-def procedural_view(volume, light, albedo, anisotropy, size, samples, cells, cache) -> View:
-    """A held-back volume, one of VOLUMES, its reference traced by our own tracer."""
-    name = f"{volume}-{light}-g{anisotropy:g}-albedo{albedo[0]:g}"
-    density, up = functools.partial(_held_back_density, VOLUMES[volume], cells), (0.0, 0.0, 1.0)
+def traced_view(name, volume, density, light, sigma_hat, albedo, anisotropy, size, samples, cache) -> View:
+    """A view whose reference our own tracer makes; density: () -> float32 (n, n, n), its third axis up."""
     view = View(
-        name, volume, light, density, SIGMA_HAT, anisotropy, albedo, sun_direction(light), np.array(POSITION), up,
-        FOV, size, samples,
+        name, volume, light, density, sigma_hat, anisotropy, albedo, sun_direction(light), np.array(POSITION),
+        (0.0, 0.0, 1.0), FOV, size, samples,
     )
     view.halves = functools.partial(traced_halves, view, cache)
     return view
+
+
+def procedural_view(volume, light, albedo, anisotropy, size, samples, cells, cache) -> View:
+    """A held-back volume, one of VOLUMES."""
+    name = f"{volume}-{light}-g{anisotropy:g}-albedo{albedo[0]:g}"
+    density = functools.partial(_held_back_density, VOLUMES[volume], cells)
+    return traced_view(name, volume, density, light, SIGMA_HAT, albedo, anisotropy, size, samples, cache)
 
 
 def procedural_views(size: int, samples: int, cells: int, cache: pathlib.Path) -> list:

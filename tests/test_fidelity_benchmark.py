@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import fidelity, fidelity_tables, views
+from benchmarks import fidelity, fidelity_tables, real_volumes, views
 from benchmarks.references import relative_variance
 from inference import network
 from training.export import export, save
@@ -99,3 +99,27 @@ def test_boosts_and_means_compare_like_with_like():
     assert "| cloud | side | 2 s · 30 × · 250 × | 60 s · 1 × · 0.5 × |" in text
     lines = [line.split(" | ")[:3] for line in text.splitlines() if line.startswith("| mrpnn")]
     assert lines == [["| mrpnn", "all it knows, 2", "0.300"], ["| mrpnn", "common to all, 1", "0.100"]]
+
+
+def test_real_volumes_have_a_table_of_their_own():
+    found = [
+        measurement("mrpnn", view=f"torus-{light}", volume="torus", light=light, rmse=rmse, bias=bias)
+        for light, rmse, bias in (("side", 0.1, 0.04), ("back", 0.3, -0.06))
+    ]
+    text = fidelity_tables.document(found, {}, 8)
+    assert "mrpnn: 0.200 on the mean, bias -1.0 %, within 5 % on 1 of 2 views" in text
+    assert "| torus | 100 | 0.100 +4.0 % | 0.300 -6.0 % |" in text
+    assert "| torus | side |" not in text
+
+
+@pytest.mark.skipif(not views.SHARED.exists(), reason="the real volumes beside the project are absent")
+def test_real_volumes_are_whole_and_in_the_middle_of_their_cubes():
+    for name in real_volumes.FILES:
+        density = real_volumes.real_density(name)
+        assert density.max() == 1.0 and density.min() == 0.0 and len(set(density.shape)) == 1, name
+        low, high = (ends(np.nonzero(density), axis=1) for ends in (np.min, np.max))
+        assert np.all(low >= 1) and np.all(high <= len(density) - 2), name
+        # Within a voxel of the middle, and the longest side fills the cube.
+        assert np.all(np.abs(low + high - (len(density) - 1)) <= 2) and (high - low).max() >= 0.85 * len(density), name
+    made = real_volumes.real_views(8, 1, None)
+    assert len({view.name for view in made}) == len(made) == 90
