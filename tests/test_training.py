@@ -148,15 +148,15 @@ def test_weights_part_of_the_way_are_exported(data, tmp_path, monkeypatch):
                 "--initial", str(before), "--learning-rate", "1e-2", "--steps", "2"])
     checkpoint = str(tmp_path / "checkpoint.pt")
     export.main([checkpoint, str(after)])
-    export.main([checkpoint, str(tmp_path / "half.onnx"), "--initial", str(before), "--share", "0.5"])
+    export.main([checkpoint, str(tmp_path / "half.onnx"), "--with", str(before), "0.5"])
     ends, half = [linear_layers(onnx.load(path)) for path in (before, after)], onnx.load(tmp_path / "half.onnx")
     for one, other, mean in zip(*ends, linear_layers(half)):
         assert not torch.allclose(one[0], other[0], rtol=1e-4, atol=1e-6)
         torch.testing.assert_close(0.5 * (one[0] + other[0]), mean[0], rtol=1e-3, atol=1e-5)
     configuration = json.loads({entry.key: entry.value for entry in half.metadata_props}["configuration"])
-    assert configuration["share_of_training"] == 0.5 and "held_rmse" not in configuration
+    assert configuration["mean_with"][0]["share"] == 0.5 and "held_rmse" not in configuration
     with pytest.raises(SystemExit):
-        export.main([checkpoint, str(after), "--initial", str(after), "--share", "0.5"])
+        export.main([checkpoint, str(after), "--with", str(after), "0.5"])
 
 
 def test_only_the_default_starts_from_exported_weights(data, tmp_path):

@@ -1,15 +1,15 @@
 """Write a network as ONNX, with its stencil or lattice and the configuration that made it inside.
 
-    python -m training.export CHECKPOINT.pt inference/weights/NAME.onnx [--initial BEFORE.onnx --share 0.6]
+    python -m training.export CHECKPOINT.pt inference/weights/NAME.onnx [--with BEFORE.onnx 0.4]
 
 Which network it is stands in the checkpoint's configuration. Output: radiance (A, N) for albedos (A,); the
-other inputs are those of the network's kind: "ray", "stencil" or "lattice". Of weights that were trained on from
-others, --share 0.6 goes six tenths of the way from those to these: a mean of both forgets less of what they knew.
+other inputs are those of the network's kind: "ray", "stencil" or "lattice". --with, which may be given several
+times, takes the mean of the weights and of exported ones that they were trained on from, which have the share named;
+such a mean forgets less of what those knew. What it is the mean of is kept in its configuration.
 """
 
 import argparse
 import base64
-import copy
 import functools
 import hashlib
 import json
@@ -63,22 +63,27 @@ def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint")
     parser.add_argument("output")
-    parser.add_argument("--initial", help="the weights that training started from")
-    parser.add_argument("--share", type=float, default=1.0, help="of the way from --initial to the checkpoint")
+    parser.add_argument("--with", dest="others", nargs=2, action="append", default=[], metavar=("NAME.onnx", "SHARE"))
     arguments = parser.parse_args(options)
     checkpoint = torch.load(arguments.checkpoint, map_location="cpu", weights_only=True)
     configuration = checkpoint["configuration"]
     net = NETWORKS[configuration["network"]]()
     net.load_state_dict(checkpoint["averaged"])
-    if arguments.share != 1.0:
+    if arguments.others:
         # Its error is no longer that of the checkpoint.
         configuration = {key: value for key, value in configuration.items() if not key.startswith("held_")}
-        configuration["share_of_training"] = arguments.share
-        trained = copy.deepcopy(net.state_dict())
-        if start_from(net, arguments.initial) != configuration.get("initial"):
-            parser.error(f"{arguments.checkpoint} was not trained on from {arguments.initial}")
-        initial = net.state_dict()
-        net.load_state_dict({key: torch.lerp(initial[key], trained[key], arguments.share) for key in trained})
+        shares = [float(share) for _, share in arguments.others]
+        if min(shares) <= 0.0 or sum(shares) >= 1.0:
+            parser.error("shares are above 0, and leave something for the checkpoint")
+        mean = {key: (1.0 - sum(shares)) * value for key, value in net.state_dict().items()}
+        configuration["mean_with"] = []
+        for (path, _), share in zip(arguments.others, shares):
+            before = start_from(net, path)
+            if before != configuration.get("initial") and before != configuration.get("initial", {}).get("initial"):
+                parser.error(f"{arguments.checkpoint} was not trained on from {path}")
+            configuration["mean_with"].append({"share": share, "configuration": before})
+            mean = {key: value + share * net.state_dict()[key] for key, value in mean.items()}
+        net.load_state_dict(mean)
     save(export(net, configuration), arguments.output)
 
 
