@@ -149,7 +149,7 @@ def table2(measured: Measured) -> str:
     rows = []
     settings = [("ς = " + ", ".join(f"{value:g}" for value in albedo), albedo, USUAL_G) for albedo in ALBEDOS]
     settings += [(f"G = {g:g}", GREY, g) for g in ANISOTROPIES]
-    for volume in unique(m.volume for m in measured.all):
+    for volume in unique(m.volume for m in measured.all if m.volume not in FILES):
         lines = []
         for label, albedo, g in settings:
             views = {
