@@ -99,7 +99,9 @@ def parse(arguments):
     parser.add_argument("--scale", type=int, default=25, help="size of the comparison in per cent (25)")
     parser.add_argument("--samples", type=int, default=48, help="samples a pixel in each of two Cycles renders (48)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    options.out = options.out.resolve()
+    return options
 
 
 def main(arguments=None) -> int:
