@@ -112,7 +112,7 @@ def test_real_volumes_have_a_table_of_their_own():
     assert "| torus | side |" not in text and "Table 2" not in text
 
 
-@pytest.mark.skipif(not views.SHARED.exists(), reason="the real volumes beside the project are absent")
+@pytest.mark.skipif(not real_volumes.FOLDER.exists(), reason="the real volumes beside the project are absent")
 def test_real_volumes_are_whole_and_in_the_middle_of_their_cubes():
     for name in real_volumes.FILES:
         density = real_volumes.real_density(name)
