@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .transmittance import sweep
+from .transmittance import BEFORE, MORE, cubic, sweep
 
 
 class DenseColumns:
@@ -16,13 +16,14 @@ class DenseColumns:
 
     def __init__(self, padded: np.ndarray, direction: np.ndarray, check=lambda: None):
         main = int(np.abs(direction).argmax())
-        shape = [padded.shape[axis] + 1 for axis in range(3) if axis != main]
+        shape = [padded.shape[axis] + MORE for axis in range(3) if axis != main]
         # A slice more at either end, where nothing is left to pass.
         self.depths = np.zeros((padded.shape[main] + 2, *shape), np.float32)
         self.offsets = np.ones((len(self.depths), 2), np.float32)
-        for number, columns, *fractions in sweep(padded, direction):
+        for number, columns, *fractions in sweep(padded, direction, weights=cubic):
             check()
-            self.depths[number + 1], self.offsets[number + 1] = columns, np.float32(1.0) - np.array(fractions)
+            np.maximum(columns, 0.0, out=self.depths[number + 1])
+            self.offsets[number + 1] = np.float32(BEFORE) - np.array(fractions)
         self.size = shape
 
     def slices(self, number: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ row: they are kept once.
 
 import numpy as np
 
-from .transmittance import Shear, shift_up
+from .transmittance import BEFORE, MORE, Shear, cubic, shift_up
 
 EDGE = 8
 
@@ -36,7 +36,7 @@ class SparseColumns:
             check()
             # What the last row changed and this does not stays as it is now.
             ended, count = int(left.sum()), int(touched.sum())
-            self.tiles[free:free + ended] = columns[left]
+            self.tiles[free:free + ended] = np.maximum(columns[left], 0.0)
             latest[left] = 2 * np.arange(free, free + ended)
             free += ended
             latest[touched] = 2 * (free + EDGE * np.arange(count)) + 1
@@ -47,12 +47,12 @@ class SparseColumns:
             blocks = np.moveaxis(grid.values[slabs[slab][b, c]], shear.main + 1, 1)
             for index in shear.towards_sun(EDGE * slab, EDGE * (slab + 1)) if count else ():
                 (tile_b, in_b, f_b), (tile_c, in_c, f_c) = plan.place(index)
-                spread = np.zeros((len(b), 2 * EDGE, 2 * EDGE), np.float32)
-                half_slice = spread[:, in_b:in_b + EDGE + 1, in_c:in_c + EDGE + 1]
-                half_slice[:] = shift_up(blocks[:, index % EDGE], f_b, f_c)
+                spread = np.zeros((len(b), EDGE * reached(in_b), EDGE * reached(in_c)), np.float32)
+                half_slice = spread[:, in_b:in_b + EDGE + MORE, in_c:in_c + EDGE + MORE]
+                half_slice[:] = shift_up(blocks[:, index % EDGE], f_b, f_c, cubic)
                 half_slice *= np.float32(shear.half_step)
                 _add(columns, spread, b + tile_b, c + tile_c)
-                own[:, index % EDGE] = columns[touched]
+                own[:, index % EDGE] = np.maximum(columns[touched], 0.0)
                 _add(columns, spread, b + tile_b, c + tile_c)
 
     def slices(self, number: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ class TilePlan:
         """On both other axes, for a slice: tile and column in it where block 0 begins, and the fraction beyond."""
         found = []
         for whole, fraction, first in zip(*self.shear.shift(index), self.shear.first):
-            found.append((*divmod(-1 - whole - first, EDGE), fraction))
+            found.append((*divmod(-BEFORE - whole - first, EDGE), fraction))
         return found
 
     def rows(self):
@@ -100,8 +100,12 @@ class TilePlan:
         for slab in self.shear.towards_sun(0, len(self.slabs)):
             b, c = np.nonzero(self.slabs[slab])
             touched = np.zeros(self.shape, bool)
-            places = {(b[0], c[0]) for b, c in map(self.place, range(EDGE * slab, EDGE * (slab + 1)))}
-            for tile_b, tile_c in {(x + i, y + j) for x, y in places for i in (0, 1) for j in (0, 1)}:
+            places = {
+                (tile_b + i, tile_c + j)
+                for (tile_b, in_b, _), (tile_c, in_c, _) in map(self.place, range(EDGE * slab, EDGE * (slab + 1)))
+                for i in range(reached(in_b)) for j in range(reached(in_c))
+            }
+            for tile_b, tile_c in places:
                 touched[b + tile_b, c + tile_c] = True
             yield slab, touched, before & ~touched
             before = touched
@@ -111,11 +115,16 @@ class TilePlan:
         return 1 + sum(EDGE * int(touched.sum()) + int(left.sum()) for _, touched, left in self.rows())
 
 
+def reached(inside: int) -> int:
+    """How many tiles in a row a block reaches that begins so many columns inside a tile."""
+    return -(-(inside + EDGE + MORE) // EDGE)
+
+
 def _add(columns, spread, b, c) -> None:
-    """Add (n, 16, 16) to two by two tiles each, the first of them (b, c)."""
-    parts = spread.reshape(-1, 2, EDGE, 2, EDGE)
-    for i in (0, 1):
-        for j in (0, 1):
+    """Add (n, 8 i, 8 j) to i by j tiles each, the first of them (b, c)."""
+    parts = spread.reshape(len(spread), -1, EDGE, spread.shape[2] // EDGE, EDGE)
+    for i in range(parts.shape[1]):
+        for j in range(parts.shape[3]):
             columns[b + i, c + j] += parts[:, i, :, j]
 
 

@@ -1,8 +1,8 @@
 """Optical depth from any point of a grid towards one sun.
 
-Each slice keeps the columns of the sweep where they pass it, along the sun's own rays. A point's ray then
-meets a slice between four columns, and one linear interpolation is all that blurs a shadow's edge. Where voxels
-are optically thick that is too much, and the first slices are integrated instead.
+Each slice keeps the columns of the sweep where they pass it, along the sun's own rays. Columns read the density by
+cubic interpolation. A point's ray then meets a slice between four columns, and one linear interpolation is all that
+blurs a shadow's edge. Where voxels are optically thick that is too much, and the first slices are integrated instead.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from .trilinear import between
 
 # Optical depth from slice to slice above which slices are integrated; how many, for each unit of it, and at most.
 THIN_SLICE = 0.35
-SLICES_A_DEPTH, SLICES_MOST = 2.0, 4
+SLICES_A_DEPTH, SLICES_MOST = 4.0, 4
 # Optical depth from slice to slice above which everything is integrated, and that exactly; below, what seems lit.
 STEEP_SLICE, UNLIT = 4.0, 10.0
 # Optical depth beyond which a way is not followed.

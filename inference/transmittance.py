@@ -8,6 +8,9 @@ over the grid whatever the direction.
 
 import numpy as np
 
+# Columns that a slice's cells reach: before the first cell, and more than there are cells.
+BEFORE, MORE = 2, 3
+
 
 class Shear:
     """Columns along the sun's rays through slices across its main axis.
@@ -30,8 +33,9 @@ class Shear:
         self.slopes = [direction[axis] / abs(direction[self.main]) for axis in self.others]
         # Cells that columns shift by on the way through all slices.
         ends = [sorted(slope * self.number(index) for index in (0, count - 1)) for slope in self.slopes]
-        self.first = [int(np.floor(-last)) - 1 for _, last in ends]
-        self.size = [shape[axis] + int(np.ceil(last - first)) + 4 for axis, (first, last) in zip(self.others, ends)]
+        self.first = [int(np.floor(-last)) - BEFORE for _, last in ends]
+        self.size = [
+            shape[axis] + int(np.ceil(last - first)) + MORE + 3 for axis, (first, last) in zip(self.others, ends)]
 
     def towards_sun(self, first: int, end: int) -> range:
         """Numbers from first to before end in the order in which the sun's light passes them."""
@@ -48,17 +52,37 @@ class Shear:
         return whole, [np.float32(shift - n) for shift, n in zip(shifts, whole)]
 
 
-def shift_up(planes, f_b, f_c):
-    """Resample planes (..., b, c) at points `fraction` above each cell: b and c grow by one."""
-    b = np.pad(planes, [(0, 0)] * (planes.ndim - 2) + [(1, 1)] * 2)
-    b = b[..., :-1, :] * (1 - f_b) + b[..., 1:, :] * f_b
-    return b[..., :-1] * (1 - f_c) + b[..., 1:] * f_c
+def linear(f) -> list:
+    """Weights of four neighbours in a row at a point that lies `f` beyond the second: the usual interpolation."""
+    return [0.0, 1 - f, f, 0.0]
+
+
+def cubic(f) -> list:
+    """The same by Catmull and Rom: parabolas are kept, so that linear interpolation afterwards is all that blurs."""
+    return [0.5 * f * (-1 + f * (2 - f)), 1 + 0.5 * f * f * (3 * f - 5), 0.5 * f * (1 + f * (4 - 3 * f)), 0.5 * f * f * (f - 1)]
+
+
+def shift_up(planes, f_b, f_c, weights):
+    """Resample planes (..., b, c), 0 outside, at points `fraction` above each cell, from BEFORE of them before the first.
+
+    b and c grow by MORE. weights: `linear` or `cubic`.
+    """
+    for axis, fraction in ((-2, f_b), (-1, f_c)):
+        count = planes.shape[axis] + MORE
+        beside = [(0, 0)] * planes.ndim
+        beside[axis] = (MORE, MORE)
+        padded = np.moveaxis(np.pad(planes, beside), axis, 0)
+        taps = [np.float32(weight) * padded[i : i + count] for i, weight in enumerate(weights(fraction)) if weight]
+        planes = np.moveaxis(sum(taps[1:], taps[0]), 0, axis)
+    return planes
 
 
 def _shift_back(columns, f_b, f_c):
-    """Inverse placement of `shift_up`: columns (b + 1, c + 1) back at the cells (b, c)."""
-    b = columns[1:] * (1 - f_b) + columns[:-1] * f_b
-    return b[:, 1:] * (1 - f_c) + b[:, :-1] * f_c
+    """Depths at the cells from columns placed as by `shift_up`."""
+    first, end = BEFORE, len(columns) - MORE + BEFORE
+    b = columns[first:end] * (1 - f_b) + columns[first - 1 : end - 1] * f_b
+    end = columns.shape[1] - MORE + BEFORE
+    return b[:, first:end] * (1 - f_c) + b[:, first - 1 : end - 1] * f_c
 
 
 def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0) -> np.ndarray:
@@ -76,12 +100,13 @@ def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_len
     return depth
 
 
-def sweep(density, index_direction, step_length: float = 1.0):
+def sweep(density, index_direction, step_length: float = 1.0, weights=linear):
     """Yield for each slice across the sun's main axis: its index, optical depths and two fractions.
 
-    Arguments as for `sun_optical_depth`. The depths, float32 (b + 1, c + 1), are those from the slice to the sun,
-    at places that lie by the fractions beyond b - 1 and c - 1: a column keeps to its own ray, whatever the slice.
-    The array is used again for the next slice.
+    Arguments as for `sun_optical_depth`. The depths, float32 (b + MORE, c + MORE), are those from the slice to the sun,
+    at places that lie by the fractions beyond b - BEFORE and c - BEFORE: a column keeps to its own ray, whatever the
+    slice. weights: of `shift_up`; with `cubic`, depths beside sharp edges may fall a little below 0. The array is used
+    again for the next slice.
     """
     shear = Shear(density.shape, index_direction)
     slices = np.moveaxis(density, shear.main, 0)
@@ -91,10 +116,10 @@ def sweep(density, index_direction, step_length: float = 1.0):
     columns = np.zeros(shear.size, np.float32)
     for index in shear.towards_sun(0, len(slices)):
         (whole_b, whole_c), (f_b, f_c) = shear.shift(index)
-        # Column p reads the slice at p + slope * k, so cells 0..n-1 lie at columns -whole-1..n-1-whole.
-        start_b, start_c = -whole_b - 1 - shear.first[0], -whole_c - 1 - shear.first[1]
-        window = columns[start_b : start_b + nb + 1, start_c : start_c + nc + 1]
-        half_slice = shift_up(slices[index], f_b, f_c)
+        # Column p reads the slice at p + slope * k, so cell 0 reaches columns from -whole - BEFORE.
+        start_b, start_c = -whole_b - BEFORE - shear.first[0], -whole_c - BEFORE - shear.first[1]
+        window = columns[start_b : start_b + nb + MORE, start_c : start_c + nc + MORE]
+        half_slice = shift_up(slices[index], f_b, f_c, weights)
         half_slice *= half_step
         window += half_slice
         yield index, window, f_b, f_c

@@ -82,3 +82,18 @@ def test_points_outside_see_the_sun_through_the_whole_grid(direction, thickness)
     found = np.exp(-grid.sun_depth(grid.index(points).astype(np.float32).T, 0, may_be_outside=True))
     expected = np.exp(-thickness * march(density, direction, points))
     assert np.sqrt(((found - expected) ** 2).mean()) < 0.04
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS[2:])
+def test_interpolation_does_not_darken_rough_density(direction):
+    """The light that gets through is the true one within a thousandth on the mean: blurred depths let less through."""
+    direction = np.array(direction) / np.linalg.norm(direction)
+    random = np.random.default_rng(0)
+    density = (random.random((30, 28, 32)) ** 8).astype(np.float32)
+    grid = Grid(Volume(density, np.eye(4)))
+    grid.add_sun(direction)
+    grid.set_extinction(1.0)
+    points = random.uniform(0.0, 27.0, size=(4000, 3))
+    found = np.exp(-grid.sun_depth(grid.index(points).astype(np.float32).T, 0, may_be_outside=False))
+    expected = np.exp(-march(density, direction, points))
+    assert found.mean() == pytest.approx(expected.mean(), rel=1e-3)
