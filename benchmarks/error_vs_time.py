@@ -25,8 +25,9 @@ from .extension import ROOT, extension
 from .page import replace
 
 DOCS = ROOT / "docs"
-# Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow.
-LADDER, GROWTH_SAMPLES = 64, 16
+# Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
+# beyond a size, since they tell as much.
+LADDER, GROWTH_SAMPLES, GROWTH_SIZE, LEAST_SAMPLES = 64, 16, 64, 2
 
 
 def main(arguments=None) -> int:
@@ -79,7 +80,8 @@ def measured(case, options) -> dict:
     bpy.context.view_layer.update()
     wanted = Options(samples=options.samples, ladder=LADDER, scale=100, folder=str(options.out / "images"))
     if case.growth:
-        wanted = Options(samples=GROWTH_SAMPLES, ladder=1, depths=(), scale=100, folder=wanted.folder)
+        samples = max(LEAST_SAMPLES, GROWTH_SAMPLES * GROWTH_SIZE**2 // max(case.size, GROWTH_SIZE) ** 2)
+        wanted = Options(samples=samples, ladder=1, depths=(), scale=100, folder=wanted.folder)
     run = ComparisonRun(bpy.context, scene.mrpnn.settings(), wanted)
     run.wait()
     if run.job.cancelled:
@@ -111,7 +113,8 @@ def parse(arguments):
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
     parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
     parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")
-    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo")
+    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, "
+                        "albedo, image")
     parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     options = parser.parse_args(arguments)

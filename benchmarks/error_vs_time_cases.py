@@ -15,6 +15,8 @@ SHARED = ROOT.parent / "shared" / "volumes"
 SEEDS = {"cloud": demo_scene.CLOUD_SEED, "model": HELD_BACK[516], "wisps": HELD_BACK[515]}
 FILES = {"smoke": "openvdb_smoke.vdb", "plume": "plume/pbrt_plume_0068.vdb"}
 LIGHTS = ("side", "front", "back")
+# How much wider the images are on which seconds are measured as artists would see them.
+ENLARGED = 8
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ def cases(size: int) -> list:
     found += [replace(base, optical_density=density) for density in (10.0, 1000.0)]
     found += [replace(base, volume=volume, light=light) for volume in ("smoke", "model") for light in LIGHTS[1:]]
     found += [replace(base, volume=volume, light=light) for volume in ("wisps", "plume") for light in LIGHTS[1:]]
+    enlarged = [replace(case, size=ENLARGED * size, growth="image") for case in dict.fromkeys(found)]
     growing = {
         "pixels": [replace(base, size=size // 2), replace(base, size=2 * size)],
         "voxels": [replace(base, cells=64), replace(base, cells=256)],
@@ -61,7 +64,7 @@ def cases(size: int) -> list:
         "albedo": [replace(base, albedo=0.5), replace(base, albedo=0.9)],
     }
     found += [replace(case, growth=what) for what, several in growing.items() for case in several]
-    return [case for case in dict.fromkeys(found) if case.available]
+    return [case for case in dict.fromkeys(found + enlarged) if case.available]
 
 
 def make(case: Case, folder: Path, openvdb, read_scene):

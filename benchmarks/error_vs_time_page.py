@@ -5,6 +5,7 @@ import math
 from inference.error import Estimate
 from inference.ladder import PathTracing, Rung, seconds_on_ladder
 
+from .error_vs_time_cases import ENLARGED
 from .fidelity_tables import table
 
 CYCLES, DENOISED = "cycles", "cycles denoised"
@@ -16,19 +17,30 @@ def equal(result, method: str, clock: str = "cpu_seconds"):
     return next((one for one in result["equal"] if (one["method"], one["clock"]) == (method, clock)), None)
 
 
-def times_as_long(result, method: str, per_frame: bool, error: float = None):
-    """Cycles' processor seconds to the layer's error, or another, over the layer's; None where none can be told."""
-    judged = result["judged"]
-    error = judged["rmse"]["value"] if error is None else error
+def times_as_long(result, method: str, per_frame: bool, error: float = None, timed=None):
+    """Cycles' processor seconds to the layer's error, or another, over the layer's; None where none can be told.
+
+    timed: the figures of the same scene at another size, if their seconds are to count.
+    """
+    error = result["judged"]["rmse"]["value"] if error is None else error
+    timed = timed or result
+    judged, law = timed["judged"], _law(timed)
     rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
              for one in result["rungs"] if one["method"] == method]
     if not error or not rungs:
         return None
     if method == DENOISED:
-        needed = seconds_on_ladder(rungs, error, "cpu_seconds")
+        # What a filter costs beside the samples is told by the least that it was given.
+        least = rung(timed, DENOISED)
+        needed = law.seconds(seconds_on_ladder(rungs, error, "samples").value)
+        needed += max(least["cpu_seconds"] - law.seconds(least["samples"]), 0.0)
     else:
-        needed = PathTracing(**result["path_tracing"]["cpu_seconds"]).seconds_for(error)
-    return needed.value / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
+        needed = law.seconds(_law(result).variance / error**2)
+    return needed / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
+
+
+def _law(result) -> PathTracing:
+    return PathTracing(**result["path_tracing"]["cpu_seconds"])
 
 
 def geometric_mean(values) -> float:
@@ -56,38 +68,52 @@ def page(results, wanted: int) -> str:
         "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
         "changes little; the CSV has wall clock too. *First* counts fields, shadows and loading of the network, which "
         "further frames of the same volume and sun do not pay again; *frame* does not: at few pixels *first* is "
-        "nearly all of it.\n",
+        "nearly all of it. Errors need references that take hours at the size of a real image; seconds do not, and are "
+        f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if main:
-        parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main),
+        parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main, results),
                   "## Every scene\n", scenes(main, model)]
     parts += ["## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
               growth(results)]
     return "\n".join(parts)
 
 
-def headline(main) -> str:
+def headline(main, results) -> str:
     """Geometric means over the scenes whose error the reference can tell from 0; by the intervals' ends, over all."""
-    rows = []
-    for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
-        for per_frame in (False, True):
-            ratios = [(times_as_long(r, method, per_frame),
-                       times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"])) for r in main]
-            by_error, by_high = ([value for value in column if value] for column in zip(*ratios))
-            if by_error:
-                mean, least = geometric_mean(by_error), geometric_mean(by_high)
-                reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
-                rows.append([method, "frame" if per_frame else "first", f"{mean:.3g}", f"{min(by_error):.3g}",
-                             f"{max(by_error):.3g}", f"{least:.3g}",
-                             f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
-    head = ["against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends", "scenes",
-            "aim reached"]
+    size, rows = main[0]["case"]["size"], []
+    for pixels in (size, ENLARGED * size):
+        timed = [(r, _at_size(r, pixels, results)) for r in main]
+        for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
+            for per_frame in (False, True):
+                ratios = [(times_as_long(r, method, per_frame, None, other),
+                           times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other))
+                          for r, other in timed if other]
+                by_error, by_high = ([one[i] for one in ratios if one[i]] for i in (0, 1))
+                if by_error:
+                    mean, least = geometric_mean(by_error), geometric_mean(by_high)
+                    reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
+                    rows.append([f"{pixels}²", method, "frame" if per_frame else "first", f"{mean:.3g}",
+                                 f"{min(by_error):.3g}", f"{max(by_error):.3g}", f"{least:.3g}",
+                                 f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
+    head = ["pixels", "against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends",
+            "scenes", "aim reached"]
     return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
             "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. "
+            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds a sample are those measured there; the "
+            f"samples that Cycles needs are those at {size}², as if the layer's error were the same. "
             "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
             "scenes, is what it would be were each error as large as its 95 % interval allows. An aim counts as "
             "reached where that mean reaches it, and as missed where even the first falls short.\n\n"
             + table(head, rows))
+
+
+def _at_size(result, size: int, results):
+    """The same scene's figures at another size, None where there are none."""
+    def scene(one, **other):
+        return {**one["case"], "growth": "", **other}
+
+    return next((one for one in results if scene(one) == scene(result, size=size)), None)
 
 
 def scenes(main, model: str) -> str:

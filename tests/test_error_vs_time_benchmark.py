@@ -42,7 +42,18 @@ def test_ratios_follow_from_noise_and_cost():
 @pytest.mark.parametrize("error, spread, said", [(0.05, 0.1, "300: yes"), (0.1, 0.1, "300: no"),
                                                  (0.07, 2.0, "300: not certain"), (0.07, 0.0, "300: yes")])
 def test_an_aim_counts_as_reached_where_the_upper_ends_reach_it(error, spread, said):
-    assert said in headline([result(error, spread)]).splitlines()[4]
+    assert said in headline([result(error, spread)], [result(error, spread)]).splitlines()[4]
+
+
+def test_larger_images_count_their_own_seconds_and_the_samples_of_the_small_ones():
+    large = result(error=0.5, growth="image", size=512)
+    large["judged"].update(cpu_seconds=10.0, once_cpu=2.0)
+    large["path_tracing"]["cpu_seconds"] = {"start": 0.0, "each": 32.0, "variance": 7.0, "largest": 4}
+    small = result()
+    assert times_as_long(small, "cycles", False, None, large) == pytest.approx(1000 * 32 / 10)
+    assert times_as_long(small, "cycles", True, None, large) == pytest.approx(1000 * 32 / 8)
+    rows = [line for line in headline([small], [small, large]).splitlines() if line.startswith("| 512² | cycles |")]
+    assert ["3.2e+03" in rows[0], "4e+03" in rows[1]] == [True, True]
 
 
 def test_the_page_holds_what_is_measured_and_says_what_is_not():
@@ -61,4 +72,4 @@ def test_cases_differ_in_one_thing_from_the_first_and_have_names_of_their_own():
     assert len({case.name for case in found}) == len(found) and found[0] == Case()
     for case in found:
         different = [key for key, value in asdict(case).items() if value != asdict(found[0])[key]]
-        assert len(set(different) - {"volume", "light", "growth"}) <= 1
+        assert len(set(different) - {"volume", "light", "growth"}) <= (2 if case.growth == "image" else 1)
