@@ -57,6 +57,7 @@ def main(arguments=None) -> int:
         return 1
     replace(DOCS / "error-vs-time.csv", csv_text(known))
     error_vs_time_plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
+    error_vs_time_plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
     error_vs_time_plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
     replace(DOCS / "error-vs-time.md", error_vs_time_page.page(known, len(cases)))
     return 0

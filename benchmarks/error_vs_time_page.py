@@ -17,26 +17,30 @@ def equal(result, method: str, clock: str = "cpu_seconds"):
     return next((one for one in result["equal"] if (one["method"], one["clock"]) == (method, clock)), None)
 
 
-def times_as_long(result, method: str, per_frame: bool, error: float = None, timed=None):
-    """Cycles' processor seconds to the layer's error, or another, over the layer's; None where none can be told.
+def seconds_to_error(result, method: str, error: float = None, timed=None):
+    """Cycles' processor seconds to the layer's error, or another; None where none can be told.
 
     timed: the figures of the same scene at another size, if their seconds are to count.
     """
     error = result["judged"]["rmse"]["value"] if error is None else error
     timed = timed or result
-    judged, law = timed["judged"], _law(timed)
+    law = _law(timed)
     rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
              for one in result["rungs"] if one["method"] == method]
     if not error or not rungs:
         return None
-    if method == DENOISED:
-        # What a filter costs beside the samples is told by the least that it was given.
-        least = rung(timed, DENOISED)
-        needed = law.seconds(seconds_on_ladder(rungs, error, "samples").value)
-        needed += max(least["cpu_seconds"] - law.seconds(least["samples"]), 0.0)
-    else:
-        needed = law.seconds(_law(result).variance / error**2)
-    return needed / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
+    if method != DENOISED:
+        return law.seconds(_law(result).variance / error**2)
+    # What a filter costs beside the samples is told by the least that it was given.
+    least = rung(timed, DENOISED)
+    needed = law.seconds(seconds_on_ladder(rungs, error, "samples").value)
+    return needed + max(least["cpu_seconds"] - law.seconds(least["samples"]), 0.0)
+
+
+def times_as_long(result, method: str, per_frame: bool, error: float = None, timed=None):
+    """`seconds_to_error` over the layer's."""
+    needed, judged = seconds_to_error(result, method, error, timed), (timed or result)["judged"]
+    return needed and needed / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
 
 
 def _law(result) -> PathTracing:
@@ -72,7 +76,8 @@ def page(results, wanted: int) -> str:
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if main:
-        parts += ["![Error against time, a scene a panel](images/error-vs-time.png)\n", headline(main, results),
+        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(main, results),
+                  "![Error against time, a scene a panel](images/error-vs-time.png)\n",
                   "## Every scene\n", scenes(main, model)]
     parts += ["## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
               growth(results)]
@@ -83,7 +88,7 @@ def headline(main, results) -> str:
     """Geometric means over the scenes whose error the reference can tell from 0; by the intervals' ends, over all."""
     size, rows = main[0]["case"]["size"], []
     for pixels in (size, ENLARGED * size):
-        timed = [(r, _at_size(r, pixels, results)) for r in main]
+        timed = [(r, at_size(r, pixels, results)) for r in main]
         for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
             for per_frame in (False, True):
                 ratios = [(times_as_long(r, method, per_frame, None, other),
@@ -108,7 +113,7 @@ def headline(main, results) -> str:
             + table(head, rows))
 
 
-def _at_size(result, size: int, results):
+def at_size(result, size: int, results):
     """The same scene's figures at another size, None where there are none."""
     def scene(one, **other):
         return {**one["case"], "growth": "", **other}
@@ -120,7 +125,7 @@ def scenes(main, model: str) -> str:
     rows = []
     for result in main:
         judged = result["judged"]
-        row = [_label(result), _error(judged), f"{judged['bias']['value']:+.1%}",
+        row = [label(result), _error(judged), f"{judged['bias']['value']:+.1%}",
                f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}"]
         for method in (CYCLES, DENOISED):
             one = equal(result, method)
@@ -165,7 +170,7 @@ def growth(results) -> str:
     return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
 
 
-def _label(result) -> str:
+def label(result) -> str:
     case = result["case"]
     return (f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}")
 

@@ -9,6 +9,7 @@ pytest.importorskip("bpy")
 from benchmarks.error_vs_time import csv_text
 from benchmarks.error_vs_time_cases import Case, cases
 from benchmarks.error_vs_time_page import headline, page, scenes, times_as_long
+from benchmarks.error_vs_time_plots import save_headline
 
 
 def rung(method, samples, seconds, error, spread=0.1, once=0.0):
@@ -54,6 +55,13 @@ def test_larger_images_count_their_own_seconds_and_the_samples_of_the_small_ones
     assert times_as_long(small, "cycles", True, None, large) == pytest.approx(1000 * 32 / 8)
     rows = [line for line in headline([small], [small, large]).splitlines() if line.startswith("| 512² | cycles |")]
     assert ["3.2e+03" in rows[0], "4e+03" in rows[1]] == [True, True]
+
+
+def test_the_headline_is_drawn_for_scenes_that_were_timed_at_both_sizes(tmp_path):
+    small, large = result(), result(growth="image", size=512)
+    save_headline([small, result(volume="smoke")], tmp_path / "none.png")
+    save_headline([small, large, result(error=0.0, volume="smoke")], tmp_path / "one.png")
+    assert [file.name for file in tmp_path.iterdir()] == ["one.png"]
 
 
 def test_the_page_holds_what_is_measured_and_says_what_is_not():
