@@ -15,19 +15,21 @@ import io
 import json
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import bpy
 
 from . import error_vs_time_cases, error_vs_time_page, error_vs_time_plots
 from .extension import ROOT, extension
-from .page import replace
+from .page import replace as replace_file
 
 DOCS = ROOT / "docs"
 # Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
 # beyond a size, since they tell as much.
 LADDER, GROWTH_SAMPLES, GROWTH_SIZE, LEAST_SAMPLES = 64, 16, 64, 2
+# The same of larger images on which errors are measured.
+FILTER_LADDER, FILTER_SAMPLES = 16, 32
 
 
 def main(arguments=None) -> int:
@@ -47,7 +49,7 @@ def main(arguments=None) -> int:
             start, state = time.perf_counter(), [weights(), options.samples]
             if results.get(case.name, {}).get("state") != state:
                 results[case.name] = {"case": asdict(case), "state": state, **measured(case, options)}
-                replace(file, json.dumps(results, indent=1) + "\n")
+                replace_file(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     # What another network was measured on says nothing of this one.
     known = [results[case.name] for case in cases
@@ -55,11 +57,11 @@ def main(arguments=None) -> int:
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
-    replace(DOCS / "error-vs-time.csv", csv_text(known))
+    replace_file(DOCS / "error-vs-time.csv", csv_text(known))
     error_vs_time_plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
     error_vs_time_plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
     error_vs_time_plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
-    replace(DOCS / "error-vs-time.md", error_vs_time_page.page(known, len(cases)))
+    replace_file(DOCS / "error-vs-time.md", error_vs_time_page.page(known, len(cases)))
     return 0
 
 
@@ -83,6 +85,8 @@ def measured(case, options) -> dict:
     if case.growth:
         samples = max(LEAST_SAMPLES, GROWTH_SAMPLES * GROWTH_SIZE**2 // max(case.size, GROWTH_SIZE) ** 2)
         wanted = Options(samples=samples, ladder=1, depths=(), scale=100, folder=wanted.folder)
+    if case.growth == "filter":
+        wanted = replace(wanted, samples=FILTER_SAMPLES, ladder=FILTER_LADDER)
     run = ComparisonRun(bpy.context, scene.mrpnn.settings(), wanted)
     run.wait()
     if run.job.cancelled:
@@ -115,7 +119,7 @@ def parse(arguments):
     parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
     parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")
     parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, "
-                        "albedo, image")
+                        "albedo, image, filter")
     parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     options = parser.parse_args(arguments)

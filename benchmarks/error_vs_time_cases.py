@@ -15,8 +15,9 @@ SHARED = ROOT.parent / "shared" / "volumes"
 SEEDS = {"cloud": demo_scene.CLOUD_SEED, "model": HELD_BACK[516], "wisps": HELD_BACK[515]}
 FILES = {"smoke": "openvdb_smoke.vdb", "plume": "plume/pbrt_plume_0068.vdb"}
 LIGHTS = ("side", "front", "back")
-# How much wider the images are on which seconds are measured as artists would see them.
-ENLARGED = 8
+# How much wider the images are on which seconds are measured as artists would see them, and those of scenes with little
+# noise on which errors are too.
+ENLARGED, DENOISED_ENLARGED = 8, 4
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ def cases(size: int) -> list:
     found += [replace(base, volume=volume, light=light) for volume in ("smoke", "model") for light in LIGHTS[1:]]
     found += [replace(base, volume=volume, light=light) for volume in ("wisps", "plume") for light in LIGHTS[1:]]
     enlarged = [replace(case, size=ENLARGED * size, growth="image") for case in dict.fromkeys(found)]
+    enlarged += [replace(base, anisotropy=g, size=DENOISED_ENLARGED * size, growth="filter") for g in (0.0, 0.5)]
     growing = {
         "pixels": [replace(base, size=size // 2), replace(base, size=2 * size)],
         "voxels": [replace(base, cells=64), replace(base, cells=256)],

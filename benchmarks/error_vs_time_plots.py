@@ -9,7 +9,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 from .error_vs_time_cases import ENLARGED
-from .error_vs_time_page import CYCLES, DENOISED, at_size, label, seconds_to_error
+from .error_vs_time_page import CYCLES, at_size, label, seconds_to_error
 
 COLOURS = {"cycles": "#1f77b4", "cycles denoised": "#17a2a2", "single-scattering": "#7f7f7f", "multi-octave": "#b8860b"}
 LAYER_COLOUR = "#c0392b"
@@ -69,8 +69,6 @@ def save_headline(results, path: Path) -> None:
     points = {
         "the layer, a further frame": (LAYER_COLOUR, "|", [j["cpu_seconds"] - j["once_cpu"] for j in layer]),
         "the layer": (LAYER_COLOUR, "o", [j["cpu_seconds"] for j in layer]),
-        "Cycles denoised, to the same error (at least)": (
-            COLOURS[DENOISED], "o", [seconds_to_error(r, DENOISED, None, timed) for r, timed in known]),
         "Cycles, to the same error": (
             COLOURS[CYCLES], "o", [seconds_to_error(r, CYCLES, None, timed) for r, timed in known]),
     }
@@ -83,7 +81,7 @@ def save_headline(results, path: Path) -> None:
     axis.set_xlabel(f"processor seconds, {size} × {size} pixels", fontsize=8)
     axis.tick_params(axis="x", labelsize=7)
     axis.grid(True, axis="x", color="#e4e4e4", linewidth=0.5)
-    axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.3, -0.12), ncols=2, frameon=False)
+    axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.3, -0.12), ncols=3, frameon=False)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 

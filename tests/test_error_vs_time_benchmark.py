@@ -8,7 +8,7 @@ pytest.importorskip("bpy")
 
 from benchmarks.error_vs_time import csv_text
 from benchmarks.error_vs_time_cases import Case, cases
-from benchmarks.error_vs_time_page import headline, page, scenes, times_as_long
+from benchmarks.error_vs_time_page import filtered, headline, page, scenes, times_as_long
 from benchmarks.error_vs_time_plots import save_headline
 
 
@@ -57,6 +57,16 @@ def test_larger_images_count_their_own_seconds_and_the_samples_of_the_small_ones
     assert ["3.2e+03" in rows[0], "4e+03" in rows[1]] == [True, True]
 
 
+def test_denoised_images_count_where_their_error_was_measured():
+    small, large = result(), result(growth="filter", size=256)
+    large["rungs"][-1]["rmse"] = {"value": 0.05, "low": 0.04, "high": 0.06}
+    rows = filtered([small, large]).splitlines()[-2:]
+    assert "| 64² |" in rows[0] and "4.5 / 18 ×" in rows[0] and "1: 0.400, 4: 0.200" in rows[0]
+    assert "| 256² |" in rows[1] and "4: 0.050" in rows[1]
+    assert "512² | cycles denoised" not in headline([small], [small, result(growth="image", size=512)])
+    assert filtered([small]) == ""
+
+
 def test_the_headline_is_drawn_for_scenes_that_were_timed_at_both_sizes(tmp_path):
     small, large = result(), result(growth="image", size=512)
     save_headline([small, result(volume="smoke")], tmp_path / "none.png")
@@ -80,4 +90,4 @@ def test_cases_differ_in_one_thing_from_the_first_and_have_names_of_their_own():
     assert len({case.name for case in found}) == len(found) and found[0] == Case()
     for case in found:
         different = [key for key, value in asdict(case).items() if value != asdict(found[0])[key]]
-        assert len(set(different) - {"volume", "light", "growth"}) <= (2 if case.growth == "image" else 1)
+        assert len(set(different) - {"volume", "light", "growth"}) <= (2 if case.growth in ("image", "filter") else 1)
