@@ -75,8 +75,8 @@ def page(results, wanted: int) -> str:
         parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(main, results),
                   "![Error against time, a scene a panel](images/error-vs-time.png)\n",
                   "## Every scene\n", scenes(main, model)]
-    parts += [filtered(results), "## How costs grow\n", "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
-              growth(results)]
+    parts += [filtered(results), "## How costs grow\n",
+              "![Processor seconds by what grows](images/error-vs-time-growth.png)\n", growth(results)]
     return "\n".join(parts)
 
 
@@ -102,8 +102,8 @@ def headline(main, results) -> str:
     return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
             "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. "
             f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds a sample are those measured there; the "
-            f"samples that Cycles needs are those at {size}², as if the layer's error were the same. Denoised Cycles is not "
-            "among those rows: what a filter leaves depends on the size (see below). "
+            f"samples that Cycles needs are those at {size}², as if the layer's error were the same. Denoised Cycles is "
+            "not among those rows: what a filter leaves depends on the size (see below). "
             "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
             "scenes, is what it would be were each error as large as its 95 % interval allows. An aim counts as "
             "reached where that mean reaches it, and as missed where even the first falls short.\n\n"
@@ -127,8 +127,8 @@ def filtered(results) -> str:
         return ""
     head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples a pixel",
             "denoised to the layer's error: times first / frame"]
-    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less a filter costs it: of two scenes with little "
-            "noise errors were measured in larger images too.\n\n" + table(head, rows))
+    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less a filter costs it: of two scenes with "
+            "little noise errors were measured in larger images too.\n\n" + table(head, rows))
 
 
 def at_size(result, size: int, results):

@@ -8,6 +8,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from scipy.ndimage import map_coordinates
 
 import inference
 from inference import Medium, Sun
@@ -261,7 +262,13 @@ def test_inputs_are_those_that_rendering_uses():
         fluence = read_fluence(reader.fluence, x, w, reader.sun)[0]
         # Training interpolates between a few reduced extinctions.
         np.testing.assert_allclose(fluence, rows["fluence"][row], atol=0.1)
-        # Towards the sun training interpolates the optical depth between cells, rendering reads it sharper and integrates it
-        # through the next slices: at the rim of a rough volume that lets up to 0.06 more light through.
+        # Towards the sun rendering reads the optical depth as it is. Training interpolates it between cells, which at the rim
+        # of a rough volume keeps off up to 0.06 of the light.
+        cells = len(volume.density)
+        step = 0.25 / cells
+        way = np.arange(0.5 * step, 2.0, step)
+        places = (position + way[:, None] * sun + 0.5) * cells + 0.5
+        depth = sigma_t * step * map_coordinates(np.pad(volume.density, 1), places.T, order=1).sum()
+        assert np.exp(-light[0]) == pytest.approx(np.exp(-depth), abs=0.02)
         assert np.exp(-light[0]) == pytest.approx(np.exp(-expected[0]), abs=0.07)
         np.testing.assert_allclose(light[1:], expected[1:], rtol=0.1, atol=0.02)
