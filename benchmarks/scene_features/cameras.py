@@ -11,13 +11,7 @@ def shifted(stage):
     stage.scene.render.resolution_y = int(stage.scene.render.resolution_x * 0.75)
 
 
-def clipped(stage):
-    distance = stage.camera.location.length
-    stage.camera.data.clip_start, stage.camera.data.clip_end = distance - 0.1, distance + 0.5
-
-
 MEASURED = {
     "Orthographic": orthographic,
     "Lens shift, vertical sensor fit": shifted,
-    "Clip range through the volume": clipped,
 }

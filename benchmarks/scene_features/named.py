@@ -29,6 +29,11 @@ def blur(stage):
     stage.scene.render.use_motion_blur = True
 
 
+def clipped(stage):
+    distance = stage.camera.location.length
+    stage.camera.data.clip_start, stage.camera.data.clip_end = distance - 0.1, distance + 0.5
+
+
 def panorama(stage):
     stage.camera.data.type = 'PANO'
 
@@ -52,6 +57,7 @@ NAMED = {
     "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
     "Area light": lamp_of('AREA'), "World volume": world_fog, "Light linking": linked_sun,
     "Opaque mesh": surface, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
+    "Clip range that begins inside a volume": clipped,
     "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,
     "Missing frame of a sequence": missing_frame,
 }
