@@ -21,6 +21,7 @@ import numpy as np
 from inference import Settings, available_models
 from inference.error import paper_metric, relative_bias, relative_rmse
 from inference.network import load_network, register_system
+from inference.omissions import ALL
 from training.reference import PATHS, PathTracer
 
 from . import fidelity_tables, view_pictures
@@ -75,7 +76,7 @@ def measure(view: View, systems, depth_samples: int):
     sample = seconds_a_sample(view)
     measured, images = [], {}
     for system in systems:
-        layer = view.render(Settings(depth_samples=depth_samples, model=system, share_pixels=False))
+        layer = view.render(Settings(depth_samples=depth_samples, model=system, leave_out=ALL - {"shared_pixels"}))
         rgb = images[system] = layer.rgb * mask[..., None]
         rmse, bias = relative_rmse(rgb, a, b, mask), relative_bias(rgb, a, b, mask)
         # Where the error is too small to be told from 0, the interval's end stands for it.

@@ -13,17 +13,19 @@ import re
 
 import numpy as np
 
-from inference import Camera, Medium, Settings, Sun, render
+from inference import Camera, Medium, Settings, Sun, Surface, render
+from inference.omissions import ALL, OMISSIONS
 
 from .extension import ROOT
 from .page import replace
 from .speed import camera_covering, cloud
-from .views import shared_views
+from .views import MASK_ALPHA, shared_views
 
 PAGE = ROOT / "docs" / "performance.md"
 STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
 COVERAGE = 0.4
+EVERY_PIXEL = ALL - {"shared_pixels"}
 SHARING_VIEWS = ("cumulus-100-side-g0.857", "cumulus-100-back-g0.857", "smoke-100-side-g0.857")
 SHARING_SIZES, SHARING_TRUTH = (128, 256), 32
 
@@ -71,11 +73,38 @@ def cost_table(name: str, rows) -> str:
     return "\n".join(lines)
 
 
+def omissions_table(size: int) -> str:
+    """What each omission spares: all are left out, then one at a time is asked for."""
+    volume, medium = cloud(), Medium(100.0, 0.9, 0.857)
+    view = camera_covering(volume, medium, size, COVERAGE)
+    # Pixels beside the cloud, and suns that are not needed.
+    view = dataclasses.replace(view, resolution=(3 * size // 2, size))
+    edge = 100.0
+    plate = Surface([[(-edge, -edge, -9.0), (edge, -edge, -9.0), (0.0, edge, -9.0)]], covers=False)
+    suns = [SUN, Sun(SUN.direction, 0.5), Sun((0.0, 0.0, -1.0))]
+
+    def draw(leave_out):
+        return render([(volume, medium)], suns, view, Settings(leave_out=leave_out), surfaces=[plate])
+
+    lines = ["| asked for | " + " | ".join(STAGES) + " | total | ratio | change |", "|---" * (len(STAGES) + 4) + "|"]
+    usual = draw(ALL)
+    shown = usual.alpha > MASK_ALPHA
+    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in OMISSIONS if name != "unchanged"),
+                        ("everything", draw(frozenset()))]:
+        seconds = layer.report.cpu_seconds
+        change = np.sqrt(((layer.rgb - usual.rgb)[shown] ** 2).mean()) / usual.rgb[shown].mean()
+        stages = " | ".join(f"{seconds.get(stage, 0.0):.2f}" for stage in STAGES)
+        lines.append(f"| {name} | {stages} | {seconds['total']:.2f} "
+                     f"| {seconds['total'] / usual.report.cpu_seconds['total']:.2f} | {change:.1e} |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines)
+
+
 def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
     for view in shared_views():
-        truth = view.render(Settings(64, share_pixels=False))
-        cells = [error_and_points(view.render(Settings(samples, share_pixels=False)), truth)
+        truth = view.render(Settings(64, leave_out=EVERY_PIXEL))
+        cells = [error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
                  for samples in (1, 2, 3, 4, 8, 16)]
         lines.append(f"| {view.name} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
@@ -83,22 +112,22 @@ def depth_table() -> str:
 
 
 def error_and_points(layer, truth) -> str:
-    mask = truth.alpha > 0.02
+    mask = truth.alpha > MASK_ALPHA
     error = np.sqrt(((layer.rgb - truth.rgb)[mask] ** 2).mean()) / truth.rgb[mask].mean()
     return f"{error:.3f} ({layer.report.counts['network points'] / mask.sum():.1f})"
 
 
 def sharing_table() -> str:
     """Pixels that share beside pixels that do not, in images of different sizes."""
-    choices = [(samples, share) for samples in (4, 8) for share in (False, True)]
-    lines = ["| view | pixels | " + " | ".join(f"{n}, {'shared' if share else 'each'}" for n, share in choices) + " |",
+    choices = [(samples, share) for samples in (4, 8) for share in (EVERY_PIXEL, ALL)]
+    lines = ["| view | pixels | " + " | ".join(f"{n}, {'shared' if share == ALL else 'each'}" for n, share in choices) + " |",
              "|---" * (2 + len(choices)) + "|"]
     views = {view.name: view for view in shared_views()}
     for name in SHARING_VIEWS:
         for size in SHARING_SIZES:
             view = dataclasses.replace(views[name], size=size)
-            truth = view.render(Settings(SHARING_TRUTH, share_pixels=False))
-            cells = [error_and_points(view.render(Settings(n, share_pixels=share)), truth) for n, share in choices]
+            truth = view.render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL))
+            cells = [error_and_points(view.render(Settings(n, leave_out=share)), truth) for n, share in choices]
             lines.append(f"| {name} | {size}² | {' | '.join(cells)} |")
             print(lines[-1], flush=True)
     return "\n".join(lines)
@@ -112,6 +141,7 @@ def main():
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
     page = PAGE.read_text()
     tables = {name: cost_table(name, rows) for name, rows in cases(arguments.size).items()}
+    tables["omissions"] = omissions_table(arguments.size)
     tables["error"], tables["sharing"] = depth_table(), sharing_table()
     for name, table in tables.items():
         mark = rf"(<!-- {name} -->\n).*?(<!-- end -->)"

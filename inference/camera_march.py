@@ -41,7 +41,8 @@ def march_camera_rays(
     spread: SpreadLight of those of the plan's suns that have a spread, or None.
     """
     # Rays through pixels that lie away from every volume are not even made.
-    around, pixel = _around(camera, grids)
+    around, pixel = _around(camera, grids, "missed_pixels" in settings.leave_out)
+    report.count("camera rays", len(pixel))
     report.count("rays that miss every volume", len(images.alpha) - len(pixel))
     if not len(pixel):
         return None
@@ -61,7 +62,9 @@ def march_camera_rays(
 
     for grid, sigma_t in zip(grids, channels.sigma_t):
         grid.set_extinction(float(sigma_t))
-    longest = step_counts(grids, channels.sigma_t, directions[hit], near[hit], far[hit]).max()
+    counts = step_counts(grids, channels.sigma_t, directions[hit], near[hit], far[hit])
+    report.count("steps", counts.sum())
+    longest = counts.max()
     if longest > MOST_STEPS:
         raise SceneError(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
@@ -76,7 +79,7 @@ def march_camera_rays(
     def task(rays):
         segment = march(
             grids, channels.sigma_t, origins[rays], directions[rays], near[rays], far[rays],
-            settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups, settings.thin_faint,
+            settings.depth_samples, diffused, obstacles.sun_maps if obstacles else None, plan.groups, settings.leave_out,
         )
         cosine = product(directions[rays], suns.T)
         phase = np.stack([m.scattered(cosine) for _, m in plan.volumes], axis=1)
@@ -86,7 +89,7 @@ def march_camera_rays(
             # Along the ray, wherever it scatters, light meets all that the ray does.
             straight = segment.through * np.exp(-segment.through.sum(axis=1, keepdims=True)) * free[rays, None]
         glow = emitted(grids, channels, [m.emission for _, m in plan.volumes], origins[rays], directions[rays],
-                       near[rays], far[rays])
+                       near[rays], far[rays], settings.leave_out)
         lit = segment.single * phase
         if spread is not None:
             lit[..., wide] += straight[..., None] * ahead
@@ -96,6 +99,8 @@ def march_camera_rays(
     part = len(channels.indices) / 3.0
     with report.stage("march"):
         for rays, segment, lit, glow in work.map(task, tasks, start, end, "single scattering"):
+            report.count("steps looked at", segment.steps_looked_at)
+            report.count("rays that meet density", np.count_nonzero(segment.alpha))
             at, weight = pixel[rays], share[rays]
             if glow is not None:
                 np.add.at(images.emission, (at[:, None], channels.indices), glow * weight[:, None])
@@ -116,9 +121,11 @@ def march_camera_rays(
     return samples
 
 
-def _around(camera, grids):
-    """The camera with no more than the pixels around all grids as its window, and their numbers (P,) in its own."""
-    x0, y0, x1, _ = camera.window
+def _around(camera, grids, no_more: bool):
+    """The camera with the pixels around all grids as its window, and if wanted no more, and their numbers (P,) in its own."""
+    x0, y0, x1, y1 = camera.window
+    if not no_more:
+        return camera, np.arange((x1 - x0) * (y1 - y0))
     left, top, right, bottom = window_around(camera, np.concatenate([grid.corners() for grid in grids]))
     pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
     return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()

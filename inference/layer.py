@@ -14,6 +14,7 @@ from .multiple_image import add_multiple, diffuse
 from .obstacles import Obstacles
 from .plan import make_plan
 from .report import Report, process_peak_memory
+from .savings import estimated_savings
 from .scene import Camera, Settings
 from .spread_light import SpreadLight
 from .surfaces import Screen
@@ -77,7 +78,8 @@ def render(
 
 
 def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
-    kept = kept or Kept(any_view=False)
+    if not kept or "unchanged" not in settings.leave_out:
+        kept = Kept(any_view=False)
     plan = make_plan(volumes, suns, camera, settings)
     report.planned, report.left_out = plan.planned, plan.left_out
     network = None
@@ -103,7 +105,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
         if surfaces and plan.volumes:
             corners = np.concatenate([grid.corners() for grid in grids])
             obstacles = Obstacles(surfaces, [sun.direction for sun in plan.suns], corners, work.check)
-            if len(obstacles.lit) < len(plan.suns):
+            if len(obstacles.lit) < len(plan.suns) and "needless_suns" in settings.leave_out:
                 report.left_out.append(
                     f"{len(plan.suns) - len(obstacles.lit)} suns: surfaces keep all of their light from the volumes")
                 # One stays where all are dark, for the single scattering's sake, which is 0.
@@ -114,6 +116,8 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
     phases = [medium.scattered for _, medium in plan.volumes]
     see_ahead = len(covering) == len(surfaces) and (screen is not None or not surfaces)
     spread = SpreadLight(camera, wide, phases, see_ahead, work.check) if wide else None
+    report.count("suns", len(plan.suns))
+    report.count("suns left out", len(suns) - len(plan.suns))
     with kept.predicting(work) if network or any(plan.scattered_glow) else contextlib.nullcontext():
         for number, channels in enumerate(plan.channels if plan.volumes else []):
             diffused = None
@@ -135,6 +139,7 @@ def _render(volumes, suns, camera, settings, work, report, kept, surfaces):
                         plan, channels, network, kept, grids, fields, obstacles, samples, rows, settings, work,
                         report, middle, start + share, part, whole=len(plan.tiles) > 1)
 
+    report.saved = estimated_savings(report, plan, settings)
     shape = (height, width)
     single, multiple, emission = (
         colour.reshape(*shape, 3) for colour in (images.single, images.multiple, images.emission))

@@ -5,13 +5,14 @@ the integrals over a step are exact. Blocks of steps, (P, STEPS), are those of `
 """
 
 from dataclasses import dataclass
-from typing import List, Optional
+from typing import FrozenSet, List, Optional
 
 import numpy as np
 
 from .depth_samples import sample_opacities
 from .diffusion import DiffusedLight
 from .grid import Grid
+from .omissions import ALL
 from .products import product
 from .ray_light import REACH, RayLight, ray_light
 from .ray_steps import STEPS, Blocks, RaySteps, blocks_near_density, step_counts, step_thickness, sums_within
@@ -38,7 +39,7 @@ class RaySegment:
     by volume and sun for albedo 1, irradiance 1 and phase function 1.
     sample_ray: int (M,) ray of each depth sample; sample_distance: (M,); sample_weight: (M,)
     sums to alpha over a ray's samples; sample_fraction: (M, V) share of each volume in
-    the extinction there. sample_light: what networks that look along the ray need, or None.
+    the extinction there. sample_light: what networks that look along the ray need, or None. steps_looked_at: of all rays.
     """
 
     alpha: np.ndarray
@@ -50,6 +51,7 @@ class RaySegment:
     sample_weight: np.ndarray
     sample_fraction: np.ndarray
     sample_light: Optional[RayLight] = None
+    steps_looked_at: int = 0
 
 
 def mean_transmittance(start, end):
@@ -68,10 +70,10 @@ class _Medium:
     before: float64 (P,) from the ray's start to the block's.
     """
 
-    def __init__(self, grids, sigma_t, steps: RaySteps, behind: float, always_first: bool):
-        blocks = blocks_near_density(grids, steps, always_first)
+    def __init__(self, grids, sigma_t, steps: RaySteps, behind: float, always_first: bool, skip_empty: bool = True):
+        blocks = blocks_near_density(grids, steps, always_first, skip_empty)
         sigma = extinction(grids, sigma_t, steps, blocks, behind)
-        filled = (_of_blocks(sigma) > 0.0).any(axis=0) | (always_first & (blocks.number == 0))
+        filled = (_of_blocks(sigma) > 0.0).any(axis=0) | (always_first & (blocks.number == 0)) | (not skip_empty)
         self.steps, self.blocks, self.sigma = steps, blocks.where(filled), sigma[:, filled]
         self.dt = steps.dt[self.blocks.ray][:, None]
         self.total = self.sigma[0] if len(grids) == 1 else self.sigma.sum(axis=0)
@@ -95,7 +97,7 @@ class _Medium:
 def march(
     grids: List[Grid], sigma_t, origins, directions, near, far, depth_samples: int,
     diffused: Optional[List[Optional[DiffusedLight]]] = None, sun_maps: Optional[List[SunMap]] = None, groups=None,
-    thin_faint: bool = True,
+    leave_out: FrozenSet[str] = ALL,
 ) -> RaySegment:
     """March rays through all grids.
 
@@ -103,11 +105,12 @@ def march(
     colour channel; origins, directions: float64 (R, 3); near, far: (R,) interval that holds all
     grids; depth_samples: of an opaque ray; diffused: of each group, for `sample_light`, or None where that is not
     wanted; a group's is None where nothing is predicted in it; sun_maps: of each sun, where surfaces shade; groups: lists
-    of numbers of volumes that networks see as one, each alone where None; thin_faint: whether fainter rays get fewer depth
-    samples.
+    of numbers of volumes that networks see as one, each alone where None; leave_out: as in Settings.
     """
     behind = BEHIND if diffused is None else REACH
-    medium = _cut(grids, sigma_t, origins, directions, near, far, behind)
+    if "behind_opaque" not in leave_out:
+        behind = np.inf
+    medium = _cut(grids, sigma_t, origins, directions, near, far, behind, skip_empty="empty_space" in leave_out)
     steps, blocks, total, dt = medium.steps, medium.blocks, medium.total, medium.dt
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
     alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
@@ -119,7 +122,7 @@ def march(
     shadows = _shadows(grids, medium, total > 0.0)
     lit = _lit(sun_maps, medium, origins, directions) if sun_maps else None
     single = _single(medium, shadows, transmitted, lit)
-    block, step, inside, weight = _sample_depths(medium, alpha, depth_samples, thin_faint)
+    block, step, inside, weight = _sample_depths(medium, alpha, depth_samples, "faint_rays" in leave_out)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     light = None
@@ -138,6 +141,7 @@ def march(
         sample_weight=weight,
         sample_fraction=fraction.T,
         sample_light=light,
+        steps_looked_at=blocks.ray.size * STEPS,
     )
 
 
@@ -158,7 +162,8 @@ def light_at(grid: Grid, sigma_t: float, positions, directions, diffused: Diffus
 
 
 def _cut(
-    grids, sigma_t, origins, directions, near, far, behind: float, always_first=False, refinements=REFINEMENTS
+    grids, sigma_t, origins, directions, near, far, behind: float, always_first=False, refinements=REFINEMENTS,
+    skip_empty=True,
 ) -> _Medium:
     """Rays cut into steps, finer where they are too thick, and the medium on them up to the optical depth `behind`."""
     count = step_counts(grids, sigma_t, directions, near, far)
@@ -166,7 +171,8 @@ def _cut(
     for _ in range(refinements if stiff else 0):
         steps = RaySteps(grids, origins, directions, near, far, count)
         near, far = _Medium(grids, sigma_t, steps, behind, always_first).lit_part(behind)
-    return _Medium(grids, sigma_t, RaySteps(grids, origins, directions, near, far, count), behind, always_first)
+    steps = RaySteps(grids, origins, directions, near, far, count)
+    return _Medium(grids, sigma_t, steps, behind, always_first, skip_empty)
 
 
 def _of_blocks(values: np.ndarray) -> np.ndarray:

@@ -106,6 +106,11 @@ class MultipleField:
         self.field.light(sigma_hat, self.cube.directions(direction), low, high, mapper)
         self.built = asked
 
+    def cells(self) -> int:
+        """Of the lookup fields that are prepared; 0 for systems that have none."""
+        lattices = getattr(self.field, "lattices", None)
+        return 0 if lattices is None else lattices.values.size
+
     def diffused_light(self, sigma_t: float, directions, mapper=map):
         """What camera rays look up for systems that need light; directions: (3,) each, in the world, of all suns."""
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)

@@ -13,7 +13,8 @@ from .spread_light import turned
 def _scatters(plan, channels, g) -> bool:
     """Whether multiple scattering is predicted in a group of volumes, in these channels."""
     return plan.multiple[g] and any(
-        channels.sigma_t[v] > 0.0 and plan.volumes[v][1].albedo[channels.indices].any() for v in plan.groups[g])
+        channels.sigma_t[v] > 0.0 and distinct_albedos(plan.volumes[v][1], channels.indices, plan.leave_out)
+        for v in plan.groups[g])
 
 
 def _field(plan, channels, network, kept, grids, fields, obstacles, g, work, report) -> Tuple[MultipleField, float]:
@@ -50,7 +51,7 @@ def add_multiple(
 
     camera: whose window's pixels `images` are. whole: whether further samples may lie anywhere in the volumes.
     """
-    squares = Squares(camera.window) if settings.share_pixels else None
+    squares = Squares(camera.window) if "shared_pixels" in settings.leave_out else None
     jobs = [(g, l) for g in range(len(plan.groups)) if _scatters(plan, channels, g) for l in range(len(plan.suns))]
     for number, (g, l) in enumerate(jobs):
         sun, group = plan.suns[l], plan.groups[g]
@@ -62,16 +63,21 @@ def add_multiple(
         work.progress(first, message)
         with report.stage("fields"):
             field, sigma_t = _field(plan, channels, network, kept, grids, fields, obstacles, g, work, report)
-            if kept.any_view or whole:
+            if "unread_fields" not in settings.leave_out:
+                low, high = np.full(3, -0.5), np.full(3, 0.5)
+            elif kept.any_view or whole:
                 low, high = field.extent()
             else:
                 bounds = [field.bounds(samples.positions(points)) for points in _tasks(inside)]
                 low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
             field.light(sigma_t, sun.direction, low, high, work.each)
+            report.count("cells of lookup fields", field.cells())
             work.check()
+        report.count("network points wanted", len(inside))
         # Of each volume in the group, (V, 3), scaled by the sun.
         scattered = np.array([plan.volumes[v][1].albedo * sun.irradiance for v in group], np.float32)
-        seen = _Seen(samples, group, g, l, field, channels.indices, scattered, len(images.alpha))
+        seen = _Seen(samples, group, g, l, field, channels.indices, scattered, len(images.alpha),
+                     settings.leave_out)
         if sun.spread is not None:
             seen.directions = turned(camera, samples.pixel, samples.directions, sun, field.medium.anisotropy)
         with report.stage("network"):
@@ -95,9 +101,9 @@ class _Seen:
     divided among calls. error: (P,) its standard error, as a mean over all three channels.
     """
 
-    def __init__(self, samples, group, g, l, field, indices, scattered, pixels):
+    def __init__(self, samples, group, g, l, field, indices, scattered, pixels, leave_out):
         self.samples, self.g, self.l, self.field, self.indices = samples, g, l, field, indices
-        self.albedos = distinct_albedos(field.medium, indices)
+        self.albedos = distinct_albedos(field.medium, indices, leave_out)
         self.fraction = samples.fraction[:, group]
         self.scattered = scattered
         self.directions = samples.directions
@@ -127,6 +133,7 @@ class _Seen:
                     parts[seen] += part / 3.0
         np.add.at(self.error, *self.samples.standard_error(parts))
         report.count("network points", len(points))
+        report.count("network answers", len(points) * len(self.albedos))
 
     def _light(self, points):
         return self.samples.light.of(points, self.g, self.l) if self.samples.light else None

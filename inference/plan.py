@@ -1,11 +1,12 @@
 """What this scene needs, decided before any work: pure functions of the scene."""
 
 from dataclasses import dataclass, field, replace
-from typing import List, Tuple
+from typing import FrozenSet, List, Tuple
 
 import numpy as np
 
 from .dense_grid import refinement
+from .omissions import ALL
 from .overlap import overlapping
 from .ray_light import COLUMNS
 from .scene import Camera, Medium, SceneError, Settings, Sun, Volume
@@ -66,6 +67,7 @@ class Plan:
     scattered_glow: List[bool]  # (G,), whether they scatter light that they emit
     planned: List[str] = field(default_factory=list)
     left_out: List[str] = field(default_factory=list)
+    leave_out: FrozenSet[str] = ALL  # as in Settings
     memory: int = 0  # bytes, estimated peak on top of the input
     tiles: List[Tuple[int, int]] = field(default_factory=list)  # rows, first and end, that are rendered together
 
@@ -74,8 +76,10 @@ class Plan:
         return [[self.volumes[v] for v in group] for group in self.groups]
 
 
-def distinct_albedos(medium: Medium, indices: List[int]):
-    """Albedos above 0 among some channels, and the channels of each."""
+def distinct_albedos(medium: Medium, indices: List[int], leave_out: FrozenSet[str] = ALL):
+    """Albedos above 0 among some channels, and the channels of each; or those of all channels."""
+    if "equal_albedos" not in leave_out:
+        return [(float(medium.albedo[c]), [c]) for c in indices]
     values = sorted({float(medium.albedo[c]) for c in indices if medium.albedo[c] > 0.0})
     return [(value, [c for c in indices if medium.albedo[c] == value]) for value in values]
 
@@ -169,18 +173,20 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
 
-    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
-    left_out += [f"{sun.name}: its irradiance is 0" for sun in suns if not np.any(sun.irradiance > 0.0)]
-    merged = merge_parallel(bright)
-    if len(merged) < len(bright):
-        left_out.append(f"{len(bright) - len(merged)} suns parallel to another: merged")
+    merged = list(suns)
+    if "needless_suns" in settings.leave_out:
+        bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
+        left_out += [f"{sun.name}: its irradiance is 0" for sun in suns if not np.any(sun.irradiance > 0.0)]
+        merged = merge_parallel(bright)
+        if len(merged) < len(bright):
+            left_out.append(f"{len(bright) - len(merged)} suns parallel to another: merged")
 
     # Channels in which every volume has the same extinction share rays, fields and feature stage.
     channels = []
     for c in range(3):
         sigma_t = np.array([m.sigma_t[c] for _, m in kept])
         for group in channels:
-            if np.array_equal(group.sigma_t, sigma_t):
+            if "equal_channels" in settings.leave_out and np.array_equal(group.sigma_t, sigma_t):
                 group.indices.append(c)
                 break
         else:
@@ -192,7 +198,8 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     multiple, scattered_glow = [], []
     for group in groups:
         names = " and ".join(kept[v][0].name for v in group)
-        scatters = any(attenuates(*kept[v]) and bool(np.any(kept[v][1].albedo > 0.0)) for v in group)
+        scatters = any(attenuates(*kept[v]) and bool(distinct_albedos(kept[v][1], [0, 1, 2], settings.leave_out))
+                       for v in group)
         multiple.append(settings.multiple and scatters and bool(merged))
         scattered_glow.append(settings.multiple and scatters and any(glows(*kept[v]) for v in group))
         if scattered_glow[-1]:
@@ -204,7 +211,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
         elif len(group) > 1:
             planned.append(f"{names}: network, as one medium")
         else:
-            stages = len(distinct_albedos(kept[group[0]][1], [0, 1, 2]))
+            stages = len(distinct_albedos(kept[group[0]][1], [0, 1, 2], settings.leave_out))
             planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, glows(volume, medium), merged) for volume, medium in kept)
@@ -227,4 +234,5 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(kept, merged, channels, groups, multiple, scattered_glow, planned, left_out, memory, tiles)
+    return Plan(
+        kept, merged, channels, groups, multiple, scattered_glow, planned, left_out, settings.leave_out, memory, tiles)

@@ -114,11 +114,13 @@ class Blocks:
         return table[self.ray, place]
 
 
-def blocks_near_density(grids, steps: RaySteps, always_first: bool) -> Blocks:
-    """Blocks that may hold density of any grid. always_first: of every ray at least the first."""
+def blocks_near_density(grids, steps: RaySteps, always_first: bool, skip_empty: bool = True) -> Blocks:
+    """Blocks that may hold density of any grid, or all. always_first: of every ray at least the first."""
     counts = -(-steps.count // STEPS)
     ray = np.repeat(np.arange(len(counts)), counts)
     number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
+    if not skip_empty:
+        return Blocks(len(counts), ray, number)
     near = (number == 0) & always_first
     middle = number * STEPS + 0.5 * STEPS
     for v, grid in enumerate(grids):

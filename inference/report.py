@@ -13,6 +13,7 @@ class Report:
 
     model, checksum: the network's name and sha256; provider: of onnxruntime, that ran it. planned, left_out: sentences.
     warnings: what the user should know, naming objects. counts: pixels, rays, points.
+    saved: seconds that omissions spared, roughly, as `savings` tells.
     seconds: by stage; "march" and "network" overlap on several threads, so that "total" is measured
     apart. cpu_seconds: by stage, of all threads of the process. peak_memory: bytes, of the whole process, None
     where the platform does not tell.
@@ -26,6 +27,7 @@ class Report:
     left_out: List[str] = field(default_factory=list)
     warnings: List[str] = field(default_factory=list)
     counts: Dict[str, int] = field(default_factory=dict)
+    saved: Dict[str, float] = field(default_factory=dict)
     seconds: Dict[str, float] = field(default_factory=dict)
     cpu_seconds: Dict[str, float] = field(default_factory=dict)
     peak_memory: Optional[int] = None

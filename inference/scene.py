@@ -5,10 +5,11 @@ radiance in W/(m^2 sr). Arrays are float32 unless stated; nothing here knows Ble
 """
 
 from dataclasses import dataclass
-from typing import Literal, Optional, Tuple, Union
+from typing import FrozenSet, Literal, Optional, Tuple, Union
 
 import numpy as np
 
+from .omissions import ALL
 from .phase import henyey_greenstein
 from .phase_function import PhaseFunction
 from .sparse_grid import SparseGrid
@@ -243,8 +244,7 @@ class Settings:
         with a message where it would need more.
     multiple: whether to predict multiple scattering; without, the layer is darker.
     provider: of onnxruntime, that runs the network: one of `provider.PROVIDERS`.
-    share_pixels: whether pixels may take their multiple scattering from their neighbours where these agree.
-    thin_faint: whether fainter rays get fewer depth samples, and the faintest none.
+    leave_out: names of `omissions.OMISSIONS`: what the picture does not need and is not done.
     """
 
     depth_samples: int = 4
@@ -254,13 +254,16 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
-    share_pixels: bool = True
-    thin_faint: bool = True
+    leave_out: FrozenSet[str] = ALL
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
                 raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")
+        self.leave_out = frozenset(self.leave_out)
+        unknown = sorted(self.leave_out - ALL)
+        if unknown:
+            raise SceneError(f"there is no {unknown[0]!r} to leave out; there are: {', '.join(sorted(ALL))}")
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")

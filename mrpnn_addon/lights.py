@@ -20,7 +20,8 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
 
     The sun shines along the object's -Z, so the direction towards it is +Z. Its irradiance is
     strength x colour in W/m^2, times 2^exposure, the colour of its temperature and its nodes where
-    this version of Blender has them. A sun of some angle is shared among directions in its disc.
+    this version of Blender has them. That is what falls on a surface which faces the sun; a sun of some angle, shared among
+    directions in its disc, gives a volume more, since nothing in it lies aslant.
 
     Raises SceneError for light nodes that cannot be evaluated.
     """
@@ -32,6 +33,8 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
     if not getattr(lamp, 'normalize', True) and lamp.angle > 0.0:
         # Then strength is radiance, spread over the projected solid angle of the disc.
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
+    # What falls on a surface is even radiance times pi sin^2 of half the angle; on a volume, times the solid angle.
+    irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, shown.name)
 
     name = f"sun \"{shown.name}\""
@@ -41,10 +44,10 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
 
 
 def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, float]]:
-    """Directions (3,) within a disc of `angle` across around the frame's z axis, and their shares of its light.
+    """Directions (3,) within `angle` across around the frame's z axis, and their shares of light that is even in it.
 
-    One, four or seven directions, which integrate polynomials up to degree 1, 3 and 5 over a disc
-    (Stroud 1971, S2), or nineteen of equal area.
+    Equal areas of a disc are equal solid angles. One, four or seven directions, which integrate polynomials up to degree
+    1, 3 and 5 over a disc (Stroud 1971, S2), or nineteen of equal area.
     """
     if angle <= ONE:
         return [(frame[:, 2], 1.0)]
@@ -54,15 +57,13 @@ def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, f
         rings = [(0.0, 1, 1.0 / 4.0), (math.sqrt(2.0 / 3.0), 6, 3.0 / 4.0)]
     else:
         rings = [(0.0, 1, 1.0 / 19.0), (0.47, 6, 6.0 / 19.0), (0.8253, 12, 12.0 / 19.0)]
-    # Cycles' disc lies flat: its light is even in the tangent of the angle off the axis, and no sun
-    # is wider than half the sky.
-    widest = math.tan(min(angle / 2.0, math.radians(89.0)))
     axes = frame / np.linalg.norm(frame, axis=0)
     found = []
     for radius, count, share in rings:
         for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
-            off = radius * widest * np.array([math.cos(turn), math.sin(turn)])
-            found.append((axes @ np.array([*off, 1.0]), share / count))
+            cosine = 1.0 - radius**2 * (1.0 - math.cos(angle / 2.0))
+            sine = math.sqrt(1.0 - cosine**2)
+            found.append((axes @ np.array([sine * math.cos(turn), sine * math.sin(turn), cosine]), share / count))
     return found
 
 

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ..inference import Settings
+from ..inference.omissions import ALL, OMISSIONS
 from .models import model_items
 from .preferences import machine
 
@@ -21,6 +22,10 @@ _PRESET_ITEMS = [
     ('FINAL', "Final", "No error left from the choice of depths but in the thickest clouds"),
     ('CUSTOM', "Custom", "None of the presets"),
 ]
+
+_LEAVE_OUT_ITEMS = [
+    (name, omission.title, omission.what, 'NONE', 1 << number)
+    for number, (name, omission) in enumerate(OMISSIONS.items())]
 
 # Of the scene's network: the preferences' one.
 AS_PREFERRED = ('PREFERENCES', "As in the Preferences", "The network that the preferences name", 'NONE', 0)
@@ -57,12 +62,9 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Network that predicts multiple scattering")
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Of the lookups' random offsets; the same seed gives the same image")
-    share_pixels: BoolProperty(
-        name="Share Between Pixels", default=Settings.share_pixels,
-        description="Let pixels take their multiple scattering from their neighbours where these agree")
-    thin_faint: BoolProperty(
-        name="Fewer on Faint Rays", default=Settings.thin_faint,
-        description="Take fewer depth samples where the volume is faint, in proportion to the root of its opacity")
+    leave_out: EnumProperty(
+        name="Leave Out", items=_LEAVE_OUT_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
+        description="Work that the picture does not need. All of it can be asked for, to see that the picture stays the same")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
     memory_limit: IntProperty(
@@ -86,8 +88,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         # A number that stands for no network, as another version may have left, reads as "".
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
-            depth_samples=self.depth_samples, model=model, seed=self.seed, share_pixels=self.share_pixels,
-            thin_faint=self.thin_faint,
+            depth_samples=self.depth_samples, model=model, seed=self.seed, leave_out=self.leave_out,
             threads=self.threads or preferred.threads, provider=preferred.provider,
             memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
 

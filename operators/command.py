@@ -10,6 +10,7 @@ import time
 import bpy
 
 from ..inference import available_models
+from ..inference.omissions import ALL, OMISSIONS
 from ..inference.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison_run import REPORT_FOLDER
@@ -71,10 +72,16 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")
-        for name, what in (("share-pixels", "let pixels take multiple scattering from their neighbours where these agree"),
-                           ("thin-faint", "take fewer depth samples where volumes are faint")):
-            action.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=what)
+        action.add_argument("--leave-out", type=_omissions, metavar="NAMES",
+                            help=f"all, none, or with commas between: {', '.join(OMISSIONS)}")
     return parser
+
+
+def _omissions(text: str) -> frozenset:
+    named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")))
+    if named <= ALL:
+        return named
+    raise argparse.ArgumentTypeError(f"there is no {min(named - ALL)!r} to leave out; there are: {', '.join(OMISSIONS)}")
 
 
 def _positive(text: str) -> int:

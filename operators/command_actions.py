@@ -112,7 +112,7 @@ def _overridden(options):
     """The scene's settings with those of the command line in their place; the scene keeps its own."""
     scene = bpy.context.scene
     settings = scene.mrpnn.settings()
-    names = ("depth_samples", "seed", "threads", "model", "provider", "share_pixels", "thin_faint")
+    names = ("depth_samples", "seed", "threads", "model", "provider", "leave_out")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.memory_limit is not None:
         given["memory_limit"] = options.memory_limit * 2**30

@@ -43,8 +43,6 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         column.prop(settings, "depth_samples")
         column.prop(settings, "model")
         column.prop(settings, "seed")
-        column.prop(settings, "share_pixels")
-        column.prop(settings, "thin_faint")
         row = column.row()
         row.active = context.scene.world is not None
         row.prop(settings, "world_directions")
@@ -58,7 +56,8 @@ def _draw_last(context, layout, last):
     if last.error:
         draw_text(context, layout.box(), last.error, 'ERROR')
         return
-    layout.label(text=f"Last render: {last.seconds:.1f} s", icon='TIME')
+    spared = f", about {last.saved:.1f} s left out" if last.saved >= 0.05 else ""
+    layout.label(text=f"Last render: {last.seconds:.1f} s{spared}", icon='TIME')
     for warning in last.warnings:
         draw_text(context, layout.box(), warning, 'INFO')
 
@@ -149,6 +148,15 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
         column.prop(context.scene.mrpnn, "memory_limit")
 
 
+class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
+    bl_label = "Leave Out"
+    bl_parent_id = "MRPNN_PT_performance"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        self.layout.column(align=True).prop(context.scene.mrpnn, "leave_out")
+
+
 class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
     bl_label = "Write EXR"
     bl_parent_id = "MRPNN_PT_render"
@@ -197,4 +205,5 @@ def _draw_comparison(context, layout, last):
     box.operator("wm.url_open", text="Open Report", icon='URL').url = page.as_uri()
 
 
-classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_exr, MRPNN_PT_cycles)
+classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_leave_out, MRPNN_PT_exr,
+           MRPNN_PT_cycles)

@@ -108,6 +108,7 @@ def test_png_has_the_layers_alpha(command, blend):
     (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the limit is 0.0 GiB"),
     (["compare", "--samples", "0"], "not above 0"),
     (["report", "--depth-samples", "0"], "depth samples"),
+    (["report", "--leave-out", "empty_space,noise"], "no 'noise' to leave out; there are: missed_pixels"),
     (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),
     (["render", "--output", "x.exr", "--depth-samples", "many"], "many"),
     (["render", "--output", "x.exr", "--threads", "-1"], "threads"),

@@ -29,6 +29,15 @@ def test_presets_set_the_samples_and_samples_tell_the_preset(scene):
     assert settings.depth_samples == 5
 
 
+def test_what_is_left_out_is_chosen_one_by_one(addon, scene):
+    omissions = addon.inference.omissions
+    assert scene.mrpnn.leave_out == set(omissions.OMISSIONS) and scene.mrpnn.settings().leave_out == omissions.ALL
+    scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
+    assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
+    scene.mrpnn.leave_out = set()
+    assert scene.mrpnn.settings().leave_out == frozenset()
+
+
 def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
     assert scene.mrpnn.settings().memory_limit == 8 << 30
     entry = bpy.context.preferences.addons.new()

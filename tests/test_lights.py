@@ -25,13 +25,31 @@ def test_a_soft_sun_keeps_its_light_and_its_spread(addon, scene, tmp_path, degre
     lamp.angle, lamp.energy = math.radians(degrees), 3.0
     described = read(addon)
     assert len(described.suns) == count and not described.warnings
-    np.testing.assert_allclose(sum(sun.irradiance for sun in described.suns), 3.0)
     axis = np.array(scene.objects["Sun"].matrix_world)[:3, 2]
-    tangent = [math.tan(math.acos(min(sun.direction @ axis, 1.0))) for sun in described.suns]
-    squares = sum(t * t * sun.irradiance[0] for t, sun in zip(tangent, described.suns)) / 3.0
-    # The mean square distance from the centre of a disc is half its radius squared.
-    expected = math.tan(math.radians(degrees) / 2) ** 2 / 2 if count > 1 else 0.0
-    assert squares == pytest.approx(expected, rel=0.01, abs=1e-6)
+    cosine = np.array([sun.direction @ axis for sun in described.suns])
+    light = np.array([sun.irradiance[0] for sun in described.suns])
+    # A surface that faces the sun gets its strength; light that is even over a cap has the mean cosine of the cap's middle
+    # and rim.
+    assert light @ cosine == pytest.approx(3.0, rel=1e-4)
+    rim = math.cos(math.radians(degrees) / 2.0)
+    assert light @ cosine / light.sum() == pytest.approx(0.5 * (1.0 + rim), rel=1e-4)
+    if degrees > 12.0:
+        assert light @ cosine**2 / light.sum() == pytest.approx((1.0 + rim + rim**2) / 3.0, rel=5e-3)
+
+
+def test_a_wide_sun_gives_thin_fog_as_much_more_light_as_in_cycles(addon, scene, tmp_path):
+    """Beside a sun of no angle and the same strength; fog scatters evenly, and casts next to no shadow."""
+    cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.02)
+    cloud.data.materials[0].node_tree.nodes["Principled Volume"].inputs["Anisotropy"].default_value = 0.0
+    scene.camera.location.z, scene.camera.data.angle = 6.0, 0.2
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    seen, fluence = [], []
+    for degrees in (0.0, 120.0):
+        scene.objects["Sun"].data.angle = math.radians(degrees)
+        fluence.append(sum(sun.irradiance[0] for sun in read(addon).suns))
+        seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=256)[..., :3].mean())
+    assert fluence[1] / fluence[0] == pytest.approx(4.0 / 3.0, rel=1e-4)
+    assert seen[1] / seen[0] == pytest.approx(fluence[1] / fluence[0], rel=0.02)
 
 
 # Quadrature

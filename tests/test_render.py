@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, plan, predict_multiple, render
 from inference.multiple import FLUENCE_MOST
+from inference.omissions import ALL
 from inference.phase import henyey_greenstein
 
 
@@ -212,10 +213,10 @@ def test_uncertainty_is_the_error_that_more_depths_take_away():
 
 def test_fewer_samples_on_faint_rays_cost_less_than_the_error_told():
     """A thin cloud, most of whose rays are faint; turned off, every ray that meets it gets all samples."""
-    def layer(samples, **settings):
-        return render([(cloud(), Medium(3.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, share_pixels=False, **settings))
+    def layer(samples, *without):
+        return render([(cloud(), Medium(3.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, leave_out=ALL - {"shared_pixels", *without}))
 
-    best, fewer, every = layer(64, thin_faint=False), layer(8), layer(8, thin_faint=False)
+    best, fewer, every = layer(64, "faint_rays"), layer(8), layer(8, "faint_rays")
     assert every.report.counts["network points"] == 8 * np.count_nonzero(every.alpha)
     assert fewer.report.counts["network points"] < 0.7 * every.report.counts["network points"]
     np.testing.assert_array_equal(fewer.single, every.single)

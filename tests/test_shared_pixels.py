@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
+from inference.omissions import ALL
 from inference.plan import tiles_of
 from inference.shared_pixels import BAND, STRIDE, Squares, agreeing
 
@@ -78,9 +79,9 @@ def close():
 
 def test_sharing_spares_predictions_and_keeps_the_picture(close):
     """Half of them here; what it costs is less than what so few depths leave, and told."""
-    every = render(*close, Settings(4, share_pixels=False))
+    every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))
     shared = render(*close, Settings(4))
-    many = render(*close, Settings(32, share_pixels=False))
+    many = render(*close, Settings(32, leave_out=ALL - {"shared_pixels"}))
     assert shared.report.counts["network points"] < 0.5 * every.report.counts["network points"]
     for name in ("single", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(shared, name), getattr(every, name))
@@ -111,7 +112,7 @@ def test_a_sharp_step_in_a_volume_stays_sharp():
     view = Camera(np.array([[1, 0, 0, 0.01], [0, 1, 0, 0], [0, 0, 1, 3.0], [0, 0, 0, 1]]), "orthographic", (101, 101),
                   ortho_scale=1.1)
     scene = [(Volume(density, matrix, "halves"), Medium(40.0, 1.0, 0.5))], [Sun((0.3, 0.5, 0.8))], view
-    every, shared = (render(*scene, Settings(8, share_pixels=share)) for share in (False, True))
+    every, shared = (render(*scene, Settings(8, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
     assert shared.report.counts["network points"] < 0.6 * every.report.counts["network points"]
     off = np.abs(shared.rgb - every.rgb).mean(axis=2)
     assert off.max() < 0.1 * every.rgb[every.alpha > 0.02].mean()
