@@ -20,7 +20,7 @@ from inference.march import light_at
 from inference.multiple import MultipleField
 from inference.network import load_network
 from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
-from training import evaluate, export, train
+from training import evaluate, export, memory, train
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
 from training.seeded_volume import seeded_volume
@@ -76,7 +76,7 @@ def test_loss_is_smallest_at_the_mean_of_noisy_targets():
     optimizer = torch.optim.Adam([y], lr=0.02)
     for _ in range(300):
         optimizer.zero_grad()
-        train.relative_l2(torch.exp(y).expand_as(target), target, torch.ones(1)).backward()
+        train.relative_l2(torch.exp(y).expand_as(target), target, torch.ones(1), torch.ones(1)).backward()
         optimizer.step()
     assert torch.exp(y).item() == pytest.approx(target.mean().item(), rel=0.01)
 
@@ -192,10 +192,56 @@ def test_typical_radiance_is_the_mean_of_rows_alike():
     random = np.random.default_rng(0)
     sigma_hat = np.repeat([2.0, 1500.0], 500)
     radiance = np.where(sigma_hat < 10, 0.01, 0.4) * random.uniform(0.5, 1.5, 1000)
-    data = {"sigma_hat": sigma_hat, "gamma": np.full(1000, 1.0), "anisotropy": np.zeros(1000), "radiance": radiance[:, None]}
+    data = {"sigma_hat": sigma_hat, "gamma": np.full(1000, 1.0), "anisotropy": np.zeros(1000), "radiance": radiance[:, None, None]}
     typical = train.typical_radiance({key: torch.from_numpy(value) for key, value in data.items()})
     np.testing.assert_allclose(typical[:500, 0], radiance[:500].mean(), rtol=1e-5)
     np.testing.assert_allclose(typical[500:, 0], radiance[500:].mean(), rtol=1e-5)
+
+
+def test_noisy_rows_weigh_less_and_no_row_by_its_own_noise():
+    """Two kinds of rows of one radiance, whose targets scatter by 0.1 and 3 of it."""
+    random = np.random.default_rng(0)
+    anisotropy = np.repeat([0.0, 0.95], 5000)
+    noise = np.where(anisotropy > 0.5, 3.0, 0.1)[:, None] * random.normal(size=(10_000, 2))
+    data = {"sigma_hat": np.full(10_000, 50.0), "gamma": np.ones(10_000), "anisotropy": anisotropy,
+            "radiance": 1.0 + noise[..., None]}
+    data = {key: torch.from_numpy(value) for key, value in data.items()}
+    weights = train.trust(data, train.typical_radiance(data))[:, 0].numpy()
+    assert weights.mean() == pytest.approx(1.0, rel=1e-5)
+    # Of a target, the mean of two halves, the variance is half of theirs; the scale is 1 + 1/4.
+    expected = (0.5 * 9.0 / 1.25 + train.NOISE_LEAST) / (0.5 * 0.01 / 1.25 + train.NOISE_LEAST)
+    assert weights[0] / weights[-1] == pytest.approx(expected, rel=0.1)
+    assert np.ptp(weights[:5000]) == np.ptp(weights[5000:]) == 0.0
+
+
+def test_what_is_learnt_by_heart_is_told_from_error():
+    """Predictions off by 0.1 of the truth, which hold a fifth of the noise that they were trained on."""
+    random = np.random.default_rng(0)
+    truth, noise = random.uniform(0.5, 2.0, 400_000), random.normal(size=400_000)
+    y = truth * (1.0 + 0.1 * random.choice([-1.0, 1.0], 400_000)) + 0.2 * 0.3 * noise
+    again = truth + 0.5 * random.normal(size=(2, 400_000))
+    error, squares, shared, count = memory.remembered(y, truth + 0.3 * noise, again)
+    scale = 1.0 / y**2
+    assert shared / squares == pytest.approx(0.2, abs=0.03)
+    assert error / count == pytest.approx(((y - truth) ** 2 * scale).mean(), rel=0.02)
+    assert squares / count == pytest.approx(((0.3 * noise) ** 2 * scale).mean(), rel=0.02)
+
+
+def test_targets_are_traced_again_at_the_same_points(data, tmp_path, capsys):
+    file = tmp_path / "0000003.npz"
+    np.savez(file, **make_targets(3, points=96, paths=64))
+    rows, again = memory.trace_again(file, paths=64)
+    with np.load(file) as found:
+        once = found["radiance"][rows, :, 0].mean(axis=1)
+    assert len(rows) == len(once) >= 4 * 20
+    # The same light with other random numbers: it agrees with both halves as these with each other.
+    known, *others = (np.corrcoef(np.log(a + 1e-3), np.log(b + 1e-3))[0, 1] for a, b in (again, (once, again[0]), (once, again[1])))
+    assert 0.8 < known < 1.0 and min(others) > 0.9 * known and max(others) < 0.9999
+    assert once.mean() == pytest.approx(again.mean(), rel=0.2)
+    checkpoint = tmp_path / "checkpoint.pt"
+    torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
+    memory.main(["--data", str(data), "--checkpoint", str(checkpoint), "--every", "2", "--paths", "8"])
+    assert capsys.readouterr().out.startswith("2 volumes, ")
 
 
 def test_evaluation_bins_every_row(data, tmp_path, capsys):

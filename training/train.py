@@ -6,9 +6,10 @@
 
 The second starts from exported weights and draws the rows of a step from several folders in the shares named; the
 configuration of those weights is kept in that of the new ones. Both read the data into memory and go on from their
-run's checkpoint if there is one. The loss is relative L2 on radiance, (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2),
+run's checkpoint if there is one. The loss is relative L2 on radiance, w (y - t)^2 / (stop_gradient(y)^2 + (m / 2)^2),
 where m is the mean radiance of rows of like optical density, anisotropy and angle: what is dark among its like shows
-little. It is linear in the targets' noise, so that it converges to their mean. The exported weights are an
+little; and w is the less the noisier targets of such rows are. It is linear in the targets' noise, so that it converges to
+their mean. The exported weights are an
 exponential moving average. progress.jsonl holds the loss and the error on held-back volumes against steps; step-N.pt
 are early and late checkpoints.
 """
@@ -32,15 +33,18 @@ STEPS = 12000
 BATCH = 4096
 LEARNING_RATE = 2e-3
 WARM_UP = 500
-WEIGHT_DECAY = 1e-4
+#: Of matrices; biases are left alone.
+WEIGHT_DECAY = 0.1
 GRADIENT_NORM = 1.0
-#: Edges of the bins over which `typical_radiance` takes means.
+#: Edges of the bins over which `typical_radiance` and `trust` take means.
 BINS = {
     "sigma_hat": np.geomspace(1.0, 2000.0, 9)[1:-1],
     "gamma": np.linspace(0.0, np.pi, 9)[1:-1],
     "anisotropy": np.array([0.01, 0.4, 0.7, 0.84, 0.9]),
 }
 TYPICAL_SHARE, TYPICAL_LEAST = 0.5, 1e-4
+#: Added to the targets' noise, a share of the loss's scale squared: less than the network itself errs by does not matter.
+NOISE_LEAST = 0.1
 #: Radiance below which the held-back error is not relative.
 RADIANCE_EPS = 3e-3
 AVERAGING = 0.999
@@ -83,19 +87,44 @@ def predict(net, data, rows, albedo):
         return net(*net.inputs(data, rows), albedo)
 
 
-def typical_radiance(data):
-    """(rows, albedos): the mean target of the rows in the same bins, for each of the albedos' columns."""
+def bins(data):
+    """int (rows,): the bin of BINS that each row lies in."""
     index = np.zeros(len(data["gamma"]), int)
     for name, edges in BINS.items():
         index = index * (len(edges) + 1) + np.digitize(data[name].numpy(), edges)
+    return index
+
+
+def typical_radiance(data):
+    """(rows, albedos): the mean target of the rows in the same bins, for each of the albedos' columns.
+
+    data: with `radiance` (rows, halves, albedos).
+    """
+    index = bins(data)
     counts = np.maximum(np.bincount(index), 1)
-    means = [np.bincount(index, column.numpy()) / counts for column in data["radiance"].T]
+    means = [np.bincount(index, column.numpy()) / counts for column in data["radiance"].mean(dim=1).T]
     return torch.from_numpy(np.stack(means, axis=1)[index].astype(np.float32)).clamp(min=TYPICAL_LEAST)
 
 
-def relative_l2(prediction, target, typical):
+def trust(data, typical):
+    """(rows, albedos): weights of rows, 1 on the mean, the smaller the noisier the targets of the rows in the same bins.
+
+    Noise is what the two halves of a target differ by; a row's own does not count for more than its share of the bin's, so
+    that the loss stays unbiased. Rows of narrow phase functions are up to a hundred times as noisy as others, and what the
+    network learns of their noise by heart would show in the others as well. data: as in `typical_radiance`, and what it gave.
+    """
+    index, weights = bins(data), []
+    for (a, b), like in zip(data["radiance"].permute(2, 1, 0).numpy(), typical.T.numpy()):
+        noise = np.bincount(index, 0.25 * (a - b) ** 2)
+        scale = np.maximum(np.bincount(index, a * b), 0.0) + np.bincount(index, (TYPICAL_SHARE * like) ** 2)
+        weights.append((1.0 / (noise / np.maximum(scale, 1e-30) + NOISE_LEAST))[index])
+    weights = torch.from_numpy(np.stack(weights, axis=1).astype(np.float32))
+    return weights / weights.mean()
+
+
+def relative_l2(prediction, target, typical, weight):
     scale = prediction.detach() ** 2 + (TYPICAL_SHARE * typical) ** 2
-    return ((prediction - target) ** 2 / scale).mean()
+    return (weight * (prediction - target) ** 2 / scale).mean()
 
 
 def held_error(net, data):
@@ -173,8 +202,9 @@ def main(options=None):
         parser.error(f"{len(arguments.shares)} shares for {len(folders)} folders: name one for each")
     files = sum(folders, [])
     train, held = load(files, net.columns), load(held_files, net.columns)
-    train["radiance"] = train["radiance"].mean(dim=1)
     train["typical"] = typical_radiance(train)
+    train["trust"] = trust(train, train["typical"])
+    train["radiance"] = train["radiance"].mean(dim=1)
     rows, albedos = train["albedo"].shape
     used = min(ALBEDOS_A_STEP, albedos)
     limits = first_rows(files)[np.cumsum([0, *map(len, folders)])]
@@ -197,6 +227,7 @@ def main(options=None):
         "learning_rate": arguments.learning_rate,
         "weight_decay": WEIGHT_DECAY,
         "typical_share": TYPICAL_SHARE,
+        "noise_least": NOISE_LEAST,
         "averaging": AVERAGING,
         "parameters": sum(p.numel() for p in net.parameters()),
         "seed": arguments.seed,
@@ -212,7 +243,9 @@ def main(options=None):
     print(json.dumps(configuration), flush=True)
 
     averaged.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(net.parameters(), lr=arguments.learning_rate, weight_decay=WEIGHT_DECAY)
+    matrices, biases = ([p for p in net.parameters() if (p.dim() > 1) == wide] for wide in (True, False))
+    optimizer = torch.optim.AdamW(
+        [{"params": matrices}, {"params": biases, "weight_decay": 0.0}], arguments.learning_rate, weight_decay=WEIGHT_DECAY)
     first, path = 0, arguments.run / "checkpoint.pt"
     if path.exists():
         checkpoint = torch.load(path, weights_only=True)
@@ -228,8 +261,8 @@ def main(options=None):
         picked = draw_rows(limits, shares, random)
         columns = torch.rand(BATCH, albedos, generator=random).argsort(dim=1)[:, :used]
         albedo = train["albedo"][picked].gather(1, columns).T
-        target, typical = (train[key][picked].gather(1, columns).T for key in ("radiance", "typical"))
-        loss = relative_l2(predict(net, train, picked, albedo), target, typical)
+        target, *scales = (train[key][picked].gather(1, columns).T for key in ("radiance", "typical", "trust"))
+        loss = relative_l2(predict(net, train, picked, albedo), target, *scales)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_NORM)
