@@ -50,6 +50,16 @@ class Layer:
     report: Optional[Report] = None
 
 
+def empty_layer(camera: Camera) -> Layer:
+    """What a camera sees where nothing is."""
+    x0, y0, x1, y1 = camera.window
+    shape = (y1 - y0, x1 - x0)
+    rgb, single, multiple, emission = np.zeros((4, *shape, 3), np.float32)
+    alpha, uncertainty = np.zeros((2, *shape), np.float32)
+    depth = np.full(shape, np.inf, np.float32)
+    return Layer(rgb, alpha, depth, single, multiple, uncertainty, emission, Report(seconds={"total": 0.0}))
+
+
 def render(
     volumes, suns, camera: Camera, settings: Settings = None, progress=None, cancelled=None, kept: Kept = None,
     surfaces=(),

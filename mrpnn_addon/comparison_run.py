@@ -20,7 +20,7 @@ from .comparison_plan import Request
 from .cycles_process import CyclesProcess
 from .cycles_reference import read_image, volumes_and_suns
 from .pass_store import Job, PassStore, scene_key
-from .scene import read_scene
+from .scene import read_scene, require_volumes
 
 REPORT_FOLDER = "//mrpnn-comparison"
 # Depth samples of the judged network's ladder besides the scene's own.
@@ -65,6 +65,7 @@ class ComparisonRun:
             # The layer and Cycles' image both have the region's size.
             # Volumes and lights alone: Cycles' image will hold no surface.
             self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
+            require_volumes(self.description)
             process = CyclesProcess(
                 context.scene, volumes_and_suns(depsgraph), options.bounces,
                 context.scene.world if self.description.environment else None)

@@ -81,6 +81,9 @@ class Preview:
         return self._stop.is_set()
 
     def _run(self, description, camera, settings, prepared):
+        if not description.volumes:
+            self.done = True
+            return
         try:
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import List, Optional
 
 from .. import inference
-from ..inference.layer import Layer
+from ..inference.layer import Layer, empty_layer
 from ..inference.scene import Cancelled, SceneError, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
@@ -41,7 +41,8 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
             raise Cancelled()
 
     try:
-        layer = inference.render(
+        # A frame in which smoke has not begun is as good as any other.
+        layer = empty_layer(scene.camera) if not scene.volumes else inference.render(
             scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled,
             surfaces=scene.surfaces)
         layer = in_frame(layer, scene.camera, scene.crop)

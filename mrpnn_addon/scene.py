@@ -12,7 +12,7 @@ from .material import SURFACES, shows_volume
 from .overlap_warnings import overlap_warnings
 from .surfaces import OpaqueMesh, read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
-from .volumes import VolumeReader, outside_sequence
+from .volumes import VolumeReader, why_empty
 from .world import read_world
 
 
@@ -23,7 +23,8 @@ class SceneDescription:
     view_layer: its name.
     frame: the scene's frame number.
     environment: whether `suns` hold the World's light.
-    warnings: what is left out or approximated, naming each object. unseen: which volumes, and why.
+    warnings: what is left out or approximated, naming each object. unseen: which volumes, and why; empty: those of them that
+    hold nothing in this frame. A scene all of whose volumes do is described without volumes.
     """
 
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
@@ -36,6 +37,7 @@ class SceneDescription:
     environment: bool = False
     warnings: List[str] = field(default_factory=list)
     unseen: List[str] = field(default_factory=list)
+    empty: List[str] = field(default_factory=list)
 
     @functools.cached_property
     def surfaces(self) -> List[Surface]:
@@ -69,14 +71,21 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     description.environment = bool(lights)
     description.suns += lights
     description.warnings += warnings
-    if not description.volumes and description.unseen:
-        raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
+    if not description.volumes and description.unseen == description.empty != []:
+        return description
+    require_volumes(description)
     if not description.volumes:
         raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
                          "closed mesh a material with a volume and no surface")
     if not description.suns and not any(volume.emission is not None for volume, _ in description.volumes):
         raise SceneError("the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)")
     return description
+
+
+def require_volumes(description: SceneDescription) -> None:
+    """Raises SceneError where all volumes are left out, saying why."""
+    if not description.volumes and description.unseen:
+        raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
 
 
 def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
@@ -102,8 +111,10 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
     where, unseen = f"volume \"{shown.name}\"", why_unseen(shown, view_layer)
-    if not unseen and shown.object.type == 'VOLUME' and outside_sequence(shown.object):
-        unseen = f"has no file for frame {description.frame}"
+    empty = "" if unseen else why_empty(shown.object)
+    if empty:
+        unseen = f"{empty} frame {description.frame}"
+        description.empty.append(f"{where} {unseen}")
     if unseen:
         description.unseen.append(f"{where} {unseen}")
         description.warnings.append(f"{where} {unseen} and is left out")

@@ -6,7 +6,7 @@ from typing import Dict, List
 from ..inference.plan import make_plan
 from ..inference.scene import SceneError
 from .runtime import check_runtime
-from .scene import read_scene
+from .scene import read_scene, require_volumes
 from .scene_watch import scene_state
 
 
@@ -41,6 +41,7 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
     try:
         warnings = check_runtime()
         scene = read_scene(depsgraph, reader)
+        require_volumes(scene)
         plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
         _last = SceneCheck(state, warnings=[*scene.warnings, *warnings], planned=plan.planned, left_out=plan.left_out,
                            memory=plan.memory, voxels={volume.name: volume.density.shape for volume, _ in scene.volumes})

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
 from .density_grid import unreadable
+from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, read_grids
 from .material import VolumeMaterial, first_material, shows_volume
 from .mesh_triangles import Mesh, read_mesh
 from .shaded_grid import ShadedGrid
@@ -59,7 +60,7 @@ class VolumeReader:
         try:
             for shown in shown_objects(depsgraph):
                 unseen = not shows_volume(shown.object) or why_unseen(shown, depsgraph.view_layer)
-                if not unseen and not outside_sequence(shown.object) and self._known_key(shown) is None:
+                if not unseen and not why_empty(shown.object) and self._known_key(shown) is None:
                     source = volume_source(shown)
                     found[source.key] = source
         except SceneError:
@@ -73,11 +74,12 @@ class VolumeReader:
 def _key(shown: Shown, placed: bool) -> tuple:
     """Instances share their data and materials; where a shader asks for places, they differ.
 
-    The data of an evaluated object is its own, or that of all its instances.
+    The data of an evaluated object is its own, or that of all its instances; a fluid domain's changes from frame to frame.
     """
-    data, slots = shown.object.data, shown.object.material_slots
+    data, slots, domain = shown.object.data, shown.object.material_slots, gas_domain(shown.object)
     materials = tuple(slot.material.as_pointer() if slot.material else 0 for slot in slots)
-    return data.name_full, data.as_pointer(), materials, shown.matrix.tobytes() if placed else None
+    content = checksum(domain) if domain else None
+    return data.name_full, data.as_pointer(), materials, shown.matrix.tobytes() if placed else None, content
 
 
 def _where(shown: Shown) -> str:
@@ -86,13 +88,17 @@ def _where(shown: Shown) -> str:
 
 def volume_source(shown: Shown) -> VolumeSource:
     """What a visible volume is to be read from. Raises SceneError, naming the object."""
-    return (_file_source if shown.object.type == 'VOLUME' else _mesh_source)(shown, _where(shown))
+    if shown.object.type == 'VOLUME':
+        return _file_source(shown, _where(shown))
+    return (_fluid_source if gas_domain(shown.object) else _mesh_source)(shown, _where(shown))
 
 
-def outside_sequence(volume_object) -> bool:
-    """Whether the object is a Volume whose file sequence has no file for this frame, so that it is invisible."""
-    data = volume_object.data
-    return volume_object.type == 'VOLUME' and data.is_sequence and data.grids.load() and not len(data.grids)
+def why_empty(shown_object) -> str:
+    """Why an object that shows a volume shows none in this frame, so that it is invisible; "" where it does."""
+    data, domain = shown_object.data, gas_domain(shown_object)
+    if shown_object.type == 'VOLUME' and data.is_sequence and data.grids.load() and not len(data.grids):
+        return "has no file for"
+    return "holds no smoke in" if domain and holds_nothing(domain) else ""
 
 
 def _file_source(shown: Shown, where: str) -> FileSource:
@@ -132,19 +138,32 @@ def _load_problem(data) -> str:
     return unreadable(bpy.path.abspath(data.filepath, library=data.library), data.grids.error_message)
 
 
-def _mesh_source(shown: Shown, where: str) -> MeshSource:
+def _mesh_material(shown: Shown, where: str) -> VolumeMaterial:
     if len({slot.material.name for slot in shown.object.material_slots}) > 1:
         raise SceneError(f"{where}: it has several volume materials; use one")
-    material = VolumeMaterial(first_material(shown.object), where)
+    return VolumeMaterial(first_material(shown.object), where)
+
+
+def _fluid_source(shown: Shown, where: str) -> FluidSource:
+    material, domain = _mesh_material(shown, where), gas_domain(shown.object)
+    # A domain that adapts is a box of its own in each frame.
+    generated = _generated(shown.object if domain.use_adaptive_domain else shown.object.original)
+    source = FluidSource(None, where, material, shown.matrix, read_grids(domain), generated)
+    source.key = _key(shown, source.probe().placed)
+    return source
+
+
+def _mesh_source(shown: Shown, where: str) -> MeshSource:
+    material = _mesh_material(shown, where)
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
-    mesh, generated = read_mesh(shown.object), _generated(shown.object)
+    mesh, generated = read_mesh(shown.object), _generated(shown.object.original)
     return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 
 
 def _generated(mesh_object) -> np.ndarray:
-    """(4, 4): object space to the mesh's texture space, 0 to 1 over its bounds before modifiers."""
-    mesh = mesh_object.original.data
+    """(4, 4): object space to the mesh's texture space, 0 to 1 over the bounds of the object's own mesh."""
+    mesh = mesh_object.data
     location, size = np.array(mesh.texspace_location), np.array(mesh.texspace_size)
     matrix = np.eye(4)
     matrix[:3, :3] = np.diag(0.5 / size)

@@ -12,7 +12,7 @@ from ..mrpnn_addon.comparison_run import ComparisonRun, Options
 from ..mrpnn_addon.frames import frame_path, parse_frames
 from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.render_job import render_scene
-from ..mrpnn_addon.scene import read_scene
+from ..mrpnn_addon.scene import read_scene, require_volumes
 
 ENDINGS = (".exr", ".png")
 
@@ -84,6 +84,7 @@ def report(options, console, found: dict) -> None:
         scene.frame_set(options.frame)
     with _overridden(options) as settings:
         description = read_scene(bpy.context.evaluated_depsgraph_get())
+        require_volumes(description)
         plan = make_plan(description.volumes, description.suns, description.camera, settings)
     width, height = description.camera.resolution
     found["plan"] = {

@@ -173,6 +173,13 @@ def test_an_animation_writes_each_frame_as_alone(addon, scene, cloud, tmp_path):
     np.testing.assert_array_equal(combined_of(scene, tmp_path / "alone.exr"), frames[1])
 
 
+def test_a_frame_before_its_sequence_begins_is_an_empty_picture(addon, scene, cloud, tmp_path):
+    cloud.data.is_sequence, cloud.data.sequence_mode, cloud.data.frame_start = True, 'CLIP', 5
+    scene.frame_set(1)
+    found = render(scene, tmp_path / "empty.exr")
+    assert found and all(not values.any() for values in found.values())
+
+
 def test_an_animated_world_is_that_of_each_frame(addon, scene, cloud, tmp_path):
     """In F12 too, which evaluates frames that the scene itself does not show."""
     scene.mrpnn.world_directions = 1

@@ -74,6 +74,21 @@ def test_modifiers_shape_the_mesh(addon, scene):
     assert total(read(addon).volumes[0][0]) == pytest.approx(16.0, rel=0.01)
 
 
+def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
+    """With smoke: tests/test_program.py, since the bpy module cannot simulate."""
+    fog, _ = add_mesh(scene, cube)
+    modifier = fog.modifiers.new("Fluid", 'FLUID')
+    modifier.fluid_type, modifier.domain_settings.domain_type = 'DOMAIN', 'GAS'
+    lit(scene)
+    described = read(addon)
+    assert not described.volumes and not addon.mrpnn_addon.render_job.render_scene(
+        described, addon.inference.Settings()).layer.alpha.any()
+    assert f"volume \"{fog.name}\" holds no smoke in frame 1 and is left out" in described.warnings
+    # Liquids are meshes.
+    modifier.domain_settings.domain_type = 'LIQUID'
+    assert len(read(addon).volumes) == 1
+
+
 @pytest.mark.parametrize("seen", ["homogeneous", "gradient", "noise"])
 def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
     # Soot: nothing for the network to do.

@@ -340,7 +340,8 @@ def test_sun_direction_and_irradiance(addon, scene, tmp_path):
     # A sun shines along its -Z.
     shines = sun.matrix_world.to_quaternion() @ Vector((0.0, 0.0, -1.0))
     np.testing.assert_allclose(found.direction, -np.array(shines), atol=1e-6)
-    np.testing.assert_allclose(found.irradiance, (0.6, 1.5, 3.0), rtol=1e-6)
+    # Of half a degree across: a volume gets a little more than a surface.
+    np.testing.assert_allclose(found.irradiance, (0.6, 1.5, 3.0), rtol=1e-5)
 
 
 # Camera

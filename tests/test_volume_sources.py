@@ -57,6 +57,27 @@ def test_sequence_modes(addon, scene, tmp_path, mode, offset, expected):
         assert found == expected
 
 
+def test_frames_before_a_sequence_begins_are_empty_pictures(addon, scene, tmp_path):
+    """As in Cycles, which renders them: a film does not end there. What is about pictures of volumes says why there is none."""
+    sequence(scene, tmp_path, (1, 2, 3)).data.sequence_mode = 'CLIP'
+    lit(scene)
+    scene.frame_set(9)
+    described = read(addon)
+    assert described.warnings == ["volume \"Cloud\" has no file for frame 9 and is left out"]
+    finished = addon.mrpnn_addon.render_job.render_scene(described, addon.inference.Settings(), str(tmp_path / "9.exr"))
+    assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
+    width, height = described.camera.resolution
+    assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
+    checked = addon.mrpnn_addon.scene_check.check_scene(blender_scenes.depsgraph())
+    assert "no volume is left to render: volume \"Cloud\" has no file for frame 9" in checked.error
+    # Hidden, it is a mistake.
+    scene.frame_set(10)
+    assert read(addon).volumes
+    scene.objects["Cloud"].visible_camera = False
+    with pytest.raises(addon.inference.SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
+        read(addon)
+
+
 def test_a_missing_file_of_a_sequence_is_named(addon, scene, tmp_path):
     sequence(scene, tmp_path, (1, 3))
     lit(scene)

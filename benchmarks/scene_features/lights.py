@@ -12,6 +12,11 @@ def two_suns(stage):
     stage.link("Second", lamp).rotation_euler = (0.3, 1.3, 0.0)
 
 
+def warm_sun(stage):
+    lamp = stage.sun.data
+    lamp.use_temperature, lamp.temperature, lamp.exposure = True, 3200.0, 0.5
+
+
 def sun_of(degrees):
     def soft(stage):
         stage.sun.data.angle = math.radians(degrees)
@@ -79,6 +84,7 @@ def voronoi_world(stage):
 
 MEASURED = {
     "Two suns": two_suns,
+    "Sun of a temperature and an exposure": warm_sun,
     "Sun of 10 degrees": sun_of(10.0),
     "Sun of 40 degrees": sun_of(40.0),
     "Sun and a grey-blue World": grey_world,

@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..shaders import add_shader
 from .stage import cube_mesh
 
 
@@ -22,6 +23,13 @@ def linked_sun(stage):
 
 def surface(stage):
     stage.link("Ground", cube_mesh())
+
+
+def glass(stage):
+    """Between the camera and the cloud."""
+    shown = stage.link("Pane", cube_mesh(0.3))
+    shown.location = (0.5, -2.0, 0.3)
+    add_shader(shown.data, "Glass", "BsdfGlass", "Surface")
 
 
 def blur(stage):
@@ -56,7 +64,7 @@ def missing_frame(stage):
 NAMED = {
     "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
     "Area light": lamp_of('AREA'), "World volume": world_fog, "Light linking": linked_sun,
-    "Opaque mesh": surface, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
+    "Opaque mesh": surface, "Glass": glass, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
     "Clip range that begins inside a volume": clipped,
     "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,
     "Missing frame of a sequence": missing_frame,

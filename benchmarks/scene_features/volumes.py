@@ -47,6 +47,26 @@ def volume_cube(stage):
     stage.link("Made", holder).modifiers.new("Make", 'NODES').node_group = group
 
 
+def points_to_volume(stage):
+    stage.hide_cloud()
+    group = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
+    group.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
+    group.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
+    nodes = [group.nodes.new(kind) for kind in (
+        "NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodePointsToVolume", "GeometryNodeSetMaterial",
+        "NodeGroupOutput")]
+    for before, after in zip(nodes[:-1], nodes[1:]):
+        group.links.new(before.outputs[0], after.inputs[0])
+    points, material = nodes[2:4]
+    points.inputs["Radius"].default_value = 0.35
+    points.inputs["Density"].default_value = 1.0
+    source = smooth_cube(stage, "Made")
+    source.modifiers["Round"].levels = source.modifiers["Round"].render_levels = 2
+    fog(source.data, "Made", 4.0)
+    material.inputs["Material"].default_value = source.data.materials[0]
+    source.modifiers.new("Make", 'NODES').node_group = group
+
+
 def mesh_fog(stage):
     stage.hide_cloud()
     fog(smooth_cube(stage, "Ball").data, "Ball", 4.0)
@@ -134,6 +154,7 @@ MEASURED = {
     "Mesh to Volume": mesh_to_volume,
     "Volume Displace": displaced,
     "Geometry nodes: Volume Cube with noise": volume_cube,
+    "Geometry nodes: Points to Volume": points_to_volume,
     "Principled Volume in a mesh": mesh_fog,
     "Noise Texture in a mesh": mesh_noise,
     "Two volumes apart": apart,
