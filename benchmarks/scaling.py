@@ -79,9 +79,9 @@ def omissions_table(size: int) -> str:
     view = camera_covering(volume, medium, size, COVERAGE)
     # Pixels beside the cloud, and suns that are not needed.
     view = dataclasses.replace(view, resolution=(3 * size // 2, size))
-    edge = 100.0
-    plate = Surface([[(-edge, -edge, -9.0), (edge, -edge, -9.0), (0.0, edge, -9.0)]], covers=False)
-    suns = [SUN, Sun(SUN.direction, 0.5), Sun((0.0, 0.0, -1.0))]
+    # Nothing but the last sun lies behind it.
+    plate = Surface([[(-9.0, -9.0, 9.0), (9.0, -9.0, 9.0), (0.0, 9.0, 9.0)]], covers=False)
+    suns = [SUN, Sun(SUN.direction, 0.5), Sun((0.0, 0.0, 1.0))]
 
     def draw(leave_out):
         return render([(volume, medium)], suns, view, Settings(leave_out=leave_out), surfaces=[plate])
