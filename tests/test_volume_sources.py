@@ -106,6 +106,22 @@ def geometry_nodes(owner, *kinds):
     return nodes
 
 
+def test_a_mesh_that_nodes_make_a_volume_of_is_that_volume_alone(addon, scene):
+    """Its own material is the volume's, as the mesh's inside would have it."""
+    source = cube(scene)
+    points, volume, material = geometry_nodes(source, "MeshToPoints", "PointsToVolume", "SetMaterial")
+    volume.inputs["Radius"].default_value = 0.5
+    blender_scenes.add_fog(source.data, "Fog", "ShaderNodeVolumePrincipled")
+    material.inputs["Material"].default_value = source.data.materials[0]
+    lit(scene)
+    described = read(addon)
+    assert len(described.volumes) == 1 and not described.warnings
+    # Eight balls around the corners.
+    grid, _ = described.volumes[0]
+    edges = np.linalg.norm(grid.world_from_index[:3, :3], axis=0) * grid.density.shape
+    np.testing.assert_allclose(edges, 3.0, rtol=0.2)
+
+
 def cube(scene, name="Cube"):
     mesh = bpy.data.meshes.new(name)
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
