@@ -108,9 +108,6 @@ def shows_volume(shown) -> bool:
         return True
     if shown.type not in SURFACES:
         return False
-    if shown.type == 'MESH' and not shown.data.polygons and any(modifier.type == 'NODES' for modifier in shown.modifiers):
-        # Of geometry that nodes make, what is no mesh is shown as an object of its own.
-        return False
     outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]
     return bool(outputs) and all(
         output is not None and output.inputs['Volume'].is_linked and not output.inputs['Surface'].is_linked

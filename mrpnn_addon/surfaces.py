@@ -41,8 +41,7 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Op
         return None, [f"{where} is a surface and not rendered"]
     covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
     shades, stops = shown.object.visible_shadow, shown.object.visible_volume_scatter
-    nothing = shown.object.type == 'MESH' and not shown.object.data.polygons
-    if nothing or not (covers or shades or stops):
+    if not (covers or shades or stops):
         return None, []
     if any(_see_through(slot.material) for slot in shown.object.material_slots):
         return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]

@@ -42,8 +42,14 @@ def shown_objects(depsgraph) -> Iterator[Shown]:
             from_nodes = instance.is_instance and source.instance_type == 'NONE'
             if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
-        if instance.show_self:
+        if instance.show_self and not _used_up(instanced):
             yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+
+
+def _used_up(shown_object) -> bool:
+    """Whether geometry nodes have left nothing of a mesh: what else they make is shown as objects of their own."""
+    return shown_object.type == 'MESH' and not shown_object.data.polygons and any(
+        modifier.type == 'NODES' for modifier in shown_object.modifiers)
 
 
 def why_unseen(shown: Shown, view_layer) -> str:

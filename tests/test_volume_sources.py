@@ -120,6 +120,9 @@ def test_a_mesh_that_nodes_make_a_volume_of_is_that_volume_alone(addon, scene):
     grid, _ = described.volumes[0]
     edges = np.linalg.norm(grid.world_from_index[:3, :3], axis=0) * grid.density.shape
     np.testing.assert_allclose(edges, 3.0, rtol=0.2)
+    # A comparison's reference shows the same.
+    shown = addon.mrpnn_addon.cycles_reference.volumes_and_suns(blender_scenes.depsgraph())
+    assert {item.name for item in shown} == {"Cube", "Sun"}
 
 
 def cube(scene, name="Cube"):
