@@ -62,24 +62,30 @@ def _values(domain, name: str) -> np.ndarray:
     return values
 
 
+def probe_grids(material, grids) -> Probe:
+    """That has met a VolumeMaterial where all grids are 0.
+
+    Raises SceneError where the material reads a grid that is not there, or none.
+    """
+    probe = Probe(list(grids), fills_its_bounds=False)
+    material.at(probe)
+    for name in probe.names:
+        if name not in grids:
+            material.refuse(f"the fluid domain holds no grid \"{name}\"; there are: {', '.join(grids)}")
+    if not probe.names:
+        material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute or "
+                        f"link an Attribute node (grids of the domain: {', '.join(grids)})")
+    return probe
+
+
 @dataclass
 class FluidSource(VolumeSource):
-    """grids: of `read_grids`. generated: (4, 4), object to texture space, which the domain fills."""
+    """grids: those of `read_grids` that the material reads. generated: (4, 4), object to texture space, which the domain
+    fills.
+    """
 
     grids: Dict[str, np.ndarray]
     generated: np.ndarray
-
-    def probe(self) -> Probe:
-        """That has met the shader where all grids are 0. Raises SceneError where it reads a grid that is not there."""
-        probe = Probe(list(self.grids), fills_its_bounds=False)
-        self.material.at(probe)
-        for name in probe.names:
-            if name not in self.grids:
-                self.material.refuse(f"the fluid domain holds no grid \"{name}\"; there are: {', '.join(self.grids)}")
-        if not probe.names:
-            self.material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density "
-                                 f"Attribute or link an Attribute node (grids of the domain: {', '.join(self.grids)})")
-        return probe
 
     def _read(self, started, check):
         shape = np.array(next(iter(self.grids.values())).shape)
@@ -87,5 +93,4 @@ class FluidSource(VolumeSource):
         texture_from_index[:3, 3] = 0.5 / shape
         object_from_index = np.linalg.inv(self.generated) @ texture_from_index
         frames = {"object": object_from_index, "world": self.matrix @ object_from_index, "generated": texture_from_index}
-        grids = {name: self.grids[name] for name in self.probe().names}
-        return shade(self.material, grids, frames, check=check), object_from_index, []
+        return shade(self.material, self.grids, frames, check=check), object_from_index, []

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
 from .density_grid import unreadable
-from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, read_grids
+from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, probe_grids, read_grids
 from .material import VolumeMaterial, first_material, shows_volume
 from .mesh_triangles import Mesh, read_mesh
 from .shaded_grid import ShadedGrid
@@ -148,9 +148,10 @@ def _fluid_source(shown: Shown, where: str) -> FluidSource:
     material, domain = _mesh_material(shown, where), gas_domain(shown.object)
     # A domain that adapts is a box of its own in each frame.
     generated = _generated(shown.object if domain.use_adaptive_domain else shown.object.original)
-    source = FluidSource(None, where, material, shown.matrix, read_grids(domain), generated)
-    source.key = _key(shown, source.probe().placed)
-    return source
+    grids = read_grids(domain)
+    probe = probe_grids(material, grids)
+    read = {name: grids[name] for name in probe.names}
+    return FluidSource(_key(shown, probe.placed), where, material, shown.matrix, read, generated)
 
 
 def _mesh_source(shown: Shown, where: str) -> MeshSource:
