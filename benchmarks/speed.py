@@ -23,8 +23,8 @@ from training.volumes import HELD_BACK, make_volume
 
 from .views import look_at
 
-# Of runs of the network alone.
-RUNS = 50
+# Of runs of the network alone, and how many of its points lie on one ray.
+RUNS, SAMPLES_A_RAY = 50, 8
 
 
 def cloud(resolution: int = 192):
@@ -67,8 +67,10 @@ def flop_a_point(name: str) -> int:
 def network_seconds(name: str) -> float:
     """A point, of the network alone on one core: the best of RUNS."""
     session, random = load_network(name).session, np.random.default_rng(1)
-    shapes = {i.name: [POINTS_A_TASK if n == "N" else 1 if n == "A" else n for n in i.shape] for i in session.get_inputs()}
-    inputs = {i: random.random(shape, np.float32) for i, shape in shapes.items()}
+    sizes = {"N": POINTS_A_TASK, "V": POINTS_A_TASK // SAMPLES_A_RAY, "A": 1}
+    inputs = {i.name: random.random([sizes.get(n, n) for n in i.shape], np.float32) for i in session.get_inputs()}
+    if "view" in inputs:
+        inputs["view"] = np.arange(POINTS_A_TASK, dtype=np.int32) // SAMPLES_A_RAY
     best = np.inf
     for _ in range(RUNS):
         start = time.perf_counter()

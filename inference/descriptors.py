@@ -53,7 +53,8 @@ def read_fields(stencil: Stencil, lattices: Lattices, positions, omega, sun, mu,
     towards[LOW_POINTS:] = stencil.high * scale[LOW_POINTS:]
     point = np.ones((3, len(positions), 6), np.float32)
     point[..., 0], point[..., 4] = positions.T, jitter.T
-    point[..., 1:4] = frames(omega, sun).transpose(1, 0, 2)
+    first, view = distinct_rows(omega)
+    point[..., 1:4] = frames(omega[first], sun).transpose(1, 0, 2)[:, view]
     constant = [np.float32(component) * towards - origin for component in sun]
     for start in range(0, len(positions), POINTS_A_STEP):
         span = slice(start, start + POINTS_A_STEP)
@@ -65,6 +66,13 @@ def read_fields(stencil: Stencil, lattices: Lattices, positions, omega, sun, mu,
             cell += index
             index = cell
         lattices.read(index, mu[span], transmittance[span])
+
+
+def distinct_rows(rows):
+    """Of rows (N, k) those that differ from the one before: their numbers (V,), and which of them each row is, int32 (N,)."""
+    new = np.ones(len(rows), bool)
+    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    return np.flatnonzero(new), np.cumsum(new, dtype=np.int32) - np.int32(1)
 
 
 def angle_to_sun(omega, sun) -> np.ndarray:

@@ -91,18 +91,19 @@ class Network:
     def run(self, **inputs) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
 
-        inputs: arrays by name, converted to float32; albedo (A,) among them. On the processor it runs on the calling
+        inputs: arrays by name; int32 as they are, others converted to float32; albedo (A,) among them, and `gamma`, or
+        where points share them `view`, (N,). On the processor it runs on the calling
         thread alone, so results do not depend on how many threads call, nor on which other points they come with.
         """
-        inputs = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
-        count = len(inputs["gamma"])
-        missing = -count % WHOLE
-        # What is left over at the end of a vector is rounded otherwise than what fills one.
-        for model_input in self.session.get_inputs() if missing else []:
-            if "N" in model_input.shape:
-                value, axis = inputs[model_input.name], model_input.shape.index("N")
-                more = value.take(np.zeros(missing, int), axis)
-                inputs[model_input.name] = np.concatenate([value, more], axis)
+        count = len(inputs["view" if "view" in inputs else "gamma"])
+        for model_input in self.session.get_inputs():
+            value = inputs[model_input.name]
+            value = np.asarray(value, np.int32 if "int32" in model_input.type else np.float32)
+            # What is left over at the end of a vector is rounded otherwise than what fills one.
+            for axis in (axis for axis, size in enumerate(model_input.shape) if size in ("N", "V")):
+                more = value.take(np.zeros(-value.shape[axis] % WHOLE, int), axis)
+                value = np.concatenate([value, more], axis) if more.size else value
+            inputs[model_input.name] = value
         with self.alone:
             return self.session.run(["radiance"], inputs)[0][:, :count]
 

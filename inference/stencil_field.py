@@ -3,7 +3,7 @@
 import numpy as np
 
 from .cube import level0_density
-from .descriptors import angle_to_sun, describe, read_fields
+from .descriptors import angle_to_sun, describe, distinct_rows, read_fields
 from .diffusion import CELLS, LEVEL, DiffusedLight, finer, log_fluence, read_fluence
 from .fields import build_lattices, density_pyramid, lit_levels, padded_levels, unit_optical_depths
 from .phase import PhaseFeatures
@@ -109,7 +109,8 @@ class RayField(StencilField):
         stencil = np.empty((len(positions), 2 * POINTS), np.float32)
         mu, transmittance = stencil[:, :POINTS], stencil[:, POINTS:]
         read_fields(self.network.points, self.lattices, positions, omega, self.sun, mu, transmittance, jitter)
-        gamma = angle_to_sun(omega, self.sun)
+        first, view = distinct_rows(omega)
+        gamma = angle_to_sun(omega[first], self.sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         ray = np.concatenate([light, read_fluence(self.fluence, positions, omega, self.sun)], axis=1)
-        return self.network.run(stencil=stencil, ray=ray, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+        return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)

@@ -14,8 +14,8 @@ class Graph:
     def __init__(self):
         self.inputs, self.outputs, self.nodes, self.constants = [], [], [], []
 
-    def input(self, name: str, shape):
-        self.inputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+    def input(self, name: str, shape, kind=TensorProto.FLOAT):
+        self.inputs.append(helper.make_tensor_value_info(name, kind, shape))
 
     def output(self, name: str, value: str, shape):
         self.nodes.append(helper.make_node("Identity", [value], [name]))
@@ -92,9 +92,9 @@ class Graph:
 
 
 def linear_layers(model: onnx.ModelProto) -> list:
-    """Weight (out, in) and bias (out,) of the fully connected layers of a graph, in its order, as tensors."""
+    """Weight (out, in) and bias (out,), where it has one, of each fully connected layer of a graph, in its order: tensors."""
     constants = {constant.name: constant for constant in model.graph.initializer}
     return [
-        [torch.from_numpy(numpy_helper.to_array(constants[name]).copy()) for name in node.input[1:]]
+        [torch.from_numpy(numpy_helper.to_array(constants[name]).copy()) for name in node.input[1:] if name in constants]
         for node in model.graph.node if node.op_type == "Gemm"
     ]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import torch
+from onnx import TensorProto
 from torch import nn
 
 from inference.ray_light import DIFFUSED_SCALES, SCALES, TAU_AHEAD_MOST, TAU_SUN_MOST
@@ -95,15 +96,16 @@ class RayMRPNN(nn.Module):
         The means and deviations stay, and what the graph folded into its first layers is taken out again: the outputs
         are the graph's.
         """
-        layers, angles = list(layers), len(self.modulation[0].weight.T)
-        for module, mean, deviation in (
-            (self.modulation[0], self.mean[-angles:], self.deviation[-angles:]), (self.modulation[1], None, None),
-            (self.first, self.mean, self.deviation), *((module, None, None) for module in (*self.hidden, self.last)),
+        modulation, scale, shift, first_angles, first_others, first_stencil, *rest = layers
+        angles = len(modulation[0].T)
+        first = [torch.cat([first_stencil[0], first_others[0], first_angles[0]], dim=1), first_angles[1]]
+        # The graph's scale is 1 + scale.
+        modulations = [torch.cat([scale[0], shift[0]]), torch.cat([scale[1] - 1.0, shift[1]])]
+        for module, (weight, bias), mean, deviation in (
+            (self.modulation[0], modulation, self.mean[-angles:], self.deviation[-angles:]),
+            (self.modulation[1], modulations, None, None), (self.first, first, self.mean, self.deviation),
+            *((module, layer, None, None) for module, layer in zip((*self.hidden, self.last), rest)),
         ):
-            weight, bias = layers.pop(0)
-            if module is self.modulation[1]:
-                # The graph's scale is 1 + scale.
-                bias[: len(bias) // 2] -= 1.0
             if mean is not None:
                 bias, weight = bias + weight @ mean, weight * deviation
             module.weight.copy_(weight)
@@ -146,14 +148,18 @@ class RayMRPNN(nn.Module):
         return (albedo[:, :, None] ** self.orders * weights).sum(dim=2)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.RayField feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that inference.RayField feeds.
+
+        What follows from the angle to the sun alone is computed once for each of V views, and `view` names the one that a
+        point is seen from: points on one ray share it.
+        """
         g.input("stencil", ["N", 2 * POINTS])
         g.input("ray", ["N", RAY_INPUTS])
-        g.input("anisotropy", ["N"])
-        g.input("gamma", ["N"])
+        g.input("view", ["N"], TensorProto.INT32)
+        g.input("anisotropy", ["V"])
+        g.input("gamma", ["V"])
         g.input("albedo", ["A"])
-        x, angles = self._assemble_graph(g)
-        x = g.concat([x, angles], axis=1)
+        others, angles = self._assemble_graph(g)
         # Standardisation folds into the first layers.
         first_w = self.first.weight / self.deviation
         first_b = self.first.bias - first_w @ self.mean
@@ -161,12 +167,15 @@ class RayMRPNN(nn.Module):
         mod_w = self.modulation[0].weight / self.deviation[-n:]
         mod_b = self.modulation[0].bias - mod_w @ self.mean[-n:]
         hidden = g.relu(g.op("Gemm", angles, g.constant(mod_w), g.constant(mod_b), transB=1))
-        width = len(first_b)
-        bias = self.modulation[1].bias.clone()
-        bias[:width] += 1.0
-        modulation = g.op("Gemm", hidden, g.constant(self.modulation[1].weight), g.constant(bias), transB=1)
-        scale, shift = g.split(modulation, [width, width], axis=1)
-        h = g.op("Gemm", x, g.constant(first_w), g.constant(first_b), transB=1)
+        (scale_w, shift_w), (scale_b, shift_b) = self.modulation[1].weight.chunk(2), self.modulation[1].bias.chunk(2)
+        scale = g.op("Gemm", hidden, g.constant(scale_w), g.constant(scale_b + 1.0), transB=1)
+        shift = g.op("Gemm", hidden, g.constant(shift_w), g.constant(shift_b), transB=1)
+        # The first layer's sum over all inputs, a part after another.
+        start = g.op("Gemm", angles, g.constant(first_w[:, -n:]), g.constant(first_b), transB=1)
+        shift = g.op("Add", g.op("Mul", start, scale), shift)
+        h = g.op("Gemm", others, g.constant(first_w[:, 2 * POINTS : -n]), transB=1)
+        h = g.op("Gemm", "stencil", g.constant(first_w[:, : 2 * POINTS]), h, transB=1)
+        scale, shift = (g.op("Gather", values, "view", axis=0) for values in (scale, shift))
         h = g.relu(g.op("Add", g.op("Mul", h, scale), shift))
         for layer in self.hidden:
             h = g.op("Add", h, g.relu(g.linear(h, layer)))
@@ -176,6 +185,7 @@ class RayMRPNN(nn.Module):
         g.output("radiance", radiance, ["A", "N"])
 
     def _assemble_graph(self, g):
+        """All inputs but the stencil and the angles, and the angles."""
         def scaled_exp(x, scales):
             return g.op("Exp", g.op("Mul", x, g.constant(-np.array([scales], np.float32))))
 
@@ -188,7 +198,7 @@ class RayMRPNN(nn.Module):
         tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(TAU_SUN_MOST))
         tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(TAU_AHEAD_MOST))
         ahead = g.relu(ahead)
-        x = ["stencil", pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
+        x = [pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
         x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]
         x += [log_fluence, g.op("Exp", log_fluence)]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
