@@ -15,7 +15,7 @@ from .scene import Camera, SceneError
 from .surfaces import PLACES, rays_to_surfaces
 
 # Rays a marching task are chosen to hold about this many steps.
-STEPS_A_TASK = 600_000
+STEPS_A_TASK = 1_200_000
 # Steps of one ray beyond which a task's memory would no longer be small.
 MOST_STEPS = 1 << 18
 

@@ -89,7 +89,8 @@ class DepthSamples:
         """(N, 3) in [-1/2, 1/2): along a ray a rank-1 lattice in three dimensions, shifted by pixel."""
         along = self.number[samples, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
         # Large odd factors turn a pixel's offset into three that have nothing in common.
-        return np.mod(along + self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0], 1.0) - 0.5
+        along += self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0]
+        return along - np.floor(along) - 0.5
 
     def standard_error(self, parts: np.ndarray):
         """Of the sums over each sampled ray of weighted values (M,): the rays' pixels (S,), and the errors (S,).

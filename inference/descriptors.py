@@ -23,49 +23,56 @@ def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
     return points
 
 
-def _columns(stencil: Stencil, lattices: Lattices):
-    """Of each of the 192 points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins."""
-    levels = [lattices.levels[m] for m in stencil.mips]
-    scale = np.array([level.scale for level in levels], np.float32)
-    origin = np.array([level.origin * level.scale for level in levels], np.float32)
-    stride = np.array([level.packed.strides for level in levels], np.int32).T // lattices.values.itemsize
-    sizes = np.array([level.packed.size for level in lattices.levels])
-    begin = (np.cumsum(sizes) - sizes)[stencil.mips] - (stride * np.array([level.first for level in levels]).T).sum(axis=0)
-    return scale, origin, stride, begin.astype(np.int32)
+class FieldLookup:
+    """Features mu and S at the stencil around points, for one sun."""
 
+    def __init__(self, stencil: Stencil, lattices: Lattices, sun):
+        """sun: (3,) unit vector in the cube's frame."""
+        self.lattices, self.sun = lattices, np.asarray(sun, np.float64)
+        # Of each of the 192 points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
+        levels = [lattices.levels[m] for m in stencil.mips]
+        scale = np.array([level.scale for level in levels], np.float32)
+        origin = np.array([level.origin * level.scale for level in levels], np.float32)
+        self.stride = np.array([level.packed.strides for level in levels], np.int32).T // lattices.values.itemsize
+        self.row = self.stride[1].astype(np.float32)
+        sizes = np.array([level.packed.size for level in lattices.levels])
+        begin = (np.cumsum(sizes) - sizes)[stencil.mips]
+        self.begin = (begin - (self.stride * np.array([level.first for level in levels]).T).sum(axis=0)).astype(np.int32)
+        # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all 192.
+        self.terms = np.zeros((3, 6, POINTS), np.float32)
+        self.terms[:, 0], self.terms[:, 4] = scale, 1.0
+        self.terms[:, 1:4, :LOW_POINTS] = stencil.low.T * scale[:LOW_POINTS]
+        towards = np.zeros(POINTS, np.float32)
+        towards[LOW_POINTS:] = stencil.high * scale[LOW_POINTS:]
+        self.terms[:, 5] = self.sun[:, None].astype(np.float32) * towards - origin
 
-def read_fields(stencil: Stencil, lattices: Lattices, positions, omega, sun, mu, transmittance, jitter=None):
-    """Fill mu and transmittance, float32 (N, 192), with the features mu and S of points.
+    def __call__(self, positions, omega, view, jitter=None) -> np.ndarray:
+        """float32 (N, 192, 2) of points.
 
-    positions, omega: float (N, 3) in the cube's frame; sun: (3,) unit vector. jitter: (N, 3) in
-    [-1/2, 1/2), by which lookups of each point are moved, in fine cells; none by default.
-    Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
-    """
-    sun = np.asarray(sun, np.float64)
-    jitter = np.zeros((len(positions), 3), np.float32) if jitter is None else jitter
-    scale, origin, stride, begin = _columns(stencil, lattices)
-    # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all 192.
-    terms = np.zeros((6, POINTS), np.float32)
-    terms[0] = scale
-    terms[1:4, :LOW_POINTS] = stencil.low.T * scale[:LOW_POINTS]
-    terms[4] = 1.0
-    towards = np.zeros(POINTS, np.float32)
-    towards[LOW_POINTS:] = stencil.high * scale[LOW_POINTS:]
-    point = np.ones((3, len(positions), 6), np.float32)
-    point[..., 0], point[..., 4] = positions.T, jitter.T
-    first, view = distinct_rows(omega)
-    point[..., 1:4] = frames(omega[first], sun).transpose(1, 0, 2)[:, view]
-    constant = [np.float32(component) * towards - origin for component in sun]
-    for start in range(0, len(positions), POINTS_A_STEP):
-        span = slice(start, start + POINTS_A_STEP)
-        index = begin
-        for axis in range(3):
-            terms[5] = constant[axis]
-            cell = (point[axis, span] @ terms).astype(np.int32)
-            cell *= stride[axis]
-            cell += index
-            index = cell
-        lattices.read(index, mu[span], transmittance[span])
+        positions: float (N, 3) in the cube's frame; omega: (V, 3) camera-ray directions, and view: int (N,), which of them
+        each point is seen along. jitter: (N, 3) in [-1/2, 1/2), by which lookups of each point are moved, in fine
+        cells; none by default. Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
+        """
+        count = len(positions)
+        point = np.zeros((3, count, 6), np.float32)
+        point[..., 0], point[..., 5] = positions.T, 1.0
+        if jitter is not None:
+            point[..., 4] = jitter.T
+        for axis, rows in enumerate(frames(omega, self.sun).astype(np.float32).transpose(1, 0, 2)):
+            point[axis, :, 1:4] = rows.take(view, axis=0)
+        features = np.empty((count, POINTS, 2), np.float32)
+        for start in range(0, count, POINTS_A_STEP):
+            span = slice(start, start + POINTS_A_STEP)
+            # Rows and columns of a level are few enough to be counted in single precision.
+            cell = np.floor(point[1, span] @ self.terms[1])
+            cell *= self.row
+            cell += np.floor(point[2, span] @ self.terms[2])
+            index = (point[0, span] @ self.terms[0]).astype(np.int32)
+            index *= self.stride[0]
+            index += cell.astype(np.int32)
+            index += self.begin
+            self.lattices.read(index, features[span])
+        return features
 
 
 def distinct_rows(rows):
@@ -81,14 +88,15 @@ def angle_to_sun(omega, sun) -> np.ndarray:
     return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
 
 
-def describe(stencil: Stencil, lattices: Lattices, phase: PhaseFeatures, positions, omega, sun, jitter=None):
+def describe(lookup: FieldLookup, phase: PhaseFeatures, positions, omega, jitter=None):
     """Descriptors of points for one sun, as the paper's networks read them.
 
-    Arguments as for `read_fields`. Returns features float32 (3, N, 192) in the order mu, S, P, and
-    gamma float32 (N,).
+    positions, omega: (N, 3) in the cube's frame; jitter: as FieldLookup has it. Returns features float32
+    (3, N, 192) in the order mu, S, P, and gamma float32 (N,).
     """
+    first, view = distinct_rows(omega)
     features = np.empty((3, len(positions), POINTS), np.float32)
-    read_fields(stencil, lattices, positions, omega, sun, features[0], features[1], jitter)
-    gamma = angle_to_sun(omega, sun)
+    features[:2] = lookup(positions, omega[first], view, jitter).transpose(2, 0, 1)
+    gamma = angle_to_sun(omega, lookup.sun)
     features[2] = phase(gamma)
     return features, gamma

@@ -112,15 +112,13 @@ class Lattices:
     levels: List[Lattice]
     density_step: np.float32
 
-    def read(self, index: np.ndarray, density: np.ndarray, transmittance: np.ndarray):
-        """Fill density and transmittance, float32, with the features at places in `values`."""
+    def read(self, index: np.ndarray, features: np.ndarray):
+        """Fill features, float32 (N, k, 2), with density and transmittance at places (N, k) in `values`."""
         # The lattices hold every cell that a stencil can read; clipping costs less than checking.
-        found = self.values.take(index, mode="clip")
-        density[...] = found & np.uint32(STEPS)
-        density *= self.density_step
-        found >>= np.uint32(16)
-        transmittance[...] = found
-        transmittance *= np.float32(1.0 / STEPS)
+        steps = self.values.take(index, mode="clip").view(np.uint16)
+        features = features.reshape(steps.shape)
+        features[...] = steps
+        features *= np.tile(np.array([self.density_step, 1.0 / STEPS], np.float32), index.shape[1])
 
 
 def _fine_span(m: int, stencil: Stencil, low, high):

@@ -94,8 +94,8 @@ class Grid:
         """Choose the extinction per unit density of what follows."""
         self.sigma_t = sigma_t
 
-    def sun_depth(self, index: np.ndarray, sun: int, may_be_outside: bool) -> np.ndarray:
-        """Optical depth (N,) from continuous indices float32 (3, N) to a sun.
+    def sun_depth(self, index: np.ndarray, sun: int, may_be_outside: bool, hidden=np.float32(0.0)) -> np.ndarray:
+        """Optical depth (N,) from continuous indices float32 (3, N) to a sun; hidden: as SunDepth has it.
 
         Points outside are moved towards the sun onto the support; where that misses it the depth is 0.
         """
@@ -105,7 +105,7 @@ class Grid:
             meets = far > np.maximum(near, 0.0)
             index = index + np.where(meets, np.maximum(near, 0.0), 0.0) * direction[:, None]
             index = index.astype(np.float32)
-        depth = self.sun_depths[sun](index, self.sigma_t)
+        depth = self.sun_depths[sun](index, self.sigma_t, hidden)
         return np.where(meets, depth, np.float32(0.0)) if may_be_outside else depth
 
 

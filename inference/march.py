@@ -81,6 +81,13 @@ class _Medium:
         self.within = sums_within(self.tau)
         self.before = self.blocks.before(self.within[:, -1])
 
+    def edges(self) -> np.ndarray:
+        """float32 (P, STEPS + 1): optical depth from the ray's start to the steps' ends."""
+        edges = np.zeros((len(self.tau), STEPS + 1), np.float32)
+        edges[:, 1:] = self.within
+        edges += self.before.astype(np.float32)[:, None]
+        return edges
+
     def lit_part(self, behind: float):
         """Where rays begin to be dimmed and where they are opaque, or else end: distances (R,) and (R,)."""
         steps, ray, number = self.steps, self.blocks.ray, self.blocks.steps()
@@ -222,13 +229,14 @@ def _shadows(grids, medium: _Medium, filled, may_be_outside: bool = False) -> np
     ends[:, :-1] |= filled
     ends[:, 1:] |= filled
     edge = np.flatnonzero(ends)
+    hidden = medium.edges().reshape(-1)[edge]
     ray = np.repeat(medium.blocks.ray, STEPS + 1)[edge]
     step = medium.blocks.steps(edges=True).reshape(-1)[edge]
     shadows = np.full((volumes, suns, *ends.shape), OPAQUE, np.float32)
     for v, grid in enumerate(grids):
         position = medium.steps.index(v, ray, step)
         for l in range(suns):
-            depth = grid.sun_depth(position, l, may_be_outside=may_be_outside or volumes > 1)
+            depth = grid.sun_depth(position, l, may_be_outside=may_be_outside or volumes > 1, hidden=hidden)
             shadows[v, l].reshape(-1)[edge] = depth
     return shadows
 
@@ -261,7 +269,8 @@ def _fluence(diffused, frames: RaySteps, sigma, suns: int, medium: _Medium) -> n
         number = step.reshape(-1)[filled]
         places = frames.index(known, np.repeat(ray, STEPS)[filled], number + np.float32(0.5))
         # Moved about from step to step, so that neighbouring rays do not change cells together: that would show.
-        places += np.mod(number * SCATTER, np.float32(1.0)) - np.float32(0.5)
+        scatter = number.astype(np.float32) * SCATTER
+        places += scatter - np.floor(scatter) - np.float32(0.5)
         cells = light.cells(places)
         for l, values in enumerate(light.fluences):
             fluence[v, l].reshape(-1)[filled] = values.reshape(-1).take(cells)

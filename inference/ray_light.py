@@ -56,6 +56,8 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
         rest = (1 - inside) * through[block, step]
         # Samples lie where light reaches; the limit keeps rounding in steep steps from growing below.
         at = np.clip(before[block, step] + through[block, step] - rest, 0.0, 2.0 * REACH)
+        # What of each scaled extinction ends in each step, seen from where the ray begins.
+        ends = {a: _ends(a, before, before[:, -1:] + through[:, -1:]) for a in {*SCALES, *DIFFUSED_SCALES}}
         whole = blocks.sums(within[:, -1])
         ahead = np.minimum(whole[blocks.ray[block]] - at, TAU_AHEAD_MOST)
         for l in range(suns):
@@ -70,14 +72,20 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
                 dark = -np.log(np.maximum(lit[l][block, step], np.float32(1e-30)))
                 values[:, v, l, 0] = np.minimum(values[:, v, l, 0] + dark, TAU_SUN_MOST)
             for i, (a, light) in enumerate(single + [(a, fluence[v, l]) for a in DIFFUSED_SCALES], start=2):
-                values[:, v, l, i] = _gather(a, light, through, before, blocks, block, step, rest, at)
+                values[:, v, l, i] = _gather(a, light, ends[a], blocks, block, step, rest, at)
     return RayLight(values)
 
 
-def _gather(a, light, through, before, blocks, block, step, rest, at):
-    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (P, S), constant in each step."""
+def _ends(a, before, whole):
+    """(P, S): exp(-a tau) at the start of each step minus that at its end; before: (P, S), whole: (P, 1) tau there."""
+    left = np.exp(np.float32(-a) * np.concatenate([before, whole], axis=1))
+    return left[:, :-1] - left[:, 1:]
+
+
+def _gather(a, light, ends, blocks, block, step, rest, at):
+    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (P, S), constant in each step; ends: `_ends`."""
     # What each whole step gives where the ray begins; then all steps behind each, in its block and in those behind.
-    given = light * np.exp(-a * before) * -np.expm1(-a * through)
+    given = light * ends
     behind = np.zeros((given.shape[0], given.shape[1] + 1), given.dtype)
     behind[:, :-1] = sums_within(given[:, ::-1])[:, ::-1]
     ahead = behind[block, step + 1] + blocks.behind(behind[:, 0])[block]

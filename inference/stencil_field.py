@@ -3,7 +3,7 @@
 import numpy as np
 
 from .cube import level0_density
-from .descriptors import angle_to_sun, describe, distinct_rows, read_fields
+from .descriptors import FieldLookup, angle_to_sun, describe, distinct_rows
 from .diffusion import CELLS, LEVEL, DiffusedLight, finer, log_fluence, read_fluence
 from .fields import build_lattices, density_pyramid, lit_levels, padded_levels, unit_optical_depths
 from .phase import PhaseFeatures
@@ -59,13 +59,12 @@ class StencilField:
         sun_map = self.sun_maps.get(tuple(sun))
         lit = lit_levels(self.network.points, sun_map) if sun_map else None
         self.lattices = build_lattices(self.padded, depths, sigma_hat, self.network.points, low, high, mapper, earlier, lit)
+        self.lookup = FieldLookup(self.network.points, self.lattices, sun)
         self.built = built
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
-        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as in `read_fields`."""
-        features, gamma = describe(
-            self.network.points, self.lattices, self.phase, positions, omega, self.sun, jitter
-        )
+        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as FieldLookup has it."""
+        features, gamma = describe(self.lookup, self.phase, positions, omega, jitter)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
 
@@ -106,10 +105,8 @@ class RayField(StencilField):
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
         """Radiance float32 (A, N) at points of the cube's frame, (N, 3); light: (N, COLUMNS), as RayLight gives it."""
-        stencil = np.empty((len(positions), 2 * POINTS), np.float32)
-        mu, transmittance = stencil[:, :POINTS], stencil[:, POINTS:]
-        read_fields(self.network.points, self.lattices, positions, omega, self.sun, mu, transmittance, jitter)
         first, view = distinct_rows(omega)
+        stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
         gamma = angle_to_sun(omega[first], self.sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         ray = np.concatenate([light, read_fluence(self.fluence, positions, omega, self.sun)], axis=1)

@@ -12,8 +12,9 @@ from .trilinear import between
 # Optical depth from slice to slice above which slices are integrated; how many, for each unit of it, and at most.
 THIN_SLICE = 0.35
 SLICES_A_DEPTH, SLICES_MOST = 4.0, 4
-# Optical depth from slice to slice above which everything is integrated, and that exactly; below, what seems lit.
-STEEP_SLICE, UNLIT = 4.0, 10.0
+# Optical depth from slice to slice above which everything is integrated, and that exactly; below, what seems lit and seen:
+# optical depths towards the sun and the camera together up to this.
+STEEP_SLICE, UNLIT = 4.0, 6.0
 # Optical depth beyond which a way is not followed.
 DARK = 30.0
 # Gauss's two places in an interval: exact for the cubic that the density is between planes of voxel centres.
@@ -36,8 +37,11 @@ class SunDepth:
         self.length = np.float32(1.0 / abs(direction[self.main]))
         self.columns = grid.columns(direction, check)
 
-    def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
-        """Optical depth float32 (N,) at continuous indices float32 (3, N)."""
+    def __call__(self, index: np.ndarray, sigma_t: float, hidden=np.float32(0.0)) -> np.ndarray:
+        """Optical depth float32 (N,) at continuous indices float32 (3, N).
+
+        hidden: (N,) optical depth behind which each point is seen: those behind much need not be known as well.
+        """
         sigma_t, thickest = np.float32(sigma_t), self.peak * sigma_t * float(self.length)
         place = index + np.float32(1.0)
         along = place[self.main]
@@ -50,8 +54,10 @@ class SunDepth:
             before = self._on_slice(place, ahead - np.float32(1.0), following - self.step)
             depth = between(after, before, ahead)
             depth *= sigma_t
-            left = np.flatnonzero((depth > 0.0) & (depth < UNLIT))
-            if thickest < THIN_SLICE or not len(left):
+            if thickest < THIN_SLICE:
+                return depth
+            left = np.flatnonzero((depth > 0.0) & (depth + hidden < UNLIT))
+            if not len(left):
                 return depth
             slices = int(np.ceil(min(SLICES_A_DEPTH * thickest, SLICES_MOST)))
         else:

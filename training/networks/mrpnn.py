@@ -69,14 +69,14 @@ class RayMRPNN(nn.Module):
         pooling = torch.zeros(2 * POINTS, len(LAYER_POINTS))
         start = 0
         for i, points in enumerate(LAYER_POINTS):
-            pooling[start : start + points, i] = 1.0 / points
-            start += points
+            pooling[start : start + 2 * points : 2, i] = 1.0 / points
+            start += 2 * points
         self.register_buffer("pooling", pooling, persistent=False)
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of the training data: stencil (N, 2 POINTS), ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
-        stencil = data["features"][rows].float().flatten(1)
+        """Of some rows of the training data: stencil (N, 2 POINTS), mu and S of each point in turn, ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
+        stencil = data["features"][rows].float().transpose(1, 2).flatten(1)
         ray = [data["tau_sun"][rows, None], data["tau_ahead"][rows, None]]
         ray += [data[key][rows] for key in ("ahead", "diffused", "fluence")]
         return stencil, torch.cat(ray, dim=1), data["anisotropy"][rows], data["gamma"][rows]
