@@ -6,7 +6,7 @@ import numpy as np
 
 from .multiple import POINTS_A_TASK, MultipleField
 from .plan import distinct_albedos
-from .shared_pixels import Squares, agreeing
+from .shared_pixels import LEVELS, SURPRISE, Squares, agreeing
 from .spread_light import turned
 
 
@@ -51,7 +51,6 @@ def add_multiple(
 
     camera: whose window's pixels `images` are. whole: whether further samples may lie anywhere in the volumes.
     """
-    squares = Squares(camera.window) if "shared_pixels" in settings.leave_out else None
     jobs = [(g, l) for g in range(len(plan.groups)) if _scatters(plan, channels, g) for l in range(len(plan.suns))]
     for number, (g, l) in enumerate(jobs):
         sun, group = plan.suns[l], plan.groups[g]
@@ -81,11 +80,11 @@ def add_multiple(
         if sun.spread is not None:
             seen.directions = turned(camera, samples.pixel, samples.directions, sun, field.medium.anisotropy)
         with report.stage("network"):
-            if squares is None:
+            if "shared_pixels" not in settings.leave_out:
                 seen.look(inside, work, report, first, last, message)
             else:
                 once = images.single[:, channels.indices].T / len(plan.suns)
-                _look_and_share(seen, inside, squares, once, settings, work, report, first, last, message)
+                _look_and_share(seen, inside, camera.window, once, settings, work, report, first, last, message)
         images.multiple[:, channels.indices] += seen.radiance.T
         images.uncertainty += seen.error
 
@@ -148,32 +147,43 @@ class _Seen:
         return opacity, np.bincount(self.pixel, weight * ahead, len(opacity)) / np.maximum(opacity, np.float32(1e-30))
 
 
-def _look_and_share(seen, inside, squares, once, settings, work, report, start, end, message):
+def _look_and_share(seen, inside, window, once, settings, work, report, start, end, message):
     """Predict where neighbours do not tell, and share where they do.
 
-    once: (C, P), light of the sun scattered once.
+    window: of the pixels P; once: (C, P), light of the sun scattered once.
     """
-    look = squares.first_look()
-    first = look[seen.pixel[inside]]
-    middle = start + (end - start) * first.mean()
-    seen.look(inside[first], work, report, start, middle, message)
-
     # Means over the volumes' opacity in a pixel are shared; the opacity is known of every pixel.
     opacity, ahead = seen.opacity()
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
-    mean, error = seen.radiance / safe, seen.error / safe
-    shared, surprise = agreeing(
-        squares, mean.mean(axis=0), opacity, once.mean(axis=0), ahead, settings.depth_samples)
     # Where the rays of a pixel end at different surfaces, its neighbours do not speak for it.
-    shared &= ~squares.any(np.bincount(seen.samples.pixel, minlength=len(look)) > 1)
-    pixels = squares.between(shared)
-    seen.look(inside[~(look | pixels)[seen.pixel[inside]]], work, report, middle, end, message)
+    alone = np.bincount(seen.samples.pixel, minlength=len(safe)) > 1
+    mean, error, off = seen.radiance / safe, seen.error / safe, np.zeros(len(safe), np.float32)
+    looked, shares = np.zeros((2, len(safe)), bool)
+    pixel, done = seen.pixel[inside], 0
 
-    for values in (*mean, error):
-        squares.fill(values, shared, pixels)
-    off = np.zeros(len(look), np.float32)
-    off[squares.pixels[shared]] = surprise[shared, None]
-    pixels &= opacity > 0.0
-    seen.radiance[:, pixels] = (mean * opacity)[:, pixels]
-    seen.error[pixels] = ((error + off * (len(mean) / 3.0)) * opacity)[pixels]
-    report.count("pixels that share their neighbours' multiple scattering", pixels.sum())
+    def look(pixels):
+        nonlocal done
+        points = inside[pixels[pixel]]
+        before, done = done, done + len(points)
+        seen.look(points, work, report, *(start + (end - start) * n / len(inside) for n in (before, done)), message)
+        looked[pixels] = True
+        mean[:, pixels], error[pixels] = seen.radiance[:, pixels] / safe[pixels], seen.error[pixels] / safe[pixels]
+
+    for stride, difference in LEVELS:
+        squares = Squares(window, stride).apart_from(shares)
+        look(squares.first_look() & ~looked)
+        shared, surprise = agreeing(
+            squares, mean.mean(axis=0), error * (3.0 / len(mean)), opacity, once.mean(axis=0), ahead, difference / np.sqrt(settings.depth_samples))
+        shared &= ~squares.any(alone)
+        between = squares.between(shared) & ~looked & ~shares
+        for values in (*mean, error):
+            squares.fill(values, shared, between)
+        surprises = np.zeros_like(off)
+        surprises[squares.pixels[shared]] = surprise[shared, None]
+        off[between] = surprises[between]
+        shares |= between
+    look(~(looked | shares))
+    shares &= opacity > 0.0
+    seen.radiance[:, shares] = (mean * opacity)[:, shares]
+    seen.error[shares] = ((error + SURPRISE * off * (len(mean) / 3.0)) * opacity)[shares]
+    report.count("pixels that share their neighbours' multiple scattering", shares.sum())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.descriptors import describe, stencil_points
+from inference.descriptors import FieldLookup, describe, stencil_points
 from inference.fields import STEPS, build_lattices, density_pyramid, padded_levels, unit_optical_depths
 from inference.phase import PhaseFeatures, henyey_greenstein
 from inference.stencil import LAYER_POINTS, LOW_POINTS
@@ -38,7 +38,7 @@ def rays():
 
 def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
     lattices = build_lattices(*fields, SIGMA_HAT, stencil)
-    features, gamma = describe(stencil, lattices, PhaseFeatures(stencil, 0.6), *rays, SUN)
+    features, gamma = describe(FieldLookup(stencil, lattices, SUN), PhaseFeatures(stencil, 0.6), *rays)
     expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
     # A point within rounding of a cell's border may fall on either side.
     different = np.abs(features[:2] - expected) > 1e-4
@@ -64,22 +64,22 @@ def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
     assert cut.values.size < 0.1 * whole.values.size
     phase = PhaseFeatures(stencil, 0.6)
     np.testing.assert_array_equal(
-        describe(stencil, cut, phase, positions, rays[1], SUN)[0],
-        describe(stencil, whole, phase, positions, rays[1], SUN)[0],
+        describe(FieldLookup(stencil, cut, SUN), phase, positions, rays[1])[0],
+        describe(FieldLookup(stencil, whole, SUN), phase, positions, rays[1])[0],
     )
 
 
 def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
     """Means over jitter change gradually where single lookups jump from cell to cell."""
-    lattices, phase = build_lattices(*fields, SIGMA_HAT, stencil), PhaseFeatures(stencil, 0.6)
+    lookup, phase = FieldLookup(stencil, build_lattices(*fields, SIGMA_HAT, stencil), SUN), PhaseFeatures(stencil, 0.6)
     random = np.random.default_rng(3)
     steps, copies = 12, 400
     # A cell of mip 0 to either side of a place where the density jumps.
     path = np.linspace(-1.0 / 256.0, 1.0 / 256.0, steps)[:, None] * [0.0, 1.0, 0.0] + [0.11, 2.0 / 32.0, -0.2]
     omega = np.broadcast_to(rays[1][:1], path.shape)
-    plain = describe(stencil, lattices, phase, path, omega, SUN)[0][0, :, 0]
+    plain = describe(lookup, phase, path, omega)[0][0, :, 0]
     jitter = random.uniform(-0.5, 0.5, (steps * copies, 3))
-    many = describe(stencil, lattices, phase, path.repeat(copies, 0), omega.repeat(copies, 0), SUN, jitter)[0][0, :, 0]
+    many = describe(lookup, phase, path.repeat(copies, 0), omega.repeat(copies, 0), jitter)[0][0, :, 0]
     mean = many.reshape(steps, copies).mean(axis=1)
     assert np.count_nonzero(np.diff(plain)) == 1
     assert 0.0 < np.abs(np.diff(mean)).max() < 0.5 * np.abs(np.diff(plain)).max()
@@ -104,7 +104,7 @@ def test_homogeneous_cube_at_its_centre(stencil):
     sun = np.array([0.0, 0.0, 1.0])
     lattices = build_lattices(padded, unit_optical_depths(padded, sun), 10.0, stencil)
     omega = np.array([[0.0, 1.0, 0.0]])
-    features, _ = describe(stencil, lattices, PhaseFeatures(stencil, 0.0), np.zeros((1, 3)), omega, sun)
+    features, _ = describe(FieldLookup(stencil, lattices, sun), PhaseFeatures(stencil, 0.0), np.zeros((1, 3)), omega)
     inside = stencil.mips < 4
     np.testing.assert_allclose(features[0, 0, inside], np.log1p(10.0 / 64.0), rtol=1e-5)
     # The centre reads field 0: exp(-0.578 * 10 * 0.5), the sun half a cube away.

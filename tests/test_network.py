@@ -13,7 +13,7 @@ from training.networks.mrpnn import RAY_INPUTS
 from training.stencil import load_stencil
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
-POINTS = 77
+POINTS, POINTS_A_RAY = 77, 7
 LARGEST_FILE = 8_000_000
 
 
@@ -23,9 +23,9 @@ def make_net(name):
 
 
 def make_inputs(kind):
-    """Inputs of a network as onnxruntime takes them, without the albedo."""
+    """Inputs of a network as PyTorch takes them, without the albedo; points on one ray share their angle to the sun."""
     random = np.random.default_rng(4)
-    gamma = random.uniform(0, np.pi, POINTS).astype(np.float32)
+    gamma = random.uniform(0, np.pi, POINTS // POINTS_A_RAY).astype(np.float32).repeat(POINTS_A_RAY)
     if kind == "lattice":
         return {"lattice": random.random((POINTS, sun_lattice.LEVELS, sun_lattice.POINTS), np.float32), "gamma": gamma}
     anisotropy = np.full(POINTS, 0.857, np.float32)
@@ -34,6 +34,15 @@ def make_inputs(kind):
         return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
     features = random.random((3, POINTS, 192), np.float32)
     return {"features": features, "anisotropy": anisotropy, "gamma": gamma}
+
+
+def fed(inputs, points):
+    """The same, of some points, as onnxruntime takes them."""
+    inputs = {key: values.take(points, axis=1 if key == "features" else 0) for key, values in inputs.items()}
+    if "ray" in inputs:
+        inputs["gamma"], first, inputs["view"] = np.unique(inputs["gamma"], return_index=True, return_inverse=True)
+        inputs["anisotropy"] = inputs["anisotropy"][first]
+    return inputs
 
 
 def weights_folder(folder, monkeypatch, model):
@@ -53,13 +62,11 @@ def test_onnxruntime_equals_pytorch(name, tmp_path, monkeypatch):
     with torch.no_grad():
         tensors = [torch.from_numpy(value) for value in inputs.values()]
         expected = net(*tensors, torch.from_numpy(np.repeat(albedos[:, None], POINTS, axis=1))).numpy()
-    result = loaded.run(**inputs, albedo=albedos)
+    result = loaded.run(**fed(inputs, np.arange(POINTS)), albedo=albedos)
     assert result.shape == (3, POINTS)
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-12)
     # A point's result does not depend on its neighbours in the batch.
-    points_axis = {"features": 1}
-    one = {key: np.take(value, [5], axis=points_axis.get(key, 0)) for key, value in inputs.items()}
-    np.testing.assert_array_equal(loaded.run(**one, albedo=albedos)[:, 0], result[:, 5])
+    np.testing.assert_array_equal(loaded.run(**fed(inputs, [5]), albedo=albedos)[:, 0], result[:, 5])
 
 
 @pytest.mark.parametrize("name", sorted(set(NETWORKS) - {"rpnn"}))
