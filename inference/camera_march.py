@@ -14,8 +14,9 @@ from .rays import camera_rays, window_around
 from .scene import Camera, SceneError
 from .surfaces import PLACES, rays_to_surfaces
 
-# Rays a marching task are chosen to hold about this many steps.
-STEPS_A_TASK = 1_200_000
+# Rays a marching task are chosen to hold about this many steps that are looked at: fewer, and what calling numpy takes
+# shows; more, and what they hold no longer fits into a processor's cache.
+STEPS_A_TASK = 200_000
 # Steps of one ray beyond which a task's memory would no longer be small.
 MOST_STEPS = 1 << 18
 
@@ -70,7 +71,8 @@ def march_camera_rays(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
             "another; render volumes of so different sizes in view layers of their own"
         )
-    size = int(np.clip(STEPS_A_TASK // longest, 16, 4096))
+    looked_at = longest * min(sum(grid.occupancy.share() for grid in grids), 1.0)
+    size = int(np.clip(STEPS_A_TASK / looked_at, 16, 4096))
     tasks = [hit[i : i + size] for i in range(0, len(hit), size)]
     suns = np.array([sun.direction for sun in plan.suns]).reshape(-1, 3)
     wide = [l for l, sun in enumerate(plan.suns) if sun.spread is not None]

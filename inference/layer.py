@@ -36,7 +36,7 @@ class Layer:
         emit, unscattered; rgb is their sum.
     uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths and from sharing between pixels,
         as a mean over the channels; the network's own error is not in it. With one depth sample nothing tells
-        it, and it is as large as `multiple`.
+        it, and it is at least as large as `multiple`.
     report: what was planned, left out and measured.
     """
 

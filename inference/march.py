@@ -11,6 +11,7 @@ import numpy as np
 
 from .depth_samples import sample_opacities
 from .diffusion import DiffusedLight
+from .exponential import one_minus_exp
 from .grid import Grid
 from .omissions import ALL
 from .products import product
@@ -56,10 +57,8 @@ class RaySegment:
 
 def mean_transmittance(start, end):
     """Mean of exp(-tau) over a step along which tau goes linearly from start to end, both >= 0."""
-    x = np.abs(end - start)
-    small = x < 1e-4
-    safe = np.where(small, np.float32(1.0), x)
-    return np.exp(-np.minimum(start, end)) * np.where(small, 1.0 - 0.5 * x, -np.expm1(-safe) / safe)
+    x = np.maximum(np.abs(end - start), np.float32(1e-20))
+    return np.exp(-np.minimum(start, end)) * one_minus_exp(x) / x
 
 
 class _Medium:
@@ -122,7 +121,7 @@ def march(
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
     alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
     # Mean distance within a step is left at its middle.
-    scattered = transmitted * -np.expm1(-medium.tau)
+    scattered = transmitted * one_minus_exp(medium.tau)
     reached = blocks.sums(_of_blocks(scattered * (blocks.steps() + np.float32(0.5)).astype(np.float32)))
     depth = steps.near + reached * steps.dt / np.maximum(alpha, 1e-30)
 

@@ -183,6 +183,7 @@ def _look_and_share(seen, inside, window, once, settings, work, report, start, e
         off[between] = surprises[between]
         shares |= between
     look(~(looked | shares))
+    work.progress(end, message)
     shares &= opacity > 0.0
     seen.radiance[:, shares] = (mean * opacity)[:, shares]
     seen.error[shares] = ((error + SURPRISE * off * (len(mean) / 3.0)) * opacity)[shares]

@@ -24,6 +24,10 @@ class Occupancy:
             filled = np.moveaxis(grown, 0, axis)
         self.filled = np.ascontiguousarray(filled)
 
+    def share(self) -> float:
+        """Of the cells, those that are filled or beside one that is."""
+        return float(self.filled.mean())
+
     def near(self, index: np.ndarray) -> np.ndarray:
         """bool (N,): False only where nothing lies within REACH of continuous indices float32 (3, N)."""
         base = 0

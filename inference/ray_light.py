@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .exponential import one_minus_exp
 from .ray_steps import sums_within
 
 # Extinction is scaled by these for the light ahead: forward scattering reaches further than extinction lets light.
@@ -56,8 +57,8 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
         rest = (1 - inside) * through[block, step]
         # Samples lie where light reaches; the limit keeps rounding in steep steps from growing below.
         at = np.clip(before[block, step] + through[block, step] - rest, 0.0, 2.0 * REACH)
-        # What of each scaled extinction ends in each step, seen from where the ray begins.
-        ends = {a: _ends(a, before, before[:, -1:] + through[:, -1:]) for a in {*SCALES, *DIFFUSED_SCALES}}
+        # What ends in each step for each scaled extinction, seen from where the ray begins.
+        ends = {a: np.exp(-a * before) * one_minus_exp(a * through) for a in {*SCALES, *DIFFUSED_SCALES}}
         whole = blocks.sums(within[:, -1])
         ahead = np.minimum(whole[blocks.ray[block]] - at, TAU_AHEAD_MOST)
         for l in range(suns):
@@ -76,14 +77,11 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
     return RayLight(values)
 
 
-def _ends(a, before, whole):
-    """(P, S): exp(-a tau) at the start of each step minus that at its end; before: (P, S), whole: (P, 1) tau there."""
-    left = np.exp(np.float32(-a) * np.concatenate([before, whole], axis=1))
-    return left[:, :-1] - left[:, 1:]
-
-
 def _gather(a, light, ends, blocks, block, step, rest, at):
-    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (P, S), constant in each step; ends: `_ends`."""
+    """(M,) integral of exp(-a tau) light a d(tau) ahead of points; light: (P, S), constant in each step.
+
+    ends: (P, S) exp(-a tau) at each step's start less that at its end, tau from the ray's start.
+    """
     # What each whole step gives where the ray begins; then all steps behind each, in its block and in those behind.
     given = light * ends
     behind = np.zeros((given.shape[0], given.shape[1] + 1), given.dtype)

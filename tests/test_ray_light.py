@@ -6,6 +6,7 @@ import pytest
 from inference import Volume
 from inference.diffusion import CELLS as COARSE_CELLS
 from inference.diffusion import DiffusedLight
+from inference.exponential import one_minus_exp
 from inference.grid import Grid
 from inference.march import light_at, march
 from inference.ray_light import DIFFUSED_SCALES, SCALES
@@ -110,3 +111,8 @@ def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_togeth
     rise = (seen[-1] - seen[0]) / (rays - 1)
     # Nearest cells alone would rise by ten rays' share at every tenth ray.
     assert rise > 0.0 and np.abs(np.diff(seen) - rise).max() < 2.5 * rise
+
+
+def test_one_minus_exp_keeps_its_digits():
+    x = np.concatenate([[0.0], np.logspace(-30, 5, 2000)]).astype(np.float32)
+    np.testing.assert_allclose(one_minus_exp(x), -np.expm1(-x.astype(np.float64)), rtol=4e-7)

@@ -11,6 +11,7 @@ from inference import Camera, Medium, SceneError, Settings, Sun, Volume, render
 from inference.cube import active_bounds, fit_cube, level0_density
 from inference.dense_grid import DenseGrid
 from inference.grid import Grid
+from inference.omissions import ALL
 from inference.sparse_columns import column_bytes
 from inference.sparse_grid import SparseGrid
 from inference.sun_depth import SunDepth
@@ -106,7 +107,9 @@ def rendered(pairs, suns):
     matrix[:3, :3] = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     matrix[:3, :3] *= np.linalg.det(matrix[:3, :3])
     matrix[:3, 3] = 3.0 * matrix[:3, 2]
-    return render(pairs, suns, Camera(matrix, resolution=(24, 24), fov=0.3), Settings(2, threads=1))
+    # Which pixels share can hang on the last digit.
+    settings = Settings(2, threads=1, leave_out=ALL - {"shared_pixels"})
+    return render(pairs, suns, Camera(matrix, resolution=(24, 24), fov=0.3), settings)
 
 
 def compare(found, expected):
