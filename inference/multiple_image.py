@@ -172,8 +172,9 @@ def _look_and_share(seen, inside, window, once, settings, work, report, start, e
     for stride, difference in LEVELS:
         squares = Squares(window, stride).apart_from(shares)
         look(squares.first_look() & ~looked)
-        shared, surprise = agreeing(
-            squares, mean.mean(axis=0), error * (3.0 / len(mean)), opacity, once.mean(axis=0), ahead, difference / np.sqrt(settings.depth_samples))
+        # Errors are those of a mean over all three channels.
+        shared, surprise = agreeing(squares, mean.mean(axis=0), error * (3.0 / len(mean)), opacity, once.mean(axis=0), ahead,
+                                    difference / np.sqrt(settings.depth_samples))
         shared &= ~squares.any(alone)
         between = squares.between(shared) & ~looked & ~shares
         for values in (*mean, error):
