@@ -5,10 +5,12 @@ Screenshots are left in build/window, from where docs/images takes its own. Thos
 BLENDER_ROOTS as WORK: the tools' convention, the same on every machine.
 """
 
+import contextlib
 import inspect
 import os
 import shutil
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -210,8 +212,8 @@ def test_the_engine_menu_offers_the_engine(window):
     assert window.do("print(bpy.context.scene.render.engine)") == "MRPNN"
 
 
-# Seconds of its own work between two looks of Blender's main loop, which a timer takes a hundred times a second. What
-# other programs do to this machine does not count.
+# A timer looks at Blender's main loop a hundred times a second. Between two looks its own work counts, not what other
+# programs do to this machine.
 LOOKS = """
 import threading, time
 looks, looking = [], True
@@ -222,6 +224,30 @@ bpy.app.timers.register(look)
 """
 LONGEST = "looking = False; print(max(b - a for a, b in zip(looks, looks[1:])))"
 BLOCKED = 0.2
+
+
+@contextlib.contextmanager
+def usable(window):
+    """Holds what happens in `window` meanwhile to leave Blender's main loop usable.
+
+    Where a host holds the whole (virtual) machine, the thread that ran is charged with that: a clock here skips as much.
+    """
+    done, skips = threading.Event(), [0.0]
+
+    def watch():
+        last = time.monotonic()
+        while not done.wait(0.01):
+            last, before = time.monotonic(), last
+            skips.append(last - before)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    window.do(LOOKS)
+    watcher.start()
+    try:
+        yield
+    finally:
+        done.set()
+    assert float(window.do(LONGEST)) < BLOCKED + max(skips)
 
 
 def test_a_comparison_goes_on_beside_the_interface_and_esc_keeps_what_is_finished(window):
@@ -238,32 +264,31 @@ def test_a_comparison_goes_on_beside_the_interface_and_esc_keeps_what_is_finishe
               "denoised=False, bounces=8, scale=10, budget=0, folder=WORK + '/comparison')")
     time.sleep(1.0)
     window.shot("compare-dialog")
-    window.do(LOOKS)
-    window.mouse("key", "Return")
-    window.until("job()")
-    window.do("made = job()")
-    assert window.do("print(bpy.ops.mrpnn.compare())").endswith("{'CANCELLED'}")
-    window.until("not job() or sum(made.method == 'reference' for made in job().passes) > 1")
-    trusted = window.do("print(bool(job()))") == "True"
-    if not trusted:
-        assert "does not render volumes correctly here" in window.do("print(made.error)")
-        # Told at the pointer, until it is told away.
-        time.sleep(1.0)
-        window.press("Escape")
-    else:
-        assert 0.0 < float(window.do("print(job().fraction)")) < 1.0
-        window.press("Escape")
-        window.until("not job()")
+    with usable(window):
+        window.mouse("key", "Return")
+        window.until("job()")
+        window.do("made = job()")
+        assert window.do("print(bpy.ops.mrpnn.compare())").endswith("{'CANCELLED'}")
+        window.until("not job() or sum(made.method == 'reference' for made in job().passes) > 1")
+        trusted = window.do("print(bool(job()))") == "True"
+        if not trusted:
+            assert "does not render volumes correctly here" in window.do("print(made.error)")
+            # Told at the pointer, until it is told away.
+            time.sleep(1.0)
+            window.press("Escape")
+        else:
+            assert 0.0 < float(window.do("print(job().fraction)")) < 1.0
+            window.press("Escape")
+            window.until("not job()")
+        window.until(f"not {THREADS}")
     # The settings of every scene are as they were; more data there is only what the comparison shows.
     window.do("now = state_of_file()")
     assert window.do("print(now[1] == before[1])") == "True"
     left = eval(window.do("print({k: n - before[0][k] for k, n in now[0].items() if n != before[0][k]})"))
     assert left == ({"images": 4, "texts": 1} if trusted else {}), left
-    window.until(f"not {THREADS}")
     assert len(list(folder.glob("passes/*/reference-*.npz"))) >= (2 if trusted else 0)
     assert (folder / "report.html").exists() == trusted
     assert "Traceback" not in window.console[len(said):]
-    assert float(window.do(LONGEST)) < BLOCKED
     window.do("for image in [i for i in bpy.data.images if i.name.startswith('MRPNN')]: bpy.data.images.remove(image)\n"
               "for text in list(bpy.data.texts): bpy.data.texts.remove(text)")
 
@@ -300,10 +325,9 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
               "bpy.data.volumes['Ball'].filepath = WORK + '/large.vdb'")
     window.do(FOG)
     try:
-        window.do(LOOKS)
-        window.do("with over(area('IMAGE_EDITOR')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
-        window.until("'MRPNN' in bpy.data.images")
-        assert float(window.do(LONGEST)) < BLOCKED
+        with usable(window):
+            window.do("with over(area('IMAGE_EDITOR')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
+            window.until("'MRPNN' in bpy.data.images")
     finally:
         window.do("area('IMAGE_EDITOR').type = 'VIEW_3D'\n"
                   "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'; bpy.data.objects.remove(fog)\n"
