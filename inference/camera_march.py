@@ -6,6 +6,7 @@ import numpy as np
 
 from .depth_samples import DepthSamples
 from .emission import emitted
+from .images import add_at
 from .march import march
 from .products import product
 from .ray_light import RayLight
@@ -105,13 +106,14 @@ def march_camera_rays(
             report.count("rays that meet density", np.count_nonzero(segment.alpha))
             at, weight = pixel[rays], share[rays]
             if glow is not None:
-                np.add.at(images.emission, (at[:, None], channels.indices), glow * weight[:, None])
+                for number, c in enumerate(channels.indices):
+                    add_at(images.emission[:, c], at, glow[:, number] * weight)
             for c in channels.indices:
                 albedo = np.array([m.albedo[c] for _, m in plan.volumes])
                 irradiance = np.array([sun.irradiance[c] for sun in plan.suns])
-                np.add.at(images.single, (at, c), np.einsum("rvl,v,l,r->r", lit, albedo, irradiance, weight))
-            np.add.at(images.alpha, at, segment.alpha * weight * part)
-            np.add.at(images.depth, at, segment.alpha * segment.depth * weight * part)
+                add_at(images.single[:, c], at, np.einsum("rvl,v,l,r->r", lit, albedo, irradiance, weight))
+            add_at(images.alpha, at, segment.alpha * weight * part)
+            add_at(images.depth, at, segment.alpha * segment.depth * weight * part)
             ray = rays[segment.sample_ray].astype(np.int32)
             parts.append((ray, segment.sample_distance, segment.sample_weight * share[ray], segment.sample_fraction))
             light.append(segment.sample_light)

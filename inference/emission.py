@@ -31,8 +31,7 @@ def emitted(
     through *= steps.dt[blocks.ray][:, None] * (blocks.steps() < steps.count[blocks.ray][:, None])
     light = np.zeros((blocks.rays, len(channels.indices)))
     for v in glowing:
-        index = steps.index(v, blocks.ray, blocks.steps() + np.float32(0.5))
         for number, channel in enumerate(channels.indices):
-            glow = grids[v].sample_emission(channel, index).reshape(tau.shape)
+            glow = steps.mean(lambda index: grids[v].sample_emission(channel, index), v, blocks.ray, blocks.number)
             light[:, number] += factors[v] * blocks.sums((glow * through).sum(axis=1))
     return light

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .images import add_at
+
 # Depth samples whose scattered emission is looked up at a time.
 GLOW_POINTS = 1 << 16
 
@@ -24,4 +26,4 @@ def add_glow(plan, channels, kept, grids, samples, work, report, multiple):
                 weight = samples.weight[points] * samples.fraction[points, v]
                 for c in channels.indices:
                     light = glow.scattered(c, positions, directions, medium.anisotropy) * medium.albedo[c]
-                    np.add.at(multiple, (samples.pixel[samples.ray[points]], c), weight * light)
+                    add_at(multiple[:, c], samples.pixel[samples.ray[points]], weight * light)

@@ -26,3 +26,9 @@ class Images:
     def part(self, pixels: slice) -> "Images":
         """The same memory, of some pixels only."""
         return Images(*(getattr(self, field.name)[pixels] for field in fields(self)))
+
+
+def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray):
+    """Add values (N,), N > 0, to an image (P,) at pixels (N,), int, ascending; what falls on one pixel adds up."""
+    added = np.bincount(pixel - pixel[0], values)
+    image[pixel[0] : pixel[0] + len(added)] += added

@@ -64,7 +64,7 @@ def mean_transmittance(start, end):
 class _Medium:
     """What rays meet: the filled blocks of their steps, and extinction and optical depth in them.
 
-    sigma: float32 (V, P, STEPS) extinction at the middle of each step, 0 behind what is opaque; total: (P, STEPS), of all
+    sigma: float32 (V, P, STEPS) mean extinction of each step, 0 behind what is opaque; total: (P, STEPS), of all
     volumes; tau: (P, STEPS) optical depth of each step; within: (P, STEPS) from the block's start to each step's end;
     before: float64 (P,) from the ray's start to the block's.
     """
@@ -187,7 +187,7 @@ def _of_blocks(values: np.ndarray) -> np.ndarray:
 
 
 def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
-    """Extinction (V, P, STEPS) at the middle of each step, 0 behind what is opaque and beyond the ray's end.
+    """Mean extinction (V, P, STEPS) of each step, 0 behind what is opaque and beyond the ray's end.
 
     Goes front to back, some blocks of each ray at a time, with the rays that still see through.
     """
@@ -195,11 +195,10 @@ def extinction(grids, sigma_t, steps: RaySteps, blocks: Blocks, behind: float) -
     tau, rounds = np.zeros(blocks.rays), blocks.rank // BLOCKS_A_ROUND
     for number in range(rounds.max(initial=-1) + 1):
         now = np.flatnonzero((rounds == number) & (tau[blocks.ray] < behind))
-        ray, step = blocks.ray[now], blocks.number[now, None] * STEPS + np.arange(STEPS)
-        within = step < steps.count[ray, None]
+        ray, first = blocks.ray[now], blocks.number[now]
+        within = first[:, None] * STEPS + np.arange(STEPS) < steps.count[ray, None]
         for v, grid in enumerate(grids):
-            density = grid.sample_density(steps.index(v, ray, step + np.float32(0.5)))
-            sigma[v, now] = density.reshape(-1, STEPS) * within * np.float32(sigma_t[v])
+            sigma[v, now] = steps.mean(grid.sample_density, v, ray, first) * within * np.float32(sigma_t[v])
         tau += np.bincount(ray, _of_blocks(sigma[:, now]).sum(axis=0), blocks.rays) * steps.dt
     return sigma
 
@@ -227,6 +226,9 @@ def _shadows(grids, medium: _Medium, filled, may_be_outside: bool = False) -> np
     ends = np.zeros((len(filled), STEPS + 1), bool)
     ends[:, :-1] |= filled
     ends[:, 1:] |= filled
+    # Where a block ends and the next one begins, light is asked for once.
+    joint = np.flatnonzero(medium.blocks.followed() & ends[:, -1])
+    ends[joint + 1, 0], ends[joint, -1] = True, False
     edge = np.flatnonzero(ends)
     hidden = medium.edges().reshape(-1)[edge]
     ray = np.repeat(medium.blocks.ray, STEPS + 1)[edge]
@@ -237,6 +239,7 @@ def _shadows(grids, medium: _Medium, filled, may_be_outside: bool = False) -> np
         for l in range(suns):
             depth = grid.sun_depth(position, l, may_be_outside=may_be_outside or volumes > 1, hidden=hidden)
             shadows[v, l].reshape(-1)[edge] = depth
+    shadows[:, :, joint, -1] = shadows[:, :, joint + 1, 0]
     return shadows
 
 

@@ -4,6 +4,7 @@ from typing import Tuple
 
 import numpy as np
 
+from .images import add_at
 from .multiple import POINTS_A_TASK, MultipleField
 from .plan import distinct_albedos
 from .shared_pixels import LEVELS, SURPRISE, Squares, agreeing
@@ -127,10 +128,9 @@ class _Seen:
             for (_, members), row in zip(self.albedos, radiance):
                 for c in members:
                     part = weight[:, c] * row
-                    added = np.bincount(pixel - pixel[0], part)
-                    self.radiance[self.indices.index(c), pixel[0] : pixel[0] + len(added)] += added
+                    add_at(self.radiance[self.indices.index(c)], pixel, part)
                     parts[seen] += part / 3.0
-        np.add.at(self.error, *self.samples.standard_error(parts))
+        add_at(self.error, *self.samples.standard_error(parts))
         report.count("network points", len(points))
         report.count("network answers", len(points) * len(self.albedos))
 

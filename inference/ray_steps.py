@@ -10,11 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .occupancy import REACH
+from .products import product
 
 # Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
-STEPS_A_VOXEL = (2, 8)
+STEPS_A_VOXEL = (1, 8)
 # Of a coarse grid, along its longest edge at least.
-STEPS_AN_EDGE = 256
+STEPS_AN_EDGE = 128
+# Places in each step, evenly apart, at which volumes are read; what follows from the mean is asked for once a step.
+PLACES = 2
 # A ray that only grazes a corner is cut as finely as if it passed so many voxels.
 LEAST_VOXELS = 32
 # Of a block: no end of it lies further from its middle than occupancy tells.
@@ -27,9 +30,9 @@ def voxel_thickness(grids, sigma_t) -> float:
 
 
 def steps_a_voxel(grids, sigma_t) -> int:
-    """Two steps for each optical depth that a voxel may hold, within bounds."""
+    """One step for each optical depth that a voxel may hold, within bounds."""
     coarse = -(-STEPS_AN_EDGE // max(max(grid.shape) for grid in grids))
-    return max(int(np.clip(np.ceil(2 * voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL)), coarse)
+    return max(int(np.clip(np.ceil(voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL)), coarse)
 
 
 def step_thickness(grids, sigma_t) -> float:
@@ -70,6 +73,12 @@ class RaySteps:
         places += self.first[v].take(ray, axis=1).reshape(shape)
         return places.reshape(3, -1)
 
+    def mean(self, sample, v: int, ray, number) -> np.ndarray:
+        """(N, STEPS): means over each step of what `sample` gives at indices into a grid, of blocks, (N,) their numbers."""
+        places = (np.arange(STEPS * PLACES, dtype=np.float32) + np.float32(0.5)) / np.float32(PLACES)
+        values = sample(self.index(v, ray, (number * STEPS)[:, None] + places)).reshape(-1, STEPS, PLACES)
+        return product(values, np.full(PLACES, 1.0 / PLACES, np.float32))
+
 
 @dataclass
 class Blocks:
@@ -89,6 +98,12 @@ class Blocks:
     def steps(self, edges: bool = False) -> np.ndarray:
         """int (P, STEPS) number of each step on its ray, or (P, STEPS + 1) of the edges between them."""
         return self.number[:, None] * STEPS + np.arange(STEPS + edges)
+
+    def followed(self) -> np.ndarray:
+        """bool (P,): whether the next block begins where this one ends, on the same ray."""
+        followed = np.zeros(len(self.ray), bool)
+        followed[:-1] = (self.ray[1:] == self.ray[:-1]) & (self.number[1:] == self.number[:-1] + 1)
+        return followed
 
     def where(self, chosen) -> "Blocks":
         return Blocks(self.rays, self.ray[chosen], self.number[chosen])
