@@ -7,6 +7,7 @@ import numpy as np
 from .cube import filled_bounds
 from .dense_grid import DenseGrid, refined, refinement
 from .occupancy import Occupancy
+from .products import product
 from .rays import box_interval
 from .scene import SceneError, Volume
 from .sparse_grid import SparseGrid
@@ -64,7 +65,7 @@ class Grid:
 
     def index(self, world: np.ndarray) -> np.ndarray:
         """World positions (N, 3) as continuous indices, float64."""
-        return world @ self.linear.T + self.offset
+        return product(world, self.linear.T) + self.offset
 
     def corners(self) -> np.ndarray:
         """(8, 3) of the support in the world."""
@@ -75,7 +76,7 @@ class Grid:
 
     def interval(self, origins, directions):
         """Distances at which world rays enter and leave the grid's support."""
-        return box_interval(self.index(origins), directions @ self.linear.T, *self.box)
+        return box_interval(self.index(origins), product(directions, self.linear.T), *self.box)
 
     def sample_density(self, index: np.ndarray) -> np.ndarray:
         """Density (N,) at continuous indices float32 (3, N)."""

@@ -14,7 +14,8 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a @ b for a (..., M, K) and b (K,) or (K, N), in parts of some rows each."""
     if not a.size or not b.size:
         return a @ b
-    work = VECTOR_WORK if b.ndim == 1 else MATRIX_WORK
+    # One column is a vector to numpy as well.
+    work = VECTOR_WORK if b.size == a.shape[-1] else MATRIX_WORK
     rows = a.reshape(-1, a.shape[-1])
     each = max(work // b.size, 1)
     whole = len(rows) // each * each

@@ -43,7 +43,7 @@ def step_thickness(grids, sigma_t) -> float:
 def step_counts(grids, sigma_t, directions, near, far) -> np.ndarray:
     """Steps (R,) that each ray is cut into between near and far, by the grid that needs most."""
     crossed = [
-        np.linalg.norm(directions @ grid.linear.T, axis=1) * (far - near)
+        np.linalg.norm(product(directions, grid.linear.T), axis=1) * (far - near)
         for grid, extinction in zip(grids, sigma_t) if extinction > 0.0 or grid.emission
     ]
     return np.ceil(np.maximum(np.max(crossed, axis=0), LEAST_VOXELS) * steps_a_voxel(grids, sigma_t)).astype(int)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .products import product
 from .scene import Camera
 
 
@@ -33,7 +34,7 @@ def image_rays(camera: Camera, x, y):
     forward = np.full_like(u, -1.0)
     if camera.projection == "orthographic":
         local = np.stack([u * camera.ortho_scale, v * camera.ortho_scale, np.zeros_like(u)], axis=1)
-        origins = eye + local @ rotation.T
+        origins = eye + product(local, rotation.T)
         directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
         cosine = np.ones_like(u)
     elif camera.projection == "equirectangular":
@@ -41,14 +42,14 @@ def image_rays(camera: Camera, x, y):
         latitude = _between(camera.latitude, 1.0 - y / height)
         local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
                           -np.cos(latitude) * np.cos(longitude)], axis=1)
-        directions = local @ rotation.T
+        directions = product(local, rotation.T)
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = np.ones_like(u)
     else:
         extent = 2.0 * np.tan(0.5 * camera.fov)
         local = np.stack([u * extent, v * extent, forward], axis=1)
         length = np.linalg.norm(local, axis=1)
-        directions = (local / length[:, None]) @ rotation.T
+        directions = product(local / length[:, None], rotation.T)
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = 1.0 / length
     return origins, directions, cosine

@@ -1,5 +1,7 @@
 """Products in parts, against those in one."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from inference.products import MATRIX_WORK, VECTOR_WORK, product
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("a, b", [
-    ((5, 8), (8,)), ((3, VECTOR_WORK // 4, 8), (8,)), ((1025, 8), (8,)), ((2, 40_000), (40_000,)), ((70_000, 3), (3, 5)),
+    ((5, 8), (8,)), ((3, VECTOR_WORK // 4, 8), (8,)), ((1025, 8), (8,)), ((2, 40_000), (40_000,)), ((70_000, 3), (3, 5)), ((70_000, 3), (3, 1)),
     ((7, 500), (500, 400)), ((100, 3), (3, 0)), ((0, 3), (3, 2)), ((4, 0), (0, 2)), ((2, 0, 6), (6,)),
 ])
 def test_products_are_those_of_numpy(a, b, kind):
@@ -24,3 +26,15 @@ def test_a_row_does_not_depend_on_those_beside_it():
     random = np.random.default_rng(4)
     a, b = random.random((3 * MATRIX_WORK // 24, 8)), random.random((8, 3))
     np.testing.assert_array_equal(product(a[:1000], b), product(a, b)[:1000])
+
+
+@pytest.mark.parametrize("a, b", [((70_000, 3), (3, 1)), ((70_000, 3), (3, 3)), ((70_000, 8), (8,)), ((2000, 400), (400, 90))])
+def test_only_the_thread_that_asks_works(a, b):
+    a, b = np.ones(a, np.float32), np.ones(b, np.float32)
+    product(a, b)
+    # What products before have left waiting busily goes to sleep.
+    time.sleep(0.2)
+    process, thread = time.process_time(), time.thread_time()
+    while time.thread_time() < thread + 0.3:
+        product(a, b)
+    assert time.process_time() - process < 1.1 * (time.thread_time() - thread)
