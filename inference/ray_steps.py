@@ -12,7 +12,8 @@ import numpy as np
 from .occupancy import REACH
 from .products import product
 
-# Steps per voxel of the finest grid: at least, and at most where voxels are optically thick.
+# Steps for each optical depth that a voxel of the finest grid may hold; per voxel at least, and at most.
+STEPS_A_DEPTH = 2.0
 STEPS_A_VOXEL = (1, 8)
 # Of a coarse grid, along its longest edge at least.
 STEPS_AN_EDGE = 128
@@ -29,10 +30,10 @@ def voxel_thickness(grids, sigma_t) -> float:
     return sum(grid.thickness(s) for grid, s in zip(grids, sigma_t))
 
 
-def steps_a_voxel(grids, sigma_t) -> int:
-    """One step for each optical depth that a voxel may hold, within bounds."""
-    coarse = -(-STEPS_AN_EDGE // max(max(grid.shape) for grid in grids))
-    return max(int(np.clip(np.ceil(voxel_thickness(grids, sigma_t)), *STEPS_A_VOXEL)), coarse)
+def steps_a_voxel(grids, sigma_t) -> float:
+    """By the largest optical depth of a voxel, within bounds."""
+    coarse = STEPS_AN_EDGE / max(max(grid.shape) for grid in grids)
+    return max(float(np.clip(STEPS_A_DEPTH * voxel_thickness(grids, sigma_t), *STEPS_A_VOXEL)), coarse)
 
 
 def step_thickness(grids, sigma_t) -> float:
