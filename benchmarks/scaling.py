@@ -1,14 +1,17 @@
 """How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
 
-    python -m benchmarks.scaling [--size 256]
+    python -m benchmarks.scaling [--size 256] [--tables threads suns]
 
 Renders the cloud of benchmarks.speed with one thing changed at a time. Cost is processor seconds of all threads, which
-other work on the machine changes little, by stage and as a ratio to the first row of its table. The error of depth
-samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02; that of sharing, beside 32.
+other work on the machine changes little, by stage and as a ratio to the first row of its table; for threads, seconds by
+the clock. The error of depth samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02;
+that of sharing, beside 32.
 """
 
 import argparse
 import dataclasses
+import functools
+import os
 import re
 
 import numpy as np
@@ -57,6 +60,7 @@ def cases(size: int):
                     (("black", 0.0), ("grey", 0.9), ("three", (0.8, 0.9, 1.0)))],
         "extinction": [(name, once(medium=Medium(sigma, 1.0, 0.857))) for name, sigma in
                        (("grey", 100.0), ("three", (80.0, 90.0, 100.0)))],
+        "threads": [(str(n), once(settings=Settings(threads=n))) for n in (1, 2, 4, 8, 16, 32) if n <= os.cpu_count()],
     }
 
 
@@ -64,7 +68,9 @@ def cost_table(name: str, rows) -> str:
     lines = [f"| {name} | {' | '.join(STAGES)} | total | ratio |", "|---" * (len(STAGES) + 3) + "|"]
     first = None
     for label, draw in rows:
-        seconds = draw().report.cpu_seconds
+        report = draw().report
+        # Threads share the same work: what falls is the time by the clock.
+        seconds = report.seconds if name == "threads" else report.cpu_seconds
         total = seconds["total"]
         first = first or total
         stages = " | ".join(f"{seconds.get(stage, 0.0):.2f}" for stage in STAGES)
@@ -136,14 +142,17 @@ def sharing_table() -> str:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these, by the names that stand above them in the page")
     arguments = parser.parse_args()
     # Loading the network is not what grows.
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
+    makers = {name: functools.partial(cost_table, name, rows) for name, rows in cases(arguments.size).items()}
+    makers.update(omissions=functools.partial(omissions_table, arguments.size), error=depth_table, sharing=sharing_table)
+    if not set(arguments.tables or ()) <= set(makers):
+        parser.error(f"there are these tables: {', '.join(makers)}")
     page = PAGE.read_text()
-    tables = {name: cost_table(name, rows) for name, rows in cases(arguments.size).items()}
-    tables["omissions"] = omissions_table(arguments.size)
-    tables["error"], tables["sharing"] = depth_table(), sharing_table()
-    for name, table in tables.items():
+    for name in arguments.tables or makers:
+        table = makers[name]()
         mark = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
         page = re.sub(mark, lambda found: found.group(1) + table + "\n" + found.group(2), page, flags=re.S)
     replace(PAGE, page)
