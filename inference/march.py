@@ -10,7 +10,7 @@ from typing import FrozenSet, List, Optional
 import numpy as np
 
 from .depth_samples import sample_opacities
-from .diffusion import DiffusedLight
+from .diffused_light import DiffusedLight
 from .exponential import one_minus_exp
 from .grid import Grid
 from .omissions import ALL
@@ -135,8 +135,8 @@ def march(
     if diffused is not None:
         frames = _frames(diffused, origins, directions, steps)
         sigma, shadows = _together(medium.sigma, groups), _together(shadows, groups)
-        fluence = _fluence(diffused, frames, sigma, shadows.shape[1], medium)
-        light = ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit)
+        scattered = _scattered(diffused, frames, directions, sigma, shadows.shape[1], medium)
+        light = ray_light(blocks, sigma, shadows, scattered, _turning(diffused), dt, block, step, inside, lit)
     return RaySegment(
         alpha,
         depth,
@@ -163,8 +163,9 @@ def light_at(grid: Grid, sigma_t: float, positions, directions, diffused: Diffus
     known[start, 0] = True
     shadows = _shadows([grid], medium, known, may_be_outside=True)
     frames = _frames([diffused], positions, directions, medium.steps)
-    fluence = _fluence([diffused], frames, medium.sigma, shadows.shape[1], medium)
-    return ray_light(blocks, medium.sigma, shadows, fluence, medium.dt, start, nothing, np.zeros(len(positions)))
+    scattered = _scattered([diffused], frames, directions, medium.sigma, shadows.shape[1], medium)
+    turning, inside = _turning([diffused]), np.zeros(len(positions))
+    return ray_light(blocks, medium.sigma, shadows, scattered, turning, medium.dt, start, nothing, inside)
 
 
 def _cut(
@@ -256,12 +257,18 @@ def _together(values, groups):
     return np.stack([values[group].sum(axis=0) for group in groups])
 
 
-def _fluence(diffused, frames: RaySteps, sigma, suns: int, medium: _Medium) -> np.ndarray:
-    """(G, L, P, STEPS) fluence of each sun at the middle of each filled step, 0 where nothing is predicted.
+def _turning(diffused):
+    """(G,) shares of scattering that turn light; any where nothing is predicted."""
+    return [1.0 if light is None else light.turning for light in diffused]
+
+
+def _scattered(diffused, frames: RaySteps, directions, sigma, suns: int, medium: _Medium) -> np.ndarray:
+    """(G, L, P, STEPS): what diffused light of each sun scatters towards the camera, times 4 pi, at the middle of each filled
+    step, 0 where nothing is predicted.
 
     sigma: (G, P, STEPS) extinction of each group.
     """
-    fluence = np.zeros((len(diffused), suns, *medium.total.shape), np.float32)
+    scattered = np.zeros((len(diffused), suns, *medium.total.shape), np.float32)
     ray, step = medium.blocks.ray, medium.blocks.steps()
     known = 0
     for v, light in enumerate(diffused):
@@ -269,15 +276,17 @@ def _fluence(diffused, frames: RaySteps, sigma, suns: int, medium: _Medium) -> n
             continue
         filled = np.flatnonzero(sigma[v])
         number = step.reshape(-1)[filled]
-        places = frames.index(known, np.repeat(ray, STEPS)[filled], number + np.float32(0.5))
+        ray_of = np.repeat(ray, STEPS)[filled]
+        places = frames.index(known, ray_of, number + np.float32(0.5))
         # Moved about from step to step, so that neighbouring rays do not change cells together: that would show.
         scatter = number.astype(np.float32) * SCATTER
         places += scatter - np.floor(scatter) - np.float32(0.5)
-        cells = light.cells(places)
-        for l, values in enumerate(light.fluences):
-            fluence[v, l].reshape(-1)[filled] = values.reshape(-1).take(cells)
+        cells, towards = light.cells(places), light.towards(directions).take(ray_of, axis=0)
+        for l, values in enumerate(light.lights):
+            found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
+            scattered[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0))
         known += 1
-    return fluence
+    return scattered
 
 
 def _lit(sun_maps, medium: _Medium, origins, directions) -> np.ndarray:

@@ -13,9 +13,9 @@ from .ray_steps import sums_within
 
 # Extinction is scaled by these for the light ahead: forward scattering reaches further than extinction lets light.
 SCALES = (1.0, 0.578, 0.334)
-# The same for the diffused light ahead, which scatters on in every direction.
-DIFFUSED_SCALES = (1.0, 0.2)
-COLUMNS = 2 + len(SCALES) + len(DIFFUSED_SCALES)
+# The light from ahead that has scattered before is seen through all extinction, and through the share of it that turns light.
+DIFFUSED = 2
+COLUMNS = 2 + len(SCALES) + DIFFUSED
 # Optical depths towards the sun and ahead count up to these.
 TAU_SUN_MOST, TAU_AHEAD_MOST = 60.0, 8.0
 # Optical depth to which rays must be marched so that the light ahead of samples is complete.
@@ -28,8 +28,8 @@ class RayLight:
 
     values: float32 (M, V, L, COLUMNS): optical depth towards the sun, optical depth ahead, and along the ray
         ahead, where tau counts from the point, for each scale a the integral of exp(-a (tau + tau_sun)) a d(tau),
-        and for each diffused scale that of exp(-a tau) phi a d(tau), phi being the fluence in the diffusion
-        approximation.
+        and for 1 and the share of scattering that turns light that of exp(-a tau) J a d(tau), J being what the light that
+        has scattered before scatters along the ray, times 4 pi.
     """
 
     values: np.ndarray
@@ -39,12 +39,12 @@ class RayLight:
         return self.values[points, medium, sun]
 
 
-def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None) -> RayLight:
+def ray_light(blocks, sigma, shadows, scattered, turning, dt, block, step, inside, lit=None) -> RayLight:
     """Light at points of marched rays.
 
     blocks: `ray_steps.Blocks`, P of them; sigma: (V, P, S) extinction in each step; shadows: (V, L, P, S + 1) optical
-    depth towards each sun at the steps' ends, where a step holds density; fluence: (V, L, P, S) of each sun in each
-    step; dt: (P, 1) steps' length; block, step: int (M,) of each point, and inside: (M,) in [0, 1], how far into its
+    depth towards each sun at the steps' ends, where a step holds density; scattered: (V, L, P, S) J of each sun in each
+    step; turning: (V,) shares of scattering that turn light; dt: (P, 1) steps' length; block, step: int (M,) of each point, and inside: (M,) in [0, 1], how far into its
     step it lies; lit: (L, P, S) share of each sun's light that surfaces let through, where they shade.
     """
     volumes, suns = shadows.shape[:2]
@@ -58,7 +58,7 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
         # Samples lie where light reaches; the limit keeps rounding in steep steps from growing below.
         at = np.clip(before[block, step] + through[block, step] - rest, 0.0, 2.0 * REACH)
         # What ends in each step for each scaled extinction, seen from where the ray begins.
-        ends = {a: np.exp(-a * before) * one_minus_exp(a * through) for a in {*SCALES, *DIFFUSED_SCALES}}
+        ends = {a: np.exp(-a * before) * one_minus_exp(a * through) for a in {*SCALES, 1.0, turning[v]}}
         whole = blocks.sums(within[:, -1])
         ahead = np.minimum(whole[blocks.ray[block]] - at, TAU_AHEAD_MOST)
         for l in range(suns):
@@ -72,7 +72,7 @@ def ray_light(blocks, sigma, shadows, fluence, dt, block, step, inside, lit=None
                 single = [(a, light * lit[l]) for a, light in single]
                 dark = -np.log(np.maximum(lit[l][block, step], np.float32(1e-30)))
                 values[:, v, l, 0] = np.minimum(values[:, v, l, 0] + dark, TAU_SUN_MOST)
-            for i, (a, light) in enumerate(single + [(a, fluence[v, l]) for a in DIFFUSED_SCALES], start=2):
+            for i, (a, light) in enumerate(single + [(a, scattered[v, l]) for a in (1.0, turning[v])], start=2):
                 values[:, v, l, i] = _gather(a, light, ends[a], blocks, block, step, rest, at)
     return RayLight(values)
 

@@ -4,14 +4,14 @@ import numpy as np
 
 from .cube import level0_density
 from .descriptors import FieldLookup, angle_to_sun, describe, distinct_rows
-from .diffusion import CELLS, LEVEL, DiffusedLight, finer, log_fluence, read_fluence
+from .diffused_light import DiffusedLight, light_cells, light_of, read_light
 from .fields import build_lattices, density_pyramid, lit_levels, padded_levels, unit_optical_depths
+from .ordinates import CELLS, LEVEL, Ordinates
 from .phase import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil
-from .walls import Walls
 
 # Suns and optical densities whose diffused light a field keeps.
-MOST_FLUENCES = 64
+MOST_LIGHTS = 64
 # Places along an edge of a cell of the diffused light at which surfaces may shade it.
 LIT_CELL_PARTS = 3
 
@@ -25,7 +25,7 @@ class StencilField:
     needs_light = False
 
     def __init__(self, network, volume, cube, anisotropy: float, check=lambda: None):
-        self.network, self.cube, self.anisotropy = network, cube, anisotropy
+        self.network, self.cube, self.anisotropy, self.check = network, cube, anisotropy, check
         pyramid = density_pyramid(level0_density(volume, cube, check))
         self.padded = padded_levels(pyramid, network.points)
         self.lattices, self.built, self.sun_maps = None, None, {}
@@ -75,33 +75,40 @@ class RayField(StencilField):
     needs_light = True
 
     def prepare(self, pyramid):
-        self.coarse, self.fluences, self.walls = pyramid[LEVEL], {}, None
+        self.coarse, self.lights, self.triangles, self.ordinates = pyramid[LEVEL], {}, None, (None, None)
 
     def meet(self, sun_maps, triangles):
         super().meet(sun_maps, triangles)
-        self.fluences.clear()
-        walls = Walls(triangles, CELLS)
-        self.walls = None if walls.empty else walls
+        self.lights.clear()
+        self.triangles, self.ordinates = triangles, (None, None)
 
     def light(self, sigma_hat: float, sun, low, high, mapper=map):
         super().light(sigma_hat, sun, low, high, mapper)
-        self.fluence = self.log_fluence(sigma_hat, sun)
+        self.cells = self.diffused_cells(sigma_hat, sun).astype(np.float32)
 
-    def log_fluence(self, sigma_hat: float, sun):
-        """As `diffusion.log_fluence`, solved once for each optical density and sun."""
+    def diffused_cells(self, sigma_hat: float, sun):
+        """As `diffused_light.light_cells`, solved once for each optical density and sun."""
         key = sigma_hat, *sun
-        if key not in self.fluences:
-            if len(self.fluences) >= MOST_FLUENCES:
-                self.fluences.clear()
+        if key not in self.lights:
+            if len(self.lights) >= MOST_LIGHTS:
+                self.lights.clear()
+            ordinates = self._ordinates(sigma_hat)
             sun_map = self.sun_maps.get(tuple(sun))
             lit = sun_map.lit_cells(CELLS, parts=LIT_CELL_PARTS) if sun_map else 1.0
-            self.fluences[key] = log_fluence(self.coarse, sun, sigma_hat * (1.0 - self.anisotropy), lit, self.walls)
-        return self.fluences[key]
+            self.lights[key] = light_cells(ordinates.light(sun, lit), ordinates.walls)
+        return self.lights[key]
+
+    def _ordinates(self, sigma_hat: float) -> Ordinates:
+        """For the optical density of the last call, which the suns of a render share."""
+        if self.ordinates[0] != sigma_hat:
+            self.ordinates = sigma_hat, Ordinates(self.coarse, sigma_hat, self.anisotropy, self.triangles, self.check)
+        return self.ordinates[1]
 
     def diffused_light(self, sigma_hat: float, suns, mapper=map) -> DiffusedLight:
         """For camera rays; suns: (3,) each, in the cube's frame."""
-        logs = mapper(lambda sun: self.log_fluence(sigma_hat, sun), suns)
-        return DiffusedLight.in_cube(self.cube, [finer(field) for field in logs])
+        self._ordinates(sigma_hat)
+        cells = mapper(lambda sun: self.diffused_cells(sigma_hat, sun), suns)
+        return DiffusedLight.in_cube(self.cube, [light_of(values) for values in cells], self.anisotropy)
 
     def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
         """Radiance float32 (A, N) at points of the cube's frame, (N, 3); light: (N, COLUMNS), as RayLight gives it."""
@@ -109,5 +116,5 @@ class RayField(StencilField):
         stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
         gamma = angle_to_sun(omega[first], self.sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        ray = np.concatenate([light, read_fluence(self.fluence, positions, omega, self.sun)], axis=1)
+        ray = np.concatenate([light, read_light(self.cells, positions, omega, self.sun, self.anisotropy)], axis=1)
         return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)

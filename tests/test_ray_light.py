@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from inference import Volume
-from inference.diffusion import CELLS as COARSE_CELLS
-from inference.diffusion import DiffusedLight
+from inference.diffused_light import DiffusedLight
 from inference.exponential import one_minus_exp
 from inference.grid import Grid
 from inference.march import light_at, march
-from inference.ray_light import DIFFUSED_SCALES, SCALES
+from inference.ordinates import CELLS as COARSE_CELLS
+from inference.ray_light import SCALES
 
 CELLS = 48
+ANISOTROPY = 0.6
 
 
 def box(name="box", offset=(0.0, 0.0, 0.0)):
@@ -22,11 +23,11 @@ def box(name="box", offset=(0.0, 0.0, 0.0)):
 
 
 def slabs(offset=(0.0, 0.0, 0.0), suns=1):
-    """A fluence of 2 above z = 0 of a cube of edge 1 around `offset`, and 1 below."""
-    fluence = np.ones((2 * COARSE_CELLS,) * 3, np.float32)
-    fluence[:, :, COARSE_CELLS:] = 2.0
-    linear = np.eye(3) * 2 * COARSE_CELLS
-    return DiffusedLight(linear, COARSE_CELLS - linear @ np.array(offset), [fluence] * suns)
+    """A fluence of 2 above z = 0 of a cube of edge 1 around `offset`, and 1 below, and a flux of 0.3 of it along x."""
+    light = np.tile(np.array([1.0, 0.3, 0.0, 0.0], np.float32), (*[COARSE_CELLS] * 3, 1))
+    light[:, :, COARSE_CELLS // 2 :] *= 2.0
+    linear = np.eye(3) * COARSE_CELLS
+    return DiffusedLight(linear, 0.5 * COARSE_CELLS - linear @ np.array(offset), [light] * suns, ANISOTROPY)
 
 
 def prepared(volume, sun, sigma_t):
@@ -39,7 +40,7 @@ def prepared(volume, sun, sigma_t):
 @pytest.mark.parametrize("sigma_t", [0.3, 3.0, 8.0])
 def test_light_in_a_box_has_its_closed_form(sigma_t):
     """Along +x below a sun at +z: exp(-a tau_sun) (1 - exp(-a tau_ahead)), tau_sun being constant along the ray;
-    and fluence (1 - exp(-a tau_ahead))."""
+    and J (1 - exp(-a tau_ahead)), J being fluence - 3 G' flux, G' = G / (1 + G)."""
     grid = prepared(box(), (0.0, 0.0, 1.0), sigma_t)
     position = np.array([[-0.3, 0.0, 0.2], [0.1, 0.1, -0.1], [0.45, -0.2, 0.3]])
     direction = np.tile([1.0, 0.0, 0.0], (3, 1))
@@ -47,7 +48,8 @@ def test_light_in_a_box_has_its_closed_form(sigma_t):
     tau_sun, tau_ahead = sigma_t * (0.5 - position[:, 2]), sigma_t * (0.5 - position[:, 0])
     expected = [tau_sun, tau_ahead] + [np.exp(-a * tau_sun) * -np.expm1(-a * tau_ahead) for a in SCALES]
     fluence = np.where(position[:, 2] > 0.0, 2.0, 1.0)
-    expected += [fluence * -np.expm1(-a * tau_ahead) for a in DIFFUSED_SCALES]
+    scattered = fluence * (1.0 - 3.0 * ANISOTROPY / (1.0 + ANISOTROPY) * 0.3)
+    expected += [scattered * -np.expm1(-a * tau_ahead) for a in (1.0, 1.0 - ANISOTROPY**2)]
     np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=0.02, atol=2e-3 * sigma_t)
 
 
@@ -98,11 +100,12 @@ def test_without_need_nothing_is_kept():
 def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_together():
     """Along x, from low to high through cells of a fluence that grows with z: what rays see grows with them."""
     grid = prepared(box(), (0.0, 0.0, 1.0), 2.0)
-    fluence = np.broadcast_to(np.arange(2.0 * COARSE_CELLS, dtype=np.float32), (2 * COARSE_CELLS,) * 3)
-    linear = np.eye(3) * 2 * COARSE_CELLS
-    light = DiffusedLight(linear, np.full(3, float(COARSE_CELLS)), [np.ascontiguousarray(fluence)])
+    values = np.zeros((*[COARSE_CELLS] * 3, 4), np.float32)
+    values[..., 0] = np.arange(COARSE_CELLS, dtype=np.float32)
+    linear = np.eye(3) * COARSE_CELLS
+    light = DiffusedLight(linear, np.full(3, 0.5 * COARSE_CELLS), [values], 0.0)
     rays = 40
-    z = 0.1 + np.arange(rays) / rays * 4 / (2 * COARSE_CELLS)
+    z = 0.1 + np.arange(rays) / rays * 4 / COARSE_CELLS
     origins = np.stack([np.full(rays, -2.0), np.full(rays, 0.013), z], axis=1)
     directions = np.tile([1.0, 0.0, 0.0], (rays, 1))
     near, far = grid.interval(origins, directions)

@@ -6,7 +6,8 @@ One file a volume, written through a temporary name and left alone when it exist
 command can be stopped and started again. Everything follows from the volume's seed.
 
 Every walk is connected to all suns of its volume and weighted with all albedos of its
-point: one walk serves SUNS * ALBEDOS targets.
+point: one walk serves SUNS * ALBEDOS targets. A volume is seen as several media, each with
+its points; what the network sees of them comes from the functions that rendering uses.
 """
 
 import argparse
@@ -17,13 +18,16 @@ import time
 import numpy as np
 
 from inference.cube import fit_cube, level0_density
-from inference.diffusion import CELLS, LEVEL
+from inference.diffused_light import COLUMNS as AROUND_COLUMNS
+from inference.diffused_light import DiffusedLight, light_cells, light_of, read_light
 from inference.fields import density_pyramid, padded_levels, unit_optical_depths
+from inference.grid import Grid
+from inference.march import light_at
+from inference.ordinates import LEVEL, Ordinates
+from inference.ray_light import COLUMNS as RAY_COLUMNS
 from inference.transmittance import sun_optical_depth
 from training.descriptors import describe_points
-from training.diffusion import describe_diffusion, log_fluences, place_in_reduced
 from training.path_tracer import sample_scattering_points, trace_points
-from training.ray_features import describe_rays
 from training.seeded_volume import seeded_volume
 from training.stencil import load_stencil
 from training.transport import prepare
@@ -32,10 +36,10 @@ SIGMA_HAT_RANGE = (1.0, 2000.0)
 ANISOTROPY_RANGE = (-0.3, 0.95)
 SUNS = 4
 ALBEDOS = 4
-# Values of G a volume.
-GROUPS = 8
-POINTS = 2048
-PATHS = 128
+# Optical densities with a value of G each, a volume.
+MEDIA = 8
+POINTS = 1024
+PATHS = 64
 
 
 def unit_vectors(random, count: int) -> np.ndarray:
@@ -50,6 +54,12 @@ def rays_towards(random, suns: np.ndarray, count: int) -> np.ndarray:
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     gamma = random.uniform(0.0, np.pi, (count, 1))
     return np.cos(gamma) * axis + np.sin(gamma) * across
+
+
+def draw_sigma(random, count: int) -> np.ndarray:
+    """Extinctions per cube edge, even in the logarithm: one in each of as many equal parts of the range, in any order."""
+    low, high = np.log(SIGMA_HAT_RANGE)
+    return np.exp(low + (high - low) * random.permutation((np.arange(count) + random.random(count)) / count))
 
 
 def draw_anisotropy(random, groups: int) -> np.ndarray:
@@ -77,21 +87,18 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
     density = volume.density
     n = density.shape[0]
     cube = fit_cube(volume)
-    pyramid = density_pyramid(level0_density(volume, cube))
-    padded = padded_levels(pyramid, stencil)
 
     suns = unit_vectors(random, SUNS)
     sun_tau = np.stack([sun_optical_depth(density, l * n, 1.0) for l in suns])
-    sigma = np.exp(random.uniform(*np.log(SIGMA_HAT_RANGE), points))
-    group = np.sort(random.integers(GROUPS, size=points))
-    values = draw_anisotropy(random, GROUPS)
+    media = np.stack([draw_sigma(random, MEDIA), draw_anisotropy(random, MEDIA)], axis=1)
+    medium = np.sort(random.integers(MEDIA, size=points))
     omega = rays_towards(random, suns, points)
     albedos = draw_albedos(random, points)
     positions, valid = sample_scattering_points(
-        density, sigma.astype(np.float32), omega.astype(np.float32), seed
+        density, media[medium, 0].astype(np.float32), omega.astype(np.float32), seed
     )
-    sigma, group, omega, albedos, positions = (a[valid] for a in (sigma, group, omega, albedos, positions))
-    anisotropy = values[group]
+    medium, omega, albedos, positions = (a[valid] for a in (medium, omega, albedos, positions))
+    sigma, anisotropy = media[medium].T
     grid = prepare(density)
     # Two independent halves, so that errors can be measured without the targets' own noise.
     radiance = np.stack([
@@ -99,31 +106,25 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
         for half in range(2)
     ], axis=2)
 
+    x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
+    pyramid = density_pyramid(level0_density(volume, cube))
+    ray, around = describe_light(volume, cube, pyramid[LEVEL], suns, media, medium, positions, omega)
+    padded = padded_levels(pyramid, stencil)
     sigma_hat = sigma * cube.edge
-    reduced = sigma_hat * (1.0 - anisotropy)
-    x, w = cube.positions(positions), cube.directions(omega)
-    fields = log_fluences(pyramid[LEVEL], [cube.directions(l) for l in suns])
-    tau_sun, tau_ahead, ahead, diffused = describe_rays(
-        grid, sun_tau, positions, omega, sigma, fields, place_in_reduced(reduced), fields_from_cells(cube, n)
-    )
     rows = []
     for k, sun in enumerate(suns):
-        l = cube.directions(sun)
-        features = describe_points(stencil, padded, unit_optical_depths(padded, l), x, w, l, sigma_hat)
+        features = describe_points(stencil, padded, unit_optical_depths(padded, l[k]), x, w, l[k], sigma_hat)
         rows.append(
             {
                 "features": features.astype(np.float16).transpose(1, 0, 2),
                 "position": positions,
                 "omega": omega.astype(np.float32),
                 "sun": np.broadcast_to(sun, (len(x), 3)).astype(np.float32),
-                "gamma": np.arccos(np.clip(w @ l, -1.0, 1.0)).astype(np.float32),
+                "gamma": np.arccos(np.clip(w @ l[k], -1.0, 1.0)).astype(np.float32),
                 "anisotropy": anisotropy.astype(np.float32),
                 "sigma_hat": sigma_hat.astype(np.float32),
-                "tau_sun": tau_sun[:, k],
-                "tau_ahead": tau_ahead,
-                "ahead": ahead[:, k],
-                "diffused": diffused[:, k],
-                "fluence": describe_diffusion(fields[k], x, w, l, reduced),
+                "ray": ray[:, k],
+                "around": around[:, k],
                 "albedo": albedos.astype(np.float32),
                 "radiance": radiance[:, k].astype(np.float32),
             }
@@ -131,11 +132,29 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
     return {key: np.concatenate([r[key] for r in rows]) for key in rows[0]}
 
 
-def fields_from_cells(cube, n: int) -> np.ndarray:
-    """(3, 4): indices into `log_fluences` from positions in the density's n cells an edge."""
-    linear = cube.rotation.T * (CELLS / cube.edge)
-    corner = linear @ (np.full(3, -0.5) - cube.centre) + 0.5 * CELLS + 0.5
-    return np.concatenate([linear / n, corner[:, None]], axis=1)
+def describe_light(volume, cube, coarse, suns, media, medium, positions, omega):
+    """What a network sees of light: along rays (N, S, ray_light.COLUMNS), and around points (N, S, diffused_light.COLUMNS).
+
+    coarse: level `ordinates.LEVEL` of the volume's pyramid; suns: (S, 3); media: (M, 2) extinction per cube edge and G;
+    medium: (N,) number of each point's; positions, omega: (N, 3), in the world.
+    """
+    grid = Grid(volume)
+    for sun in suns:
+        grid.add_sun(sun)
+    x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
+    ray = np.empty((len(x), len(suns), RAY_COLUMNS), np.float32)
+    around = np.empty((len(x), len(suns), AROUND_COLUMNS), np.float32)
+    for number in np.unique(medium):
+        sigma, anisotropy = media[number]
+        own = np.flatnonzero(medium == number)
+        ordinates = Ordinates(coarse, sigma * cube.edge, anisotropy)
+        cells = [light_cells(ordinates.light(sun)) for sun in l]
+        for k, values in enumerate(cells):
+            around[own, k] = read_light(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
+        grid.set_extinction(sigma)
+        diffused = DiffusedLight.in_cube(cube, [light_of(values) for values in cells], anisotropy)
+        ray[own] = light_at(grid, sigma, positions[own], omega[own], diffused).values[:, 0]
+    return ray, around
 
 
 def parse_range(text: str) -> range:

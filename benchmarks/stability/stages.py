@@ -59,8 +59,10 @@ def light_ahead():
     shadow = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]
     block, step, inside = 50 * np.arange(60) + random.integers(0, 3, 60), random.integers(0, 8, 60), random.random(60)
     fluence, dt = random.random((1, 1, 3000, 8)), np.ones((3000, 1))
-    double = ray_light(blocks, sigma, shadow, fluence, dt, block, step, inside).values
-    single = ray_light(blocks, *(a.astype(np.float32) for a in (sigma, shadow, fluence, dt)), block, step, inside)
+    turning = [0.3]
+    double = ray_light(blocks, sigma, shadow, fluence, turning, dt, block, step, inside).values
+    sigma, shadow, fluence, dt = (a.astype(np.float32) for a in (sigma, shadow, fluence, dt))
+    single = ray_light(blocks, sigma, shadow, fluence, turning, dt, block, step, inside)
     error = np.abs(single.values - double) / np.maximum(np.abs(double), 1e-3)
     return Outcome({"largest": float(error.max())})
 

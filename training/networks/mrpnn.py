@@ -7,7 +7,8 @@ import torch
 from onnx import TensorProto
 from torch import nn
 
-from inference.ray_light import DIFFUSED_SCALES, SCALES, TAU_AHEAD_MOST, TAU_SUN_MOST
+from inference import diffused_light, ray_light
+from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
 from inference.stencil import LAYER_POINTS, POINTS
 
 WIDTH = 192
@@ -21,10 +22,11 @@ AHEAD_SCALES = (1.0, 0.334, 0.1)
 LOG_RADIANCE_MOST = 4.0
 # Added to logarithms of layers' mean densities and of the light ahead.
 POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
-#: Places at which the diffused light is read.
-PROBES = 4
-AHEAD = len(SCALES) + len(DIFFUSED_SCALES)
-RAY_INPUTS = 2 + AHEAD + PROBES
+#: Of what light is seen: from ahead, its logarithms around the point, and fluxes there.
+AHEAD = ray_light.COLUMNS - 2
+LOGS = diffused_light.PROBES + 1
+FLUXES = diffused_light.COLUMNS - LOGS
+RAY_INPUTS = 2 + AHEAD + LOGS + FLUXES
 
 
 def log_phase(cosine, g):
@@ -36,7 +38,7 @@ class RayMRPNN(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1.
 
     Reads density and scaled transmittance at A.2's stencil, the optical depths towards the sun and
-    ahead along the camera ray, the light from ahead, and the fluence in the diffusion approximation. Feature P is left
+    ahead along the camera ray, the light from ahead, and the light scattered so far around the point. Feature P is left
     out: it follows from the angle to the sun and the anisotropy. The output is a power series in the albedo with
     weights >= 0, so that one evaluation serves all albedos and the radiance is never negative and never falls with
     albedo.
@@ -44,13 +46,13 @@ class RayMRPNN(nn.Module):
 
     name = "mrpnn"
     kind = "ray"
-    columns = ("features", "tau_sun", "tau_ahead", "ahead", "diffused", "fluence", "anisotropy", "gamma")
+    columns = ("features", "ray", "around", "anisotropy", "gamma")
     ranges = {}
 
     def __init__(self, width: int = WIDTH, hidden: int = HIDDEN_LAYERS):
         super().__init__()
         auxiliary = len(LAYER_POINTS) + len(SUN_SCALES) + 1 + 2 * AHEAD + 1 + len(AHEAD_SCALES)
-        auxiliary += 2 * PROBES
+        auxiliary += 2 * LOGS + FLUXES
         angles = 8
         inputs = 2 * POINTS + auxiliary + angles
         # Inputs are standardised with the training data's mean and deviation.
@@ -77,9 +79,8 @@ class RayMRPNN(nn.Module):
     def inputs(data, rows):
         """Of some rows of the training data: stencil (N, 2 POINTS), mu and S of each point in turn, ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
         stencil = data["features"][rows].float().transpose(1, 2).flatten(1)
-        ray = [data["tau_sun"][rows, None], data["tau_ahead"][rows, None]]
-        ray += [data[key][rows] for key in ("ahead", "diffused", "fluence")]
-        return stencil, torch.cat(ray, dim=1), data["anisotropy"][rows], data["gamma"][rows]
+        ray = torch.cat([data["ray"][rows], data["around"][rows]], dim=1)
+        return stencil, ray, data["anisotropy"][rows], data["gamma"][rows]
 
     @torch.no_grad()
     def calibrate(self, *inputs):
@@ -117,7 +118,8 @@ class RayMRPNN(nn.Module):
             pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
         tau_sun = ray[:, :1].clamp(0.0, TAU_SUN_MOST)
         tau_ahead = ray[:, 1:2].clamp(0.0, TAU_AHEAD_MOST)
-        ahead, log_fluence = ray[:, 2:-PROBES].clamp(min=0.0), ray[:, -PROBES:]
+        ahead, logs, fluxes = ray[:, 2:].split([AHEAD, LOGS, FLUXES], dim=1)
+        ahead = ahead.clamp(min=0.0)
         cosine, g = torch.cos(gamma), anisotropy
         angles = torch.stack(
             [
@@ -128,7 +130,7 @@ class RayMRPNN(nn.Module):
         )
         x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
         x += [ahead, torch.log(ahead + AHEAD_LEAST), torch.log1p(tau_ahead)]
-        x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), log_fluence, torch.exp(log_fluence)]
+        x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), logs, torch.exp(logs), fluxes]
         return torch.cat(x, dim=1), angles
 
     def weights(self, stencil, ray, anisotropy, gamma):
@@ -194,13 +196,13 @@ class RayMRPNN(nn.Module):
 
         pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
         pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
-        tau_sun, tau_ahead, ahead, log_fluence = g.split("ray", [1, 1, AHEAD, PROBES], axis=1)
+        tau_sun, tau_ahead, ahead, logs, fluxes = g.split("ray", [1, 1, AHEAD, LOGS, FLUXES], axis=1)
         tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(TAU_SUN_MOST))
         tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(TAU_AHEAD_MOST))
         ahead = g.relu(ahead)
         x = [pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
         x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]
-        x += [log_fluence, g.op("Exp", log_fluence)]
+        x += [logs, g.op("Exp", logs), fluxes]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
         cosine, size = g.op("Cos", gamma), g.op("Abs", anisotropy)
         square = g.op("Mul", anisotropy, anisotropy)
