@@ -64,6 +64,9 @@ class RayMRPNN(nn.Module):
         nn.init.zeros_(self.modulation[1].bias)
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(hidden))
         self.last = nn.Linear(width, len(ORDERS))
+        # Where scattering is nearly even, the answer is close to the light around the point.
+        self.skip = nn.Linear(LOGS, len(ORDERS), bias=False)
+        nn.init.zeros_(self.skip.weight)
         with torch.no_grad():
             self.last.weight *= 0.1
             self.last.bias.fill_(-4.0)
@@ -97,7 +100,8 @@ class RayMRPNN(nn.Module):
         The means and deviations stay, and what the graph folded into its first layers is taken out again: the outputs
         are the graph's.
         """
-        modulation, scale, shift, first_angles, first_others, first_stencil, *rest = layers
+        modulation, scale, shift, first_angles, first_others, first_stencil, *rest, (skip,) = layers
+        self.skip.weight.copy_(skip)
         angles = len(modulation[0].T)
         first = [torch.cat([first_stencil[0], first_others[0], first_angles[0]], dim=1), first_angles[1]]
         # The graph's scale is 1 + scale.
@@ -142,7 +146,8 @@ class RayMRPNN(nn.Module):
         h = torch.relu(self.first(x) * (1.0 + scale) + shift)
         for layer in self.hidden:
             h = h + torch.relu(layer(h))
-        return torch.exp(self.last(h).float().clamp(max=LOG_RADIANCE_MOST))
+        y = self.last(h) + self.skip(ray[:, 2 + AHEAD :][:, :LOGS])
+        return torch.exp(y.float().clamp(max=LOG_RADIANCE_MOST))
 
     def forward(self, stencil, ray, anisotropy, gamma, albedo):
         """albedo (A, N); returns radiance (A, N)."""
@@ -161,7 +166,7 @@ class RayMRPNN(nn.Module):
         g.input("anisotropy", ["V"])
         g.input("gamma", ["V"])
         g.input("albedo", ["A"])
-        others, angles = self._assemble_graph(g)
+        others, angles, logs = self._assemble_graph(g)
         # Standardisation folds into the first layers.
         first_w = self.first.weight / self.deviation
         first_b = self.first.bias - first_w @ self.mean
@@ -181,13 +186,14 @@ class RayMRPNN(nn.Module):
         h = g.relu(g.op("Add", g.op("Mul", h, scale), shift))
         for layer in self.hidden:
             h = g.op("Add", h, g.relu(g.linear(h, layer)))
-        y = g.op("Min", g.linear(h, self.last), g.number(LOG_RADIANCE_MOST))
+        y = g.op("Gemm", logs, g.constant(self.skip.weight), g.linear(h, self.last), transB=1)
+        y = g.op("Min", y, g.number(LOG_RADIANCE_MOST))
         powers = g.op("Pow", g.column("albedo"), g.constant(np.array([ORDERS], np.float32)))
         radiance = g.op("MatMul", powers, g.op("Transpose", g.op("Exp", y), perm=[1, 0]))
         g.output("radiance", radiance, ["A", "N"])
 
     def _assemble_graph(self, g):
-        """All inputs but the stencil and the angles, and the angles."""
+        """All inputs but the stencil and the angles, the angles, and the logarithms of light around the point."""
         def scaled_exp(x, scales):
             return g.op("Exp", g.op("Mul", x, g.constant(-np.array([scales], np.float32))))
 
@@ -219,4 +225,4 @@ class RayMRPNN(nn.Module):
             phase(g.op("Mul", anisotropy, size)), phase(g.op("Mul", anisotropy, square)),
             g.op("Log", g.op("Sub", g.number(1.0), size)),
         ]
-        return g.concat(x, axis=1), g.concat(angles, axis=1)
+        return g.concat(x, axis=1), g.concat(angles, axis=1), logs
