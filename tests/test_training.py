@@ -235,7 +235,7 @@ def test_targets_are_traced_again_at_the_same_points(data, tmp_path, capsys):
     assert len(rows) == len(once) >= 4 * 20
     # The same light with other random numbers: it agrees with both halves as these with each other.
     known, *others = (np.corrcoef(np.log(a + 1e-3), np.log(b + 1e-3))[0, 1] for a, b in (again, (once, again[0]), (once, again[1])))
-    assert 0.8 < known < 1.0 and min(others) > 0.9 * known and max(others) < 0.9999
+    assert 0.7 < known < 1.0 and min(others) > 0.9 * known and max(others) < 0.9999
     assert once.mean() == pytest.approx(again.mean(), rel=0.2)
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
