@@ -59,8 +59,8 @@ def reduced_anisotropy(anisotropy: float) -> float:
 class Ordinates:
     """Scattering in one medium, for any sun.
 
-    density: float32 (n, n, n), level 2 of the pyramid; sigma_hat: optical density of the cube; anisotropy: G > -1;
-    triangles: (T, 3, 3), in the cube's frame, of black surfaces, or None; check: asked often.
+    density: float32 (n, n, n), of a level of the pyramid, n being CELLS or half of it; sigma_hat: optical density of the
+    cube; anisotropy: G > -1; triangles: (T, 3, 3), in the cube's frame, of black surfaces, or None; check: asked often.
     """
 
     def __init__(self, density, sigma_hat: float, anisotropy: float, triangles=None, check=lambda: None):
