@@ -29,7 +29,7 @@ class FieldLookup:
     def __init__(self, stencil: Stencil, lattices: Lattices, sun):
         """sun: (3,) unit vector in the cube's frame."""
         self.lattices, self.sun = lattices, np.asarray(sun, np.float64)
-        # Of each of the 192 points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
+        # Of each of the stencil's points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
         levels = [lattices.levels[m] for m in stencil.mips]
         scale = np.array([level.scale for level in levels], np.float32)
         origin = np.array([level.origin * level.scale for level in levels], np.float32)
@@ -38,16 +38,17 @@ class FieldLookup:
         sizes = np.array([level.packed.size for level in lattices.levels])
         begin = (np.cumsum(sizes) - sizes)[stencil.mips]
         self.begin = (begin - (self.stride * np.array([level.first for level in levels]).T).sum(axis=0)).astype(np.int32)
-        # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all 192.
-        self.terms = np.zeros((3, 6, POINTS), np.float32)
+        # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all points'.
+        low, count = len(stencil.low), len(stencil.mips)
+        self.terms = np.zeros((3, 6, count), np.float32)
         self.terms[:, 0], self.terms[:, 4] = scale, 1.0
-        self.terms[:, 1:4, :LOW_POINTS] = stencil.low.T * scale[:LOW_POINTS]
-        towards = np.zeros(POINTS, np.float32)
-        towards[LOW_POINTS:] = stencil.high * scale[LOW_POINTS:]
+        self.terms[:, 1:4, :low] = stencil.low.T * scale[:low]
+        towards = np.zeros(count, np.float32)
+        towards[low:] = stencil.high * scale[low:]
         self.terms[:, 5] = self.sun[:, None].astype(np.float32) * towards - origin
 
     def __call__(self, positions, omega, view, jitter=None) -> np.ndarray:
-        """float32 (N, 192, 2) of points.
+        """float32 (N, stencil's points, columns of the lattices) of points.
 
         positions: float (N, 3) in the cube's frame; omega: (V, 3) camera-ray directions, and view: int (N,), which of them
         each point is seen along. jitter: (N, 3) in [-1/2, 1/2), by which lookups of each point are moved, in fine
@@ -60,7 +61,7 @@ class FieldLookup:
             point[..., 4] = jitter.T
         for axis, rows in enumerate(frames(omega, self.sun).astype(np.float32).transpose(1, 0, 2)):
             point[axis, :, 1:4] = rows.take(view, axis=0)
-        features = np.empty((count, POINTS, 2), np.float32)
+        features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
         for start in range(0, count, POINTS_A_STEP):
             span = slice(start, start + POINTS_A_STEP)
             # Rows and columns of a level are few enough to be counted in single precision.

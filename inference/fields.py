@@ -89,8 +89,8 @@ def _shaded(share: np.ndarray, scale: float) -> np.ndarray:
 class Lattice:
     """Features of one mip, ready for one lookup a point.
 
-    packed: uint32 (sx, sy, sz); lower half the density feature, upper half the scaled
-        transmittance, at fine-cell centres, both in steps.
+    packed: at fine-cell centres the density feature, uint16 (sx, sy, sz), or uint32 whose lower half it is and whose upper
+        half is the scaled transmittance, both in steps.
     origin: cube coordinate of fine cell 0, the same on every axis. scale: fine cells per
         cube edge. first: int (3,), the fine cell that packed[0, 0, 0] is.
     """
@@ -105,20 +105,25 @@ class Lattice:
 class Lattices:
     """Lattices of mips 0..7.
 
-    values: uint32, all of theirs, one after another. density_step: of the density feature; the transmittance's is 1 / STEPS.
+    values: all of theirs, one after another. density_step: of the density feature; the transmittance's is 1 / STEPS.
     """
 
     values: np.ndarray
     levels: List[Lattice]
     density_step: np.float32
 
+    @property
+    def columns(self) -> int:
+        """1 where they hold the density alone, or 2."""
+        return self.values.itemsize // 2
+
     def read(self, index: np.ndarray, features: np.ndarray):
-        """Fill features, float32 (N, k, 2), with density and transmittance at places (N, k) in `values`."""
+        """Fill features, float32 (N, k, columns), with density and, where it is held, transmittance at places (N, k) in `values`."""
         # The lattices hold every cell that a stencil can read; clipping costs less than checking.
         steps = self.values.take(index, mode="clip").view(np.uint16)
         features = features.reshape(steps.shape)
         features[...] = steps
-        features *= np.tile(np.array([self.density_step, 1.0 / STEPS], np.float32), index.shape[1])
+        features *= np.tile(np.array([self.density_step, 1.0 / STEPS][: self.columns], np.float32), index.shape[1])
 
 
 def _fine_span(m: int, stencil: Stencil, low, high):
@@ -174,8 +179,8 @@ def build_lattices(
 ) -> Lattices:
     """Lattices of mips 0..7 for one optical density and one sun.
 
-    padded: from `padded_levels`; unit_depths: from `unit_optical_depths`. The density is
-    interpolated before the logarithm and the optical depth before the exponential.
+    padded: from `padded_levels`; unit_depths: from `unit_optical_depths`, or None where the density is all that is read,
+    which serves every sun. The density is interpolated before the logarithm and the optical depth before the exponential.
     low, high: (3,) bounds, in the cube's frame, of the points to be described; what their
     stencils cannot reach is not built. mapper: `map`, or an executor's, to build parts side by side.
     earlier: Lattices of another sun, the rest being equal; they keep their density and take this sun's transmittance.
@@ -186,7 +191,7 @@ def build_lattices(
 
     spans = [_fine_span(m, stencil, low, high) for m in range(MIPS)]
     ends = np.cumsum([np.prod(last - first) for first, last in spans])
-    values = earlier.values if earlier else np.empty(ends[-1], np.uint32)
+    values = earlier.values if earlier else np.empty(ends[-1], np.uint16 if unit_depths is None else np.uint32)
 
     packed = [values[end - np.prod(last - first) : end].reshape(last - first)
               for end, (first, last) in zip(ends, spans)]
@@ -198,8 +203,8 @@ def build_lattices(
         """Planes of a mip from `start` on."""
         n, source = LEVEL0_CELLS >> m, max(m, 1)
         first, last = spans[m]
-        part = packed[m][start : start + planes[m]].view(np.uint16)
-        density, light = part[..., 0::2], part[..., 1::2]
+        part = packed[m][start : start + planes[m]]
+        columns = part.view(np.uint16).reshape(*part.shape, -1)
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
         cube[0] = cube[0][start : start + planes[m]]
@@ -209,7 +214,9 @@ def build_lattices(
                 plane += np.float32(1.0)
                 np.log(plane, out=plane)
                 plane *= 1.0 / density_step
-                density[i] = np.rint(np.minimum(plane, np.float32(STEPS), out=plane), out=plane)
+                columns[i, ..., 0] = np.rint(np.minimum(plane, np.float32(STEPS), out=plane), out=plane)
+        if unit_depths is None:
+            return
         cells = LEVEL0_CELLS >> source
         centres = [c * cells + margin[source] - 0.5 for c in cube]
         shares = _refined_planes(lit[source - 1], centres) if lit is not None else None
@@ -219,7 +226,7 @@ def build_lattices(
             if shares:
                 plane *= _shaded(next(shares)[1], BETA**source)
             plane *= np.float32(STEPS)
-            light[i] = np.rint(plane, out=plane)
+            columns[i, ..., 1] = np.rint(plane, out=plane)
 
     # Parts are small, so that a render that is stopped ends soon.
     planes = [max(CELLS_A_TASK // lattice[0].size, 1) for lattice in packed]

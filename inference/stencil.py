@@ -16,6 +16,8 @@ LAYER_MIPS = (0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3)
 LOW_LAYERS = 8
 LOW_POINTS = sum(LAYER_POINTS[:LOW_LAYERS])
 POINTS = sum(LAYER_POINTS)
+# Of each layer, every so many points are left in a sparse stencil.
+SPARSE = 4
 MIPS = 8
 
 
@@ -25,18 +27,35 @@ class Stencil:
 
     low: float32 (160, 3), offsets in the frame of `frames`.
     high: float32 (32,), distances along the direction towards the sun.
+    every: 1, or SPARSE where only every so many points of each layer are left.
     """
 
     low: np.ndarray
     high: np.ndarray
-    mips: np.ndarray = field(init=False)  # int (192,), mip of each point
+    every: int = 1
+    mips: np.ndarray = field(init=False)  # int (192 / every,), mip of each point
 
     def __post_init__(self):
-        if self.low.shape != (LOW_POINTS, 3) or self.high.shape != (POINTS - LOW_POINTS,):
+        low = LOW_POINTS // self.every
+        if self.low.shape != (low, 3) or self.high.shape != (POINTS // self.every - low,):
             raise ValueError(f"stencil of {self.low.shape} and {self.high.shape} points is not A.2's")
         object.__setattr__(self, "low", np.ascontiguousarray(self.low, np.float32))
         object.__setattr__(self, "high", np.ascontiguousarray(self.high, np.float32))
-        object.__setattr__(self, "mips", np.repeat(LAYER_MIPS, LAYER_POINTS))
+        object.__setattr__(self, "mips", np.repeat(LAYER_MIPS, LAYER_POINTS)[:: self.every])
+
+    @classmethod
+    def read(cls, values, every: int = 1) -> "Stencil":
+        """From the floats (640 or 160,) of `written`. Raises ValueError where there are others."""
+        low = 3 * (LOW_POINTS // every)
+        return cls(values[:low].reshape(-1, 3), values[low:], every)
+
+    def written(self) -> np.ndarray:
+        """float32 (640,), or (160,) of a sparse one: the points as weights files keep them."""
+        return np.concatenate([self.low.ravel(), self.high])
+
+    def sparse(self) -> "Stencil":
+        """Of each layer every fourth point."""
+        return Stencil(self.low[::SPARSE], self.high[::SPARSE], SPARSE)
 
     @property
     def digest(self) -> str:
@@ -45,8 +64,8 @@ class Stencil:
 
     def reach(self, mip: int) -> float:
         """Largest distance from x of a point of this mip, in cube edges."""
-        low = np.linalg.norm(self.low[self.mips[:LOW_POINTS] == mip], axis=1)
-        high = self.high[self.mips[LOW_POINTS:] == mip]
+        low = np.linalg.norm(self.low[self.mips[: len(self.low)] == mip], axis=1)
+        high = self.high[self.mips[len(self.low) :] == mip]
         return float(max(low.max(initial=0.0), high.max(initial=0.0)))
 
 

@@ -8,7 +8,7 @@ from .diffused_light import DiffusedLight, light_cells, light_of, read_light
 from .fields import build_lattices, density_pyramid, lit_levels, padded_levels, unit_optical_depths
 from .ordinates import CELLS, LEVEL, Ordinates
 from .phase import PhaseFeatures
-from .stencil import LOW_POINTS, POINTS, Stencil
+from .stencil import SPARSE, Stencil
 
 # Suns and optical densities whose diffused light a field keeps.
 MOST_LIGHTS = 64
@@ -45,8 +45,7 @@ class StencilField:
     @staticmethod
     def read_points(values) -> Stencil:
         """The stencil from the floats of a weights file."""
-        low = values[: 3 * LOW_POINTS].reshape(LOW_POINTS, 3)
-        return Stencil(low, values[3 * LOW_POINTS :].reshape(POINTS - LOW_POINTS))
+        return Stencil.read(values)
 
     def light(self, sigma_hat: float, sun, low, high, mapper=map):
         """Prepare one optical density and sun (3,), in the cube's frame, for points from low to high (3,)."""
@@ -70,9 +69,13 @@ class StencilField:
 
 
 class RayField(StencilField):
-    """Density and transmittance at A.2's stencil, light along the camera ray and diffused, and the network."""
+    """Density at a sparse stencil, light along the camera ray and diffused, and the network that reads them."""
 
     needs_light = True
+
+    @staticmethod
+    def read_points(values) -> Stencil:
+        return Stencil.read(values, SPARSE)
 
     def prepare(self, pyramid):
         self.coarse, self.lights, self.triangles, self.ordinates = pyramid[LEVEL], {}, None, (None, None)
@@ -83,7 +86,13 @@ class RayField(StencilField):
         self.triangles, self.ordinates = triangles, (None, None)
 
     def light(self, sigma_hat: float, sun, low, high, mapper=map):
-        super().light(sigma_hat, sun, low, high, mapper)
+        self.sun = sun
+        built = sigma_hat, *low, *high
+        if built != self.built:
+            self.built = None
+            self.lattices = build_lattices(self.padded, None, sigma_hat, self.network.points, low, high, mapper)
+            self.built = built
+        self.lookup = FieldLookup(self.network.points, self.lattices, sun)
         self.cells = self.diffused_cells(sigma_hat, sun).astype(np.float32)
 
     def diffused_cells(self, sigma_hat: float, sun):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inference.descriptors import FieldLookup, describe, stencil_points
-from inference.fields import STEPS, build_lattices, density_pyramid, padded_levels, unit_optical_depths
+from inference.fields import STEPS, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths
 from inference.phase import PhaseFeatures, henyey_greenstein
 from inference.stencil import LAYER_POINTS, LOW_POINTS
 from training.descriptors import describe_points
@@ -54,6 +54,16 @@ def test_another_suns_lattices_are_taken_over(stencil, fields):
     taken_over = build_lattices(padded, depths, SIGMA_HAT, stencil, earlier=earlier)
     for one, anew in zip(taken_over.levels, build_lattices(padded, depths, SIGMA_HAT, stencil).levels):
         np.testing.assert_array_equal(one.packed, anew.packed)
+
+
+def test_sparse_stencil_reads_the_density_of_every_fourth_point(stencil, fields, rays):
+    whole = FieldLookup(stencil, build_lattices(*fields, SIGMA_HAT, stencil), SUN)
+    sparse = stencil.sparse()
+    pyramid = [level[m:-m, m:-m, m:-m] for level, m in zip(fields[0], margins(stencil))]
+    lattices = build_lattices(padded_levels(pyramid, sparse), None, SIGMA_HAT, sparse)
+    features = FieldLookup(sparse, lattices, SUN)(rays[0], rays[1], np.arange(300))
+    assert features.shape == (300, 48, 1)
+    np.testing.assert_allclose(features[..., 0], whole(rays[0], rays[1], np.arange(300))[:, ::4, 0], atol=1e-6)
 
 
 def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):

@@ -9,6 +9,7 @@ from inference.scene import SceneError
 from inference.stencil import Stencil
 from training.export import export, save
 from training.networks import NETWORKS
+from training.networks.mrpnn import POINTS as SPARSE_POINTS
 from training.networks.mrpnn import RAY_INPUTS
 from training.stencil import load_stencil
 
@@ -30,7 +31,7 @@ def make_inputs(kind):
         return {"lattice": random.random((POINTS, sun_lattice.LEVELS, sun_lattice.POINTS), np.float32), "gamma": gamma}
     anisotropy = np.full(POINTS, 0.857, np.float32)
     if kind == "ray":
-        stencil, light = random.random((POINTS, 384), np.float32), random.random((POINTS, RAY_INPUTS), np.float32)
+        stencil, light = random.random((POINTS, SPARSE_POINTS), np.float32), random.random((POINTS, RAY_INPUTS), np.float32)
         return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
     features = random.random((3, POINTS, 192), np.float32)
     return {"features": features, "anisotropy": anisotropy, "gamma": gamma}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.stencil import LAYER_MIPS, LAYER_POINTS, frames
+from inference.stencil import LAYER_MIPS, LAYER_POINTS, SPARSE, Stencil, frames
 from training.stencil import (
     fibonacci_sphere, layer_radius, load_stencil, mutual_minimum_distances, relaxed_stencil, unit_layer,
 )
@@ -79,3 +79,14 @@ def test_frames_are_rotations_that_hold_omega_and_sun():
     local = np.einsum("nij,i->nj", rotation, sun)
     np.testing.assert_allclose(local[:, 1], 0.0, atol=1e-6)
     assert np.all(local[:, 0] > -1e-6)
+
+
+def test_sparse_stencil_keeps_a_fourth_of_each_layer(stencil):
+    sparse = stencil.sparse()
+    assert [np.count_nonzero(sparse.mips == mip) for mip in range(8)] == [
+        sum(n // SPARSE for n, m in zip(LAYER_POINTS, LAYER_MIPS) if m == mip) for mip in range(8)
+    ]
+    again = Stencil.read(sparse.written(), SPARSE)
+    assert again.digest == sparse.digest
+    with pytest.raises(ValueError):
+        Stencil.read(stencil.written(), SPARSE)

@@ -33,8 +33,8 @@ def points_metadata(kind: str) -> dict:
         geometry = make_sun_lattice()
         points = geometry.points
     else:
-        geometry = load_stencil()
-        points = np.concatenate([geometry.low.ravel(), geometry.high])
+        geometry = load_stencil().sparse() if kind == "ray" else load_stencil()
+        points = geometry.written()
     encoded = base64.b64encode(points.astype("<f4").tobytes()).decode()
     return {"kind": kind, "points": encoded, "points_sha256": geometry.digest}
 

@@ -1,4 +1,4 @@
-"""The network that ships: the paper's descriptors with the light along the camera ray, in a plain residual network."""
+"""The network that ships: densities around a point, the light along the camera ray and that scattered so far, in a plain residual network."""
 
 import math
 
@@ -9,7 +9,7 @@ from torch import nn
 
 from inference import diffused_light, ray_light
 from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
-from inference.stencil import LAYER_POINTS, POINTS
+from inference.stencil import LAYER_POINTS, SPARSE
 
 WIDTH = 192
 HIDDEN_LAYERS = 3
@@ -20,6 +20,9 @@ ORDERS = (1, 2, 3, 4, 6, 9, 14, 24, 48, 100, 250, 800)
 SUN_SCALES = tuple(0.578**k for k in (0, 1, 2, 3, 4, 5, 6, 8))
 AHEAD_SCALES = (1.0, 0.334, 0.1)
 LOG_RADIANCE_MOST = 4.0
+# The sparse stencil's points, and how many each layer has.
+LAYERS = [n // SPARSE for n in LAYER_POINTS]
+POINTS = sum(LAYERS)
 # Added to logarithms of layers' mean densities and of the light ahead.
 POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
 #: Of what light is seen: from ahead, its logarithms around the point, and fluxes there.
@@ -37,9 +40,9 @@ def log_phase(cosine, g):
 class RayMRPNN(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1.
 
-    Reads density and scaled transmittance at A.2's stencil, the optical depths towards the sun and
-    ahead along the camera ray, the light from ahead, and the light scattered so far around the point. Feature P is left
-    out: it follows from the angle to the sun and the anisotropy. The output is a power series in the albedo with
+    Reads the density at every fourth point of A.2's stencil, the optical depths towards the sun and
+    ahead along the camera ray, the light from ahead, and the light scattered so far around the point. What the paper's
+    other features tell follows from these, from the angle to the sun and from the anisotropy. The output is a power series in the albedo with
     weights >= 0, so that one evaluation serves all albedos and the radiance is never negative and never falls with
     albedo.
     """
@@ -51,10 +54,10 @@ class RayMRPNN(nn.Module):
 
     def __init__(self, width: int = WIDTH, hidden: int = HIDDEN_LAYERS):
         super().__init__()
-        auxiliary = len(LAYER_POINTS) + len(SUN_SCALES) + 1 + 2 * AHEAD + 1 + len(AHEAD_SCALES)
+        auxiliary = len(LAYERS) + len(SUN_SCALES) + 1 + 2 * AHEAD + 1 + len(AHEAD_SCALES)
         auxiliary += 2 * LOGS + FLUXES
         angles = 8
-        inputs = 2 * POINTS + auxiliary + angles
+        inputs = POINTS + auxiliary + angles
         # Inputs are standardised with the training data's mean and deviation.
         self.register_buffer("mean", torch.zeros(inputs))
         self.register_buffer("deviation", torch.ones(inputs))
@@ -71,17 +74,17 @@ class RayMRPNN(nn.Module):
             self.last.weight *= 0.1
             self.last.bias.fill_(-4.0)
         self.register_buffer("orders", torch.tensor(ORDERS, dtype=torch.float32), persistent=False)
-        pooling = torch.zeros(2 * POINTS, len(LAYER_POINTS))
+        pooling = torch.zeros(POINTS, len(LAYERS))
         start = 0
-        for i, points in enumerate(LAYER_POINTS):
-            pooling[start : start + 2 * points : 2, i] = 1.0 / points
-            start += 2 * points
+        for i, points in enumerate(LAYERS):
+            pooling[start : start + points, i] = 1.0 / points
+            start += points
         self.register_buffer("pooling", pooling, persistent=False)
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of the training data: stencil (N, 2 POINTS), mu and S of each point in turn, ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
-        stencil = data["features"][rows].float().transpose(1, 2).flatten(1)
+        """Of some rows of the training data: stencil (N, POINTS), mu of each point, ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
+        stencil = data["features"][rows, 0, ::SPARSE].float()
         ray = torch.cat([data["ray"][rows], data["around"][rows]], dim=1)
         return stencil, ray, data["anisotropy"][rows], data["gamma"][rows]
 
@@ -160,7 +163,7 @@ class RayMRPNN(nn.Module):
         What follows from the angle to the sun alone is computed once for each of V views, and `view` names the one that a
         point is seen from: points on one ray share it.
         """
-        g.input("stencil", ["N", 2 * POINTS])
+        g.input("stencil", ["N", POINTS])
         g.input("ray", ["N", RAY_INPUTS])
         g.input("view", ["N"], TensorProto.INT32)
         g.input("anisotropy", ["V"])
@@ -180,8 +183,8 @@ class RayMRPNN(nn.Module):
         # The first layer's sum over all inputs, a part after another.
         start = g.op("Gemm", angles, g.constant(first_w[:, -n:]), g.constant(first_b), transB=1)
         shift = g.op("Add", g.op("Mul", start, scale), shift)
-        h = g.op("Gemm", others, g.constant(first_w[:, 2 * POINTS : -n]), transB=1)
-        h = g.op("Gemm", "stencil", g.constant(first_w[:, : 2 * POINTS]), h, transB=1)
+        h = g.op("Gemm", others, g.constant(first_w[:, POINTS:-n]), transB=1)
+        h = g.op("Gemm", "stencil", g.constant(first_w[:, :POINTS]), h, transB=1)
         scale, shift = (g.op("Gather", values, "view", axis=0) for values in (scale, shift))
         h = g.relu(g.op("Add", g.op("Mul", h, scale), shift))
         for layer in self.hidden:
