@@ -14,7 +14,7 @@ import numpy as np
 # Pixels from a square's corner to the next, and by which share of the light there, over the root of the number of depth
 # samples, a square's middle may differ from what its corners say. The nearer the pixels that speak for one, the less is
 # lost where they differ.
-LEVELS = ((4, 0.04), (2, 0.07))
+LEVELS = ((4, 0.03), (2, 0.07))
 # So many times the depth samples' own error comes on top, up to so many times that share: it is nothing that neighbours
 # could know.
 NOISE, NOISE_MOST = 0.7, 2.0
