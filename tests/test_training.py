@@ -294,7 +294,7 @@ def test_inputs_are_those_that_rendering_uses():
             reader = field.field
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
-            assert np.isclose(features, expected, rtol=2e-3, atol=2e-3).mean() > 0.97
+            assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(0.01 * features.size, 1)
         assert angle_to_sun(w, reader.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
 
         grid.sun_directions, grid.sun_depths = [], []

@@ -15,7 +15,6 @@ import hashlib
 import json
 import os
 
-import numpy as np
 import onnx
 import torch
 

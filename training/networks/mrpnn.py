@@ -1,4 +1,4 @@
-"""The network that ships: densities around a point, the light along the camera ray and that scattered so far, in a plain residual network."""
+"""The network that ships: densities, light along the camera ray and light scattered so far, in a plain residual network."""
 
 import math
 
@@ -42,9 +42,9 @@ class RayMRPNN(nn.Module):
 
     Reads the density at every fourth point of A.2's stencil, the optical depths towards the sun and
     ahead along the camera ray, the light from ahead, and the light scattered so far around the point. What the paper's
-    other features tell follows from these, from the angle to the sun and from the anisotropy. The output is a power series in the albedo with
-    weights >= 0, so that one evaluation serves all albedos and the radiance is never negative and never falls with
-    albedo.
+    other features tell follows from these, from the angle to the sun and from the anisotropy. The output is a power
+    series in the albedo with weights >= 0, so that one evaluation serves all albedos and the radiance is never negative
+    and never falls with albedo.
     """
 
     name = "mrpnn"
