@@ -24,7 +24,7 @@ BLOCKS_A_ROUND = 4
 # Optical depth beyond which a ray is not followed for single scattering: 1 part in 10^6 of it goes on.
 BEHIND = 14.0
 # Optical depth of the thickest step above which the part of a ray that light reaches is cut again, so many times.
-STIFF = 2.0
+STIFF = 0.6
 REFINEMENTS = 3
 # Steps look up the diffused light at places of a rank-1 lattice around their own, in cells.
 SCATTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
