@@ -35,8 +35,10 @@ LIGHT_BYTES = 2 * 4 * COLUMNS
 
 # Grids whose largest density lies outside are scaled, and their extinction the other way round.
 USUAL_DENSITY = (2.0**-20, 2.0**20)
-# Pixels that are rendered together.
+# Pixels rendered together: small enough that finished parts appear soon, large enough that threads seldom wait at the end
+# of one.
 TILE_PIXELS = 1 << 18
+SMALLEST_TILE, TILES_PER_IMAGE = 1 << 16, 8
 
 # Optical densities beyond the largest give the same picture, those below the least none at all.
 SIGMA_HAT_LEAST, SIGMA_HAT_MOST = 1e-20, 1e12
@@ -220,7 +222,8 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     sample = SAMPLE_BYTES + LIGHT_BYTES * len(kept) * len(merged)
     row = (x1 - x0) * (RAY_BYTES + sample * settings.depth_samples)
-    rows = -(-TILE_PIXELS // (x1 - x0))
+    pixels = (x1 - x0) * (y1 - y0)
+    rows = -(-min(max(pixels // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // (x1 - x0))
     if len(merged) > 1:
         # The fields of each sun are made for every tile: as few tiles as memory allows.
         rows = max(rows, int((settings.memory_limit - memory) // row))
