@@ -68,7 +68,7 @@ def main(arguments=None) -> int:
 def weights() -> str:
     """Checksum of the default network."""
     from inference import Settings
-    from inference.network import load_network
+    from inference.network.network import load_network
 
     return load_network(Settings.model).checksum
 

@@ -2,8 +2,8 @@
 
 import math
 
-from inference.error import Estimate
-from inference.ladder import PathTracing, Rung, seconds_on_ladder
+from inference.evaluation.error import Estimate
+from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
 from .error_vs_time_cases import ENLARGED
 from .fidelity_tables import table

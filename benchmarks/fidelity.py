@@ -19,9 +19,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from inference import Settings, available_models
-from inference.error import paper_metric, relative_bias, relative_rmse
-from inference.network import load_network, register_system
-from inference.omissions import ALL
+from inference.evaluation.error import paper_metric, relative_bias, relative_rmse
+from inference.network.network import load_network, register_system
+from inference.scene.optimizations import ALL
 from training.reference import PATHS, PathTracer
 
 from . import fidelity_tables, view_pictures

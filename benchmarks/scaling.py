@@ -17,7 +17,7 @@ import re
 import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, Surface, render
-from inference.omissions import ALL, OMISSIONS
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
 from .extension import ROOT
 from .page import replace
@@ -95,7 +95,7 @@ def omissions_table(size: int) -> str:
     lines = ["| asked for | " + " | ".join(STAGES) + " | total | ratio | change |", "|---" * (len(STAGES) + 4) + "|"]
     usual = draw(ALL)
     shown = usual.alpha > MASK_ALPHA
-    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in OMISSIONS if name != "unchanged"),
+    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in OPTIMIZATIONS if name != "unchanged"),
                         ("everything", draw(frozenset()))]:
         seconds = layer.report.cpu_seconds
         change = np.sqrt(((layer.rgb - usual.rgb)[shown] ** 2).mean()) / usual.rgb[shown].mean()

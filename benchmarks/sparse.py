@@ -30,12 +30,12 @@ PART = 128
 # Places that tell which share lies above a threshold.
 PLACES = 1 << 20
 OPTICAL_DEPTH = 100.0
-SECONDS_A_LOOK = 0.005
+POLL_INTERVAL = 0.005
 
 
 def write_cloud(path: Path, cells: int, share: float) -> None:
     """A trilinearly finer cloud above the threshold that leaves `share`, with a puff in either corner of its box."""
-    from inference.dense_grid import DenseGrid
+    from inference.grids.dense_grid import DenseGrid
     from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
     from training.volumes import make_volume
 
@@ -86,7 +86,7 @@ class Peak:
         return self
 
     def _look(self):
-        while not self._over.wait(SECONDS_A_LOOK):
+        while not self._over.wait(POLL_INTERVAL):
             self.bytes = max(self.bytes, held_memory())
 
     def __exit__(self, *_):

@@ -15,9 +15,9 @@ import numpy as np
 import onnx
 
 from inference import Camera, Medium, Settings, Sun, render
-from inference.multiple import POINTS_A_TASK
-from inference.network import WEIGHTS, load_network
-from inference.report import process_peak_memory
+from inference.network.predictor import POINTS_PER_TASK
+from inference.network.network import WEIGHTS, load_network
+from inference.runtime.report import process_peak_memory
 from training.seeded_volume import cube_volume
 from training.volumes import HELD_BACK, make_volume
 
@@ -67,16 +67,16 @@ def flop_a_point(name: str) -> int:
 def network_seconds(name: str) -> float:
     """A point, of the network alone on one core: the best of RUNS."""
     session, random = load_network(name).session, np.random.default_rng(1)
-    sizes = {"N": POINTS_A_TASK, "V": POINTS_A_TASK // SAMPLES_A_RAY, "A": 1}
+    sizes = {"N": POINTS_PER_TASK, "V": POINTS_PER_TASK // SAMPLES_A_RAY, "A": 1}
     inputs = {i.name: random.random([sizes.get(n, n) for n in i.shape], np.float32) for i in session.get_inputs()}
     if "view" in inputs:
-        inputs["view"] = np.arange(POINTS_A_TASK, dtype=np.int32) // SAMPLES_A_RAY
+        inputs["view"] = np.arange(POINTS_PER_TASK, dtype=np.int32) // SAMPLES_A_RAY
     best = np.inf
     for _ in range(RUNS):
         start = time.perf_counter()
         session.run(None, inputs)
         best = min(best, time.perf_counter() - start)
-    return best / POINTS_A_TASK
+    return best / POINTS_PER_TASK
 
 
 def main():

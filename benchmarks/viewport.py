@@ -54,7 +54,7 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     scene, volume, shader = make_scene(path, size, "density", y_up=False)
     fit(scene, volume, shader, package.scene.read_scene, OPTICAL_DEPTH)
     sun = next(item for item in scene.objects if item.type == 'LIGHT')
-    reader, prepared = package.volumes.VolumeReader(), package.preview.Prepared(addon.inference.Kept())
+    reader, prepared = package.volumes.VolumeReader(), package.preview.Prepared(addon.inference.RenderCache())
 
     def read():
         bpy.context.view_layer.update()

@@ -3,21 +3,20 @@
     layer = render([(volume, medium)], [sun], camera, Settings())
 """
 
-from .kept import Kept
-from .layer import Layer, render
-from .multiple import predict_multiple
-from .network import available_models
-from .report import Report
-from .scene import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume
-from .sparse_grid import SparseGrid
-from .surfaces import Surface
+from .image.layer import Layer
+from .network.network import available_models
+from .network.predictor import predict_multiple
+from .render import render, render_tiles
+from .render_cache import RenderCache
+from .runtime.report import Report
+from .scene import Camera, Cancelled, Medium, SceneError, Settings, SparseGrid, Sun, Surface, Volume
 
 __all__ = [
     "Camera",
     "Cancelled",
-    "Kept",
     "Layer",
     "Medium",
+    "RenderCache",
     "Report",
     "SceneError",
     "Settings",
@@ -28,4 +27,5 @@ __all__ = [
     "available_models",
     "predict_multiple",
     "render",
+    "render_tiles",
 ]

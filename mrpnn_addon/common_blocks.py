@@ -4,7 +4,7 @@ from typing import Dict, Union
 
 import numpy as np
 
-from ..inference.sparse_grid import EDGE, SparseGrid, blocks_of
+from ..inference.scene.sparse_grid import EDGE, SparseGrid, blocks_of
 
 
 class CommonBlocks:

@@ -5,8 +5,8 @@ from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..inference.error import Estimate, paper_metric, relative_bias, relative_rmse
-from ..inference.ladder import (
+from ..inference.evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
+from ..inference.evaluation.error_vs_time import (
     PathTracing, Reached, Rung, Verdict, cost, error_on_ladder, judge, seconds_on_ladder, variance_at_one,
 )
 from ..inference.scene import SceneError

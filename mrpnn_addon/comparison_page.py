@@ -7,7 +7,7 @@ from pathlib import Path
 from string import Template
 from typing import Dict
 
-from ..inference.ladder import Rung
+from ..inference.evaluation.error_vs_time import Rung
 from .comparison import Comparison
 from .comparison_chart import make_chart, svg
 

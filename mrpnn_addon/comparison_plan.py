@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Dict, Optional, Tuple
 
-from ..inference.ladder import cost
+from ..inference.evaluation.error_vs_time import cost
 from .pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
 
 # Cycles' sample counts: each four times the last.

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..inference import available_models
-from ..inference.baselines import OCTAVES, SINGLE, register_baselines
+from ..inference.network.baselines import OCTAVES, SINGLE, register_baselines
 from ..inference.scene import SceneError, Settings
 from . import comparison_report
 from .comparison import Comparison, compare, halves

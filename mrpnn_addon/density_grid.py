@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..inference.scene import SceneError
-from ..inference.sparse_grid import SparseGrid
+from ..inference.scene.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
 from .read_vdb_alone import LEAF, SCALAR_GRIDS, read_grid
 from .vdb_process import read_alone

@@ -5,7 +5,7 @@ from typing import List
 
 import numpy as np
 
-from ..inference.rays import window_around
+from ..inference.scene.camera_rays import window_around
 from ..inference.scene import Camera, SceneError
 from .camera import read_camera
 from .last_render import last_render

@@ -2,7 +2,7 @@
 
 from typing import Dict, Union
 
-from ..inference.layer import Layer
+from ..inference.image.layer import Layer
 from .exr_file import write_exr
 from .layer_frame import finite_depth
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..inference.layer import Layer
+from ..inference.image.layer import Layer
 from ..inference.scene import Camera
 
 # Where nothing scatters, Cycles writes this depth; infinity would break sums in a compositor.

@@ -6,7 +6,7 @@ import tempfile
 import bpy
 import numpy as np
 
-from ..inference.layer import Layer
+from ..inference.image.layer import Layer
 from .layer_frame import rgba
 
 IMAGE_NAME = "MRPNN"

@@ -5,7 +5,7 @@ from typing import List
 
 import numpy as np
 
-from ..inference.phase_function import PhaseFunction
+from ..inference.scene.phase_function import PhaseFunction
 from ..inference.scene import SceneError
 from .node_copy import copied
 from .node_values import NodeValues

@@ -4,7 +4,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from ..inference.overlap import overlapping
+from ..inference.plan.overlap import overlapping
 from ..inference.scene import Medium, Volume
 
 # Differences of albedo and mean cosine below these are not worth a word.

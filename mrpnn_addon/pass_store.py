@@ -9,7 +9,7 @@ from typing import List, Optional
 
 import numpy as np
 
-from ..inference.sparse_grid import SparseGrid
+from ..inference.scene.sparse_grid import SparseGrid
 from .whole_file import whole_file
 
 # Of what is stored, and of how it was rendered: another number finds nothing of the last.

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, PointerProperty
 
-from ..inference.layer import Layer
+from ..inference.image.layer import Layer
 from .layer_frame import finite_depth
 
 # Cycles has spelt its passes out since 5.0.

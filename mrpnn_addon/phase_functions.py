@@ -2,7 +2,7 @@
 
 import math
 
-from ..inference.phase_function import PhaseFunction
+from ..inference.scene.phase_function import PhaseFunction
 
 
 def phase_function(kind: str, *parameters: float) -> PhaseFunction:

@@ -4,7 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ..inference import Settings
-from ..inference.omissions import ALL, OMISSIONS
+from ..inference.scene.optimizations import ALL, OMISSIONS
 from .models import model_items
 from .preferences import machine
 

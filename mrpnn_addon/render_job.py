@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import List, Optional
 
 from .. import inference
-from ..inference.layer import Layer, empty_layer
+from ..inference.image.layer import Layer, empty_layer
 from ..inference.scene import Cancelled, SceneError, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Optional
 
-from ..inference.provider import PROVIDERS
+from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
 
 # The wheels in blender_manifest.toml, and the oldest release that runs the networks' ONNX opset 17.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import List, Tuple
 
 from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
-from ..inference.surfaces import Surface
+from ..inference.scene import Surface
 from .camera import read_camera
 from .lights import read_suns
 from .material import SURFACES, shows_volume

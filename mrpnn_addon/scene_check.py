@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Dict, List
 
-from ..inference.plan import make_plan
+from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from .runtime import check_runtime
 from .scene import read_scene, require_volumes

@@ -6,9 +6,9 @@ from typing import Dict, List, Optional, Tuple, Union
 import bpy
 import numpy as np
 
-from ..inference.phase_function import PhaseFunction
+from ..inference.scene.phase_function import PhaseFunction
 from ..inference.scene import ANISOTROPY_MOST
-from ..inference.sparse_grid import SparseGrid
+from ..inference.scene.sparse_grid import SparseGrid
 from .material import VolumeMaterial
 from .phase_functions import phase_function
 from .voxel_points import VoxelPoints

@@ -5,7 +5,7 @@ from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..inference.surfaces import Surface
+from ..inference.scene import Surface
 from .mesh_triangles import Mesh, read_mesh
 from .sockets import Unsupported, active_output, input_of, source_of
 from .visibility import Shown

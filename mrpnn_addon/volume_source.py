@@ -6,7 +6,7 @@ from typing import List, Tuple
 import numpy as np
 
 from ..inference.scene import SceneError
-from ..inference.sparse_grid import SparseGrid
+from ..inference.scene.sparse_grid import SparseGrid
 from .common_blocks import CommonBlocks
 from .density_grid import MAX_SPAN, MAX_VOXELS, EmptyGrid, read_density_grid
 from .leaf_boxes import boxes, leaves_around

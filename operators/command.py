@@ -10,8 +10,8 @@ import time
 import bpy
 
 from ..inference import available_models
-from ..inference.omissions import ALL, OMISSIONS
-from ..inference.provider import PROVIDERS
+from ..inference.scene.optimizations import ALL, OMISSIONS
+from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison_run import REPORT_FOLDER
 from ..mrpnn_addon.json_file import write_json

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import bpy
 
-from ..inference.plan import make_plan
+from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison_run import ComparisonRun, Options
 from ..mrpnn_addon.frames import frame_path, parse_frames

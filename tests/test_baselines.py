@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, render
-from inference.baselines import OCTAVES, SINGLE, register_baselines
-from inference.phase import henyey_greenstein
+from inference.network.baselines import OCTAVES, SINGLE, register_baselines
+from inference.scene.phase_function import henyey_greenstein
 
 CELLS = 32
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference.cube import active_bounds, fit_cube, level0_density
-from inference.fields import density_pyramid
+from inference.grids.working_cube import active_bounds, fit_cube, level0_density
+from inference.features.mip_lattices import density_pyramid
 from inference.scene import Cancelled, SceneError, Volume
 
 

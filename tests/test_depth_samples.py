@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.depth_samples import DepthSamples, sample_opacities
+from inference.marching.depth_samples import DepthSamples, sample_opacities
 
 
 @pytest.mark.parametrize("most", [1, 2, 5, 9])

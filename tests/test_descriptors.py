@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from inference.descriptors import FieldLookup, describe, stencil_points
-from inference.fields import STEPS, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths
-from inference.phase import PhaseFeatures, henyey_greenstein
-from inference.stencil import LAYER_POINTS, LOW_POINTS
+from inference.features.descriptors import FieldLookup, describe, stencil_points
+from inference.features.mip_lattices import (
+    STEPS, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
+)
+from inference.features.phase_features import PhaseFeatures
+from inference.scene.phase_function import henyey_greenstein
+from inference.features.stencil import LAYER_POINTS, LOW_POINTS
 from training.descriptors import describe_points
 from training.stencil import load_stencil
 

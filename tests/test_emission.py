@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from inference import Camera, Medium, SceneError, Sun, Volume, render
-from inference.rays import camera_rays
+from inference.scene.camera_rays import camera_rays
 
 VIEW = Camera(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 6], [0, 0, 0, 1]], float), "orthographic", (4, 4),
               ortho_scale=0.2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.error import paper_metric, relative_bias, relative_rmse
+from inference.evaluation.error import paper_metric, relative_bias, relative_rmse
 
 SIZE = 160
 

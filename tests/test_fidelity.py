@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import view_pictures, views
 from inference import Camera, Medium, Settings, Sun, render
-from inference.error import relative_bias, relative_rmse
+from inference.evaluation.error import relative_bias, relative_rmse
 from training.path_tracer import trace_pixels
 from training.seeded_volume import cube_volume
 from training.volumes import HELD_BACK, make_volume

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.glow import Glow
-from inference.grid import Grid
-from inference.radiance_sweep import swept
+from inference.transport.scattered_emission import ScatteredEmission
+from inference.grids.grid import Grid
+from inference.transport.radiance_sweep import sweep_radiance
 
 SETTINGS = Settings(depth_samples=16)
 
@@ -43,7 +43,7 @@ def test_sweeps_neither_lose_nor_make_light(sigma, face):
     extinction, emission = np.zeros(shape), np.zeros(shape)
     extinction[12:20, 8:16, 10:24] = sigma * random.random((8, 8, 14))
     emission[12:20, 8:16, 10:24] = random.random((8, 8, 14))
-    fluence, flux = swept(extinction, emission, cell, face)
+    fluence, flux = sweep_radiance(extinction, emission, cell, face)
     taken = (extinction * fluence).sum() * cell**3
     out = 0.0
     for axis in range(3):
@@ -80,7 +80,7 @@ def test_a_small_light_in_thin_fog_equals_a_direct_sum():
     """Fluence is that of exp(-sigma d) / d^2 over all that emits: beyond it almost nothing has scattered before."""
     r, sigma = radius(48), 1.0
     fog = fire(np.ones_like(r, np.float32), np.where(r < 0.08, 50.0, 0.0).astype(np.float32))
-    glow = Glow([Grid(fog)], [Medium(sigma, 0.01)])
+    glow = ScatteredEmission([Grid(fog)], [Medium(sigma, 0.01)])
     random = np.random.default_rng(1)
     directions = random.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

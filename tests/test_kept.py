@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Camera, Cancelled, Kept, Medium, Settings, Sun, Volume, render
+from inference import Camera, Cancelled, RenderCache, Medium, Settings, Sun, Volume, render
 
 SETTINGS = Settings(depth_samples=1, threads=1)
 
@@ -27,7 +27,7 @@ def camera(size=12):
 
 
 def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
-    volume, sun, kept = ball(), [Sun((0.3, 0.5, 0.8))], Kept()
+    volume, sun, kept = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
     render([(volume, thin)], sun, camera(), SETTINGS, kept=kept)
@@ -41,7 +41,7 @@ def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
 
 
 def test_two_threads_share_what_is_kept():
-    volume, kept = ball(), Kept()
+    volume, kept = ball(), RenderCache()
     scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
               for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
     expected = [render(*scene, camera(), SETTINGS).rgb for scene in scenes]

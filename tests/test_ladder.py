@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from inference.error import Estimate, relative_bias, relative_rmse
-from inference.ladder import (
-    AT_LEAST, AT_MOST, EXTRAPOLATED, MEASURED, PathTracing, Rung, cost, error_on_ladder, judge, seconds_on_ladder,
-    variance_at_one,
+from inference.evaluation.error import Estimate, relative_bias, relative_rmse
+from inference.evaluation.error_vs_time import (
+    AT_LEAST, AT_MOST, EXTRAPOLATED, MEASURED, PathTracing, Rung, cost, error_on_ladder, judge, seconds_on_ladder, variance_at_one,
 )
 
 SIZE = 96

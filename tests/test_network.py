@@ -6,7 +6,7 @@ import torch
 
 from inference import network, sun_lattice
 from inference.scene import SceneError
-from inference.stencil import Stencil
+from inference.features.stencil import Stencil
 from training.export import export, save
 from training.networks import NETWORKS
 from training.networks.mrpnn import POINTS as SPARSE_POINTS

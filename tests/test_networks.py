@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from inference.phase import PhaseFeatures
-from inference.stencil import LOW_POINTS
-from inference.sun_lattice import LEVELS, POINTS, SHAPE
+from inference.features.phase_features import PhaseFeatures
+from inference.features.stencil import LOW_POINTS
+from inference.features.rpnn_lattice import LEVELS, POINTS, SHAPE
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
 from training.stencil import load_stencil
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from inference import Kept, Medium, Settings, Sun, Surface, render
-from inference.diffusion import couple, solve
-from inference.sun_map import SunMap
-from inference.walls import Walls
+from inference import RenderCache, Medium, Settings, Sun, Surface, render
+from inference.transport.diffusion import couple, solve
+from inference.occluders.shadow_map import ShadowMap
+from inference.occluders.cell_boundaries import CellBoundaries
 
 from .test_surfaces import camera, fog, rectangle
 
@@ -30,32 +30,32 @@ def test_behind_a_wall_diffused_light_is_that_of_half_a_cube(axis):
     """A wall midway between two layers of cells ends light as a face of the cube does."""
     corners = np.array([[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])
     square = np.insert(corners, axis, 0.0, axis=1)
-    walls = Walls([square[[0, 1, 2]], square[[0, 2, 3]]], CELLS)
+    walls = CellBoundaries([square[[0, 1, 2]], square[[0, 2, 3]]], CELLS)
     assert not walls.inside.any()
     d, source = np.moveaxis(spread(), 0, axis), np.random.default_rng(5).random((CELLS,) * 3)
     below = tuple(slice(CELLS // 2) if a == axis else slice(None) for a in range(3))
     source[tuple(slice(CELLS // 2, None) if a == axis else slice(None) for a in range(3))] = 0.0
     found = solve(*couple(d, 1.0 / CELLS, walls), source)
     expected = solve(*couple(d[below], 1.0 / CELLS), source[below])
-    # Walls are looked for a little off the cells' middles.
+    # CellBoundaries are looked for a little off the cells' middles.
     np.testing.assert_allclose(found[below], expected, rtol=0.01)
     assert found.sum() == pytest.approx(found[below].sum(), rel=1e-12)
 
 
 def test_links_stand_for_a_balls_surface_and_inside():
     radius = 0.37
-    walls = Walls(ball(radius), CELLS)
+    walls = CellBoundaries(ball(radius), CELLS)
     centre = (np.arange(CELLS) + 0.5) / CELLS - 0.5
     distance = np.sqrt(sum(x**2 for x in np.meshgrid(centre, centre, centre, indexing="ij")))
     clear = np.abs(distance - radius) > 0.3 / CELLS
     np.testing.assert_array_equal(walls.inside[clear], (distance < radius)[clear])
     assert walls.facing.sum() / CELLS**2 == pytest.approx(4.0 * np.pi * radius**2, rel=0.03)
     # An open bowl has no inside.
-    assert not Walls(ball(radius)[ball(radius)[..., 2].max(axis=1) < 1e-9], CELLS).inside.any()
+    assert not CellBoundaries(ball(radius)[ball(radius)[..., 2].max(axis=1) < 1e-9], CELLS).inside.any()
 
 
 def test_all_light_leaves_through_faces_and_walls():
-    d, walls = spread(), Walls(ball(0.3), CELLS)
+    d, walls = spread(), CellBoundaries(ball(0.3), CELLS)
     source = np.where(walls.inside, 0.0, 1.0)
     diagonal, couplings = couple(d, 1.0 / CELLS, walls)
     fluence = solve(diagonal, couplings, source)
@@ -71,11 +71,11 @@ def test_all_light_leaves_through_faces_and_walls():
 def test_lit_cells_are_the_share_of_each_that_a_wall_leaves():
     """Light straight down past a wall over x < 0.1."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    sun_map = SunMap([rectangle(-9, 0.1, -9, 9, 3.0)], np.array([0.0, 0.0, 1.0]), corners)
-    share = sun_map.lit_cells(8, parts=16)
+    shadow_map = ShadowMap([rectangle(-9, 0.1, -9, 9, 3.0)], np.array([0.0, 0.0, 1.0]), corners)
+    share = shadow_map.lit_cells(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
-    np.testing.assert_allclose(sun_map.lit_cells(8, 1)[1:-1, 1:-1, 1:-1], sun_map.lit_cells(8), atol=1e-6)
+    np.testing.assert_allclose(shadow_map.lit_cells(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.lit_cells(8), atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
@@ -113,12 +113,12 @@ def test_a_surface_that_ends_scattered_light_darkens_what_is_around_it():
 
 
 def test_what_is_kept_knows_when_surfaces_and_suns_change():
-    medium, view, kept = Medium(4.0, 0.9, 0.4), camera(), Kept()
+    medium, view, kept = Medium(4.0, 0.9, 0.4), camera(), RenderCache()
     first, second = ([Surface(rectangle(-9, edge, -9, 9, 6.0).triangles, covers=False)] for edge in (0.4, 0.9))
     other = Sun((-0.5, 0.1, 1.0), 2.0)
     for surfaces, sun in ((first, SUN), (second, SUN), (second, other), ([], other), (first, SUN)):
         found = render([(fog(), medium)], [sun], view, kept=kept, surfaces=surfaces)
-        anew = render([(fog(), medium)], [sun], view, kept=Kept(), surfaces=surfaces)
+        anew = render([(fog(), medium)], [sun], view, kept=RenderCache(), surfaces=surfaces)
         np.testing.assert_array_equal(found.rgb, anew.rgb)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from inference import Kept, Medium, SceneError, Settings, Sun, Surface, Volume, render
-from inference.omissions import ALL, OMISSIONS
+from inference import RenderCache, Medium, SceneError, Settings, Sun, Surface, Volume, render
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
 from .test_render import camera, cloud
 
@@ -56,23 +56,23 @@ def test_the_picture_stays_within_the_budget_and_the_switch_does_something(name,
     """Each omission alone is asked for."""
     before, left_out = (usual, ALL) if name == "shared_pixels" else (every_pixel, ALL - {"shared_pixels"})
     layer = every_pixel if name == "shared_pixels" else draw(left_out - {name})
-    assert change(layer, before) <= max(OMISSIONS[name].budget, 1e-7)
+    assert change(layer, before) <= max(OPTIMIZATIONS[name].budget, 1e-7)
     np.testing.assert_allclose(layer.alpha, before.alpha, atol=1e-6)
     assert layer.report.counts[COUNTED[name]] > before.report.counts[COUNTED[name]]
 
 
 def test_nothing_is_kept_where_that_is_not_wanted(draw, every_pixel):
     """Fields that serve any view hold more cells, those of one view alone fewer."""
-    kept, left_out = Kept(), ALL - {"shared_pixels"}
+    kept, left_out = RenderCache(), ALL - {"shared_pixels"}
     first, again = draw(left_out, kept), draw(left_out - {"unchanged"}, kept)
-    assert change(again, first) <= OMISSIONS["unchanged"].budget
+    assert change(again, first) <= OPTIMIZATIONS["unchanged"].budget
     cells = [layer.report.counts["cells of lookup fields"] for layer in (every_pixel, again, first)]
     assert cells[0] == cells[1] < cells[2]
 
 
 def test_everything_at_once(draw, every_pixel):
     layer = draw(frozenset())
-    assert change(layer, every_pixel) <= sum(omission.budget for omission in OMISSIONS.values())
+    assert change(layer, every_pixel) <= sum(omission.budget for omission in OPTIMIZATIONS.values())
     assert layer.report.saved == {}
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from inference import Volume, diffused_light
-from inference.cube import fit_cube
-from inference.multiple import FLUENCE_MOST
-from inference.ordinates import CELLS, STEPS, Ordinates, _solid_angles, reduced_anisotropy
+from inference.grids.working_cube import fit_cube
+from inference.network.predictor import FLUENCE_MOST
+from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
 from training.path_tracer import trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -41,7 +41,7 @@ def test_thin_fog_scatters_its_beam_once():
     That of 26 directions: 0.689, where the mean over all is 0.611.
     """
     density, sigma = np.ones((CELLS,) * 3, np.float32), 1e-3
-    fluence = Ordinates(density, sigma, 0.0).light(SLANT)[0]
+    fluence = DiscreteOrdinates(density, sigma, 0.0).light(SLANT)[0]
     steps = np.concatenate(STEPS)
     expected = sigma * 2.0 * _solid_angles(steps) @ (0.5 * np.linalg.norm(steps, axis=1))
     half = CELLS // 2
@@ -54,8 +54,8 @@ def test_it_is_near_the_traced_truth(cloud, sigma_hat, anisotropy, tolerance):
     positions = np.array([[0.0, 0.0, 0.1], [0.2, -0.1, -0.2], [-0.25, 0.25, 0.0], [0.05, -0.38, 0.02], [0.02, 0.03, 0.39]])
     omega = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
     traced = trace_points(cloud, SLANT, None, positions, omega, sigma_hat, anisotropy, [1.0], 20000, seed=2)[:, 0, 0]
-    cells = diffused_light.light_cells(Ordinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
-    read = diffused_light.read_light(cells, positions, omega, SLANT, anisotropy)
+    cells = diffused_light.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
+    read = diffused_light.read_fluence(cells, positions, omega, SLANT, anisotropy)
     radiance = np.exp(read[:, diffused_light.PROBES]) / (4.0 * np.pi)
     # Of what counts as not scattered the light is missing here.
     share = radiance / traced
@@ -66,8 +66,8 @@ def test_it_is_near_the_traced_truth(cloud, sigma_hat, anisotropy, tolerance):
 
 
 def test_turning_volume_and_sun_turns_the_light(cloud):
-    light = Ordinates(cloud, 60.0, 0.6).light(SLANT)
-    turned = Ordinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).light(SLANT[[1, 2, 0]] * [1, 1, -1])
+    light = DiscreteOrdinates(cloud, 60.0, 0.6).light(SLANT)
+    turned = DiscreteOrdinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).light(SLANT[[1, 2, 0]] * [1, 1, -1])
     expected = light[[0, 2, 3, 1]].transpose(0, 2, 3, 1)[:, :, :, ::-1] * np.array([1, 1, 1, -1])[:, None, None, None]
     np.testing.assert_allclose(turned, expected, rtol=2e-3, atol=2e-4)
 
@@ -75,15 +75,15 @@ def test_turning_volume_and_sun_turns_the_light(cloud):
 @pytest.mark.parametrize("sigma_hat", [1.0, 50.0, 2000.0])
 @pytest.mark.parametrize("anisotropy", [-0.3, 0.0, 0.857, 0.95])
 def test_no_light_is_negative_or_more_than_any_medium_holds(cloud, sigma_hat, anisotropy):
-    fluence, *flux = Ordinates(cloud, sigma_hat, anisotropy).light(SLANT)
+    fluence, *flux = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)
     assert np.all(fluence >= 0.0) and fluence.max() < FLUENCE_MOST
     assert np.all(np.sqrt(sum(f**2 for f in flux)) <= fluence * (1.0 + 1e-4) + 1e-6)
 
 
 def test_more_sweeps_change_little(cloud, monkeypatch):
-    few = Ordinates(cloud, 300.0, 0.0).light(SLANT)[0]
+    few = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
     monkeypatch.setattr("inference.ordinates.MORE_ROUNDS", 12)
-    many = Ordinates(cloud, 300.0, 0.0).light(SLANT)[0]
+    many = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
     assert np.abs(few - many).sum() < 0.08 * many.sum()
 
 
@@ -96,8 +96,8 @@ def test_behind_a_wall_there_is_no_light_and_before_it_that_of_half_a_cube(cloud
     x, y, z = middles()
     half = np.where(z > 0.0, cloud, 0.0).astype(np.float32)
     lit = (z > 0.0).astype(np.float32)
-    walled = Ordinates(cloud, 30.0, 0.5, rectangle(0.0)).light(UP, lit)[0]
-    alone = Ordinates(half, 30.0, 0.5).light(UP)[0]
+    walled = DiscreteOrdinates(cloud, 30.0, 0.5, rectangle(0.0)).light(UP, lit)[0]
+    alone = DiscreteOrdinates(half, 30.0, 0.5).light(UP)[0]
     # What goes down through an empty half of the cube does not come back, as at the wall.
     np.testing.assert_allclose(walled[..., CELLS // 2 + 1 :], alone[..., CELLS // 2 + 1 :], rtol=0.05, atol=0.01)
     assert walled[..., : CELLS // 2].max() < 1e-6
@@ -107,10 +107,10 @@ def test_light_stays_outside_a_box(cloud):
     """Six walls around the middle: nothing inside, and less than without outside."""
     low, high = -0.15, 0.15
     sides = np.concatenate([rectangle(z, low, high)[..., order] for z in (low, high) for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))])
-    ordinates = Ordinates(cloud, 30.0, 0.5, sides)
+    ordinates = DiscreteOrdinates(cloud, 30.0, 0.5, sides)
     box = np.all([np.abs(x) < high for x in middles()], axis=0)
     np.testing.assert_array_equal(ordinates.walls.inside, box)
-    found, free = ordinates.light(UP, (~box).astype(np.float32))[0], Ordinates(cloud, 30.0, 0.5).light(UP)[0]
+    found, free = ordinates.light(UP, (~box).astype(np.float32))[0], DiscreteOrdinates(cloud, 30.0, 0.5).light(UP)[0]
     assert found[box].max() < 1e-2 * free[box].min() and found.sum() < 0.9 * free.sum()
 
 
@@ -119,11 +119,11 @@ def test_points_read_what_lies_between_cells():
     x, y, z = middles()
     fluence = np.exp(0.5 + 0.8 * x - 0.4 * y + 0.3 * z)
     light = np.stack([fluence, *(fluence * f for f in (0.1 * x, 0.2 + 0.1 * y, -0.3 * z))]).astype(np.float32)
-    cells = diffused_light.light_cells(light).astype(np.float32)
+    cells = diffused_light.fluence_lattice(light).astype(np.float32)
     random = np.random.default_rng(3)
     p, w = random.uniform(-0.44, 0.44, (50, 3)), random.normal(size=(50, 3))
     w /= np.linalg.norm(w, axis=1, keepdims=True)
-    read = diffused_light.read_light(cells, p, w, SLANT, 0.6)
+    read = diffused_light.read_fluence(cells, p, w, SLANT, 0.6)
     slope, h = np.array([0.8, -0.4, 0.3]), diffused_light.REACH
     for column, offset in enumerate((0.0 * w, h * w, -h * w, h * SLANT)):
         np.testing.assert_allclose(read[:, column], 0.5 + (p + offset) @ slope, atol=2e-3)
@@ -131,13 +131,13 @@ def test_points_read_what_lies_between_cells():
     along = (flux * w).sum(axis=1)
     np.testing.assert_allclose(read[:, 4], read[:, 0] + np.log(1.0 - 3.0 * reduced_anisotropy(0.6) * along), atol=2e-3)
     np.testing.assert_allclose(read[:, 5:], np.stack([along, flux @ SLANT], axis=1), atol=1e-3)
-    np.testing.assert_allclose(diffused_light.light_of(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(diffused_light.fluence_and_flux(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3)
 
 
 def test_positions_in_the_world_find_their_cells():
     matrix = np.array([[0.0, -0.3, 0.0, 5.0], [0.3, 0.0, 0.0, -2.0], [0.0, 0.0, 0.3, 1.0], [0.0, 0.0, 0.0, 1.0]])
     cube = fit_cube(Volume(np.ones((9, 7, 5), np.float32), matrix))
-    light = diffused_light.DiffusedLight.in_cube(cube, [], 0.5)
+    light = diffused_light.ScatteredFluence.in_cube(cube, [], 0.5)
     world = cube.centre + np.random.default_rng(4).uniform(-0.5, 0.5, (100, 3)) * cube.edge @ cube.rotation.T
     cell = np.floor((cube.positions(world) + 0.5) * CELLS).astype(int)
     found = light.cells((world @ light.linear.T + light.offset).T.astype(np.float32))

@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference import Medium, Volume, render
-from inference.grid import Grid
-from inference.overlap import MOST_EXTENT, merge, overlapping
+from inference.grids.grid import Grid
+from inference.grids.merge import merge
+from inference.plan.overlap import MOST_EXTENT, overlapping
 from tests.test_render import SUN, camera, cloud
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from inference.phase import henyey_greenstein
-from inference.transmittance import sun_optical_depth
+from inference.scene.phase_function import henyey_greenstein
+from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.path_tracer import sample_scattering_points, trace_pixels, trace_points
 from training.transport import prepare, scatter, seed_state, transmit
 

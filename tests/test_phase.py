@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from inference.phase import PhaseFeatures, cone_half_angles, cumulative_phase, henyey_greenstein
-from inference.phase_function import PhaseFunction
-from inference.stencil import LOW_POINTS, frames
+from inference.features.phase_features import PhaseFeatures, cone_half_angles, cumulative_phase
+from inference.scene.phase_function import henyey_greenstein
+from inference.scene.phase_function import PhaseFunction
+from inference.features.stencil import LOW_POINTS, frames
 from training.stencil import load_stencil
 
 GS = (-0.3, 0.0, 0.5, 0.857, 0.95)

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from inference.products import MATRIX_WORK, VECTOR_WORK, product
+from inference.numerics.small_matmul import MATRIX_WORK, VECTOR_WORK, product
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

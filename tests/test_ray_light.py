@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from inference import Volume
-from inference.diffused_light import DiffusedLight
-from inference.exponential import one_minus_exp
-from inference.grid import Grid
-from inference.march import light_at, march
-from inference.ordinates import CELLS as COARSE_CELLS
-from inference.ray_light import SCALES
+from inference.transport.scattered_fluence import ScatteredFluence
+from inference.numerics.exponential import one_minus_exp
+from inference.grids.grid import Grid
+from inference.marching.ray_march import light_at, march
+from inference.transport.discrete_ordinates import CELLS as COARSE_CELLS
+from inference.marching.ray_features import SCALES
 
 CELLS = 48
 ANISOTROPY = 0.6
@@ -27,7 +27,7 @@ def slabs(offset=(0.0, 0.0, 0.0), suns=1):
     light = np.tile(np.array([1.0, 0.3, 0.0, 0.0], np.float32), (*[COARSE_CELLS] * 3, 1))
     light[:, :, COARSE_CELLS // 2 :] *= 2.0
     linear = np.eye(3) * COARSE_CELLS
-    return DiffusedLight(linear, 0.5 * COARSE_CELLS - linear @ np.array(offset), [light] * suns, ANISOTROPY)
+    return ScatteredFluence(linear, 0.5 * COARSE_CELLS - linear @ np.array(offset), [light] * suns, ANISOTROPY)
 
 
 def prepared(volume, sun, sigma_t):
@@ -103,7 +103,7 @@ def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_togeth
     values = np.zeros((*[COARSE_CELLS] * 3, 4), np.float32)
     values[..., 0] = np.arange(COARSE_CELLS, dtype=np.float32)
     linear = np.eye(3) * COARSE_CELLS
-    light = DiffusedLight(linear, np.full(3, 0.5 * COARSE_CELLS), [values], 0.0)
+    light = ScatteredFluence(linear, np.full(3, 0.5 * COARSE_CELLS), [values], 0.0)
     rays = 40
     z = 0.1 + np.arange(rays) / rays * 4 / COARSE_CELLS
     origins = np.stack([np.full(rays, -2.0), np.full(rays, 0.013), z], axis=1)

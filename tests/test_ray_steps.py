@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from inference import Volume
-from inference.dense_grid import DenseGrid
-from inference.grid import Grid
-from inference.march import march
-from inference.occupancy import REACH, Occupancy
-from inference.ray_steps import Blocks
-from inference.sparse_grid import SparseGrid
+from inference.grids.dense_grid import DenseGrid
+from inference.grids.grid import Grid
+from inference.marching.ray_march import march
+from inference.grids.occupancy import REACH, Occupancy
+from inference.marching.ray_steps import Blocks
+from inference.scene.sparse_grid import SparseGrid
 
 
 def sparse(shape=(31, 24, 40), share=0.002):

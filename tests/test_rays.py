@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.stability.scenes import camera, placed, rotation
 from inference import Camera
-from inference.grid import Grid
-from inference.rays import camera_rays, window_around
+from inference.grids.grid import Grid
+from inference.scene.camera_rays import camera_rays, window_around
 
 SIZE = 60, 40
 

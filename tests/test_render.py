@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, plan, predict_multiple, render
-from inference.multiple import FLUENCE_MOST
-from inference.omissions import ALL
-from inference.phase import henyey_greenstein
+from inference.network.predictor import FLUENCE_MOST
+from inference.scene.optimizations import ALL
+from inference.scene.phase_function import henyey_greenstein
 
 
 def box(size=(1.0, 1.0, 1.0), voxels=32, density=1.0, name="box"):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Volume
-from inference.plan import make_plan
-from inference.rays import camera_rays
+from inference.plan.plan import make_plan
+from inference.scene.camera_rays import camera_rays
 
 GRID = np.ones((2, 2, 2), np.float32)
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.omissions import ALL
-from inference.plan import tiles_of
-from inference.shared_pixels import BAND, LEVELS, Squares, agreeing
+from inference.scene.optimizations import ALL
+from inference.plan.plan import tiles_of
+from inference.image.adaptive_interpolation import LEVELS, Squares, agreeing
+from inference.plan.resolution import BAND
 
 from .test_render import SUN, camera, cloud
 

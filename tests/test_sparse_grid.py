@@ -8,13 +8,13 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Volume, render
-from inference.cube import active_bounds, fit_cube, level0_density
-from inference.dense_grid import DenseGrid
-from inference.grid import Grid
-from inference.omissions import ALL
-from inference.sparse_columns import column_bytes
-from inference.sparse_grid import SparseGrid
-from inference.sun_depth import SunDepth
+from inference.grids.working_cube import active_bounds, fit_cube, level0_density
+from inference.grids.dense_grid import DenseGrid
+from inference.grids.grid import Grid
+from inference.scene.optimizations import ALL
+from inference.plan.sun_columns import column_bytes
+from inference.scene.sparse_grid import SparseGrid
+from inference.grids.sun_optical_depth import SunOpticalDepth
 
 from .conftest import ROOT, SHARED
 
@@ -79,8 +79,8 @@ def test_samples_are_those_of_the_array(seed):
 def test_shadows_are_those_of_the_array(direction, sigma_t):
     density, direction = puffs(), np.array(direction)
     low, high = active_bounds(density)
-    dense = SunDepth(DenseGrid(density[tuple(map(slice, low, high))]), direction)
-    sparse = SunDepth(SparseGrid.of_dense(density).crop(low, high), direction)
+    dense = SunOpticalDepth(DenseGrid(density[tuple(map(slice, low, high))]), direction)
+    sparse = SunOpticalDepth(SparseGrid.of_dense(density).crop(low, high), direction)
     index = np.random.default_rng(0).uniform(0.0, high - low - 1.0, (20000, 3)).T.astype(np.float32)
     expected = dense(index, sigma_t)
     assert (expected > 1e-3).mean() > 0.05
@@ -90,7 +90,7 @@ def test_shadows_are_those_of_the_array(direction, sigma_t):
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_memory_of_shadows_is_known_before(direction):
     grid = SparseGrid.of_dense(puffs())
-    columns = SunDepth(grid, np.array(direction)).columns
+    columns = SunOpticalDepth(grid, np.array(direction)).columns
     assert column_bytes(grid, np.array(direction)) == columns.tiles.nbytes + columns.table.nbytes
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from inference import Medium, Settings, Sun, render
-from inference.phase import henyey_greenstein
-from inference.phase_function import PhaseFunction
-from inference.rays import camera_rays
-from inference.spread_light import ORDER, SpreadLight, turned
+from inference.scene.phase_function import henyey_greenstein
+from inference.scene.phase_function import PhaseFunction
+from inference.scene.camera_rays import camera_rays
+from inference.marching.extended_lights import ORDER, ExtendedLights, turned
 
 from .test_render import box, camera, cloud
 from .test_surfaces import rectangle
@@ -70,12 +70,12 @@ def test_means_between_places_are_those_at_pixels():
     suns = even_suns()
     _, directions, _, _ = camera_rays(view)
     rows, columns = np.divmod(np.arange(len(directions)), 90)
-    turned, ahead = SpreadLight(view, suns, [phase]).phase(columns + 0.5, rows + 0.5)
+    turned, ahead = ExtendedLights(view, suns, [phase]).phase(columns + 0.5, rows + 0.5)
     wanted = np.stack([phase(directions @ sun.spread[0].T) @ sun.spread[1] for sun in suns], axis=1)
     assert np.abs((turned + ahead)[:, 0] - wanted).max() < 0.01 * wanted.max()
     assert ahead.min() >= 0.0 and ahead.max() > 0.5 * wanted.max()
     # Where surfaces may be in the way, nothing is said of what comes from ahead.
-    every, none = SpreadLight(view, suns, [phase], see_ahead=False).phase(columns + 0.5, rows + 0.5)
+    every, none = ExtendedLights(view, suns, [phase], see_ahead=False).phase(columns + 0.5, rows + 0.5)
     assert not none.any()
     np.testing.assert_allclose(every, turned + ahead, rtol=1e-12)
 

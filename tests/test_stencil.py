@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.stencil import LAYER_MIPS, LAYER_POINTS, SPARSE, Stencil, frames
+from inference.features.stencil import LAYER_MIPS, LAYER_POINTS, SPARSE, Stencil, frames
 from training.stencil import (
     fibonacci_sphere, layer_radius, load_stencil, mutual_minimum_distances, relaxed_stencil, unit_layer,
 )

@@ -158,7 +158,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
     module = addon.mrpnn_addon.preview
     preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
-                             module.Prepared(addon.inference.Kept()))
+                             module.Prepared(addon.inference.RenderCache()))
     while not preview.done:
         time.sleep(0.01)
     assert "which is a bug" in preview.message

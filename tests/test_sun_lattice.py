@@ -7,10 +7,10 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from inference import Medium, network
-from inference.cube import fit_cube, level0_density
-from inference.fields import density_pyramid, padded_levels, unit_optical_depths
-from inference.multiple import MultipleField
-from inference.sun_lattice import (
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
+from inference.network.predictor import VolumePredictor
+from inference.features.rpnn_lattice import (
     FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
 )
 from training import lattice_rows
@@ -147,7 +147,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     cube = fit_cube(volume)
     for i in (0, len(kept) // 2, len(kept) - 1):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
-        field = MultipleField(network.load_network("rpnn"), volume, Medium(sigma_t, 1.0, 0.857))
+        field = VolumePredictor(network.load_network("rpnn"), volume, Medium(sigma_t, 1.0, 0.857))
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
         field.light(sigma_t, data["sun"][kept[i]].astype(np.float64), *field.bounds(position))
         np.testing.assert_allclose(field.predict(position, omega, [1.0])[0, 0], trained[i], rtol=5e-3)

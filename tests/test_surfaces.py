@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, Volume, render
-from inference.omissions import ALL
-from inference.rays import camera_rays
-from inference.surfaces import PLACES, Screen
+from inference.scene.optimizations import ALL
+from inference.scene.camera_rays import camera_rays
+from inference.occluders.depth_buffer import PLACES, DepthBuffer
 
 SUN = Sun((0.4, 0.3, 0.8), 2.0)
 
@@ -57,7 +57,7 @@ def test_distances_are_those_of_rays_met_one_by_one(projection, clip):
     turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     view.world_matrix[:3, :3] = turn
     window = (2, 1, 11, 8)
-    found = Screen([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
+    found = DepthBuffer([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
 
     fine = Camera(view.world_matrix, projection, (12 * PLACES, 8 * PLACES), view.fov, 5.0, view.shift)
     fine.clip = view.clip

@@ -12,14 +12,14 @@ from scipy.ndimage import map_coordinates
 
 import inference
 from inference import Medium, Sun
-from inference.cube import fit_cube
-from inference.descriptors import angle_to_sun
-from inference.diffused_light import read_light
-from inference.grid import Grid
-from inference.march import light_at
-from inference.multiple import MultipleField
-from inference.network import load_network
-from inference.stencil import SPARSE
+from inference.grids.working_cube import fit_cube
+from inference.features.descriptors import angle_to_sun
+from inference.transport.scattered_fluence import read_fluence
+from inference.grids.grid import Grid
+from inference.marching.ray_march import light_at
+from inference.network.predictor import VolumePredictor
+from inference.network.network import load_network
+from inference.features.stencil import SPARSE
 from training import evaluate, export, memory, train
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
@@ -289,7 +289,7 @@ def test_inputs_are_those_that_rendering_uses():
         sun = Sun(rows["sun"][row]).direction
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
-            field = MultipleField(loaded, volume, Medium(sigma_t, 1.0, rows["anisotropy"][row]))
+            field = VolumePredictor(loaded, volume, Medium(sigma_t, 1.0, rows["anisotropy"][row]))
             field.light(sigma_t, sun, *field.bounds(position))
             reader = field.field
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
@@ -302,7 +302,7 @@ def test_inputs_are_those_that_rendering_uses():
         grid.set_extinction(sigma_t)
         diffused = field.diffused_light(sigma_t, [sun])
         light = light_at(grid, sigma_t, position, omega, diffused).of(slice(None), 0, 0)[0]
-        around = read_light(reader.cells, x, w, reader.sun, reader.anisotropy)[0]
+        around = read_fluence(reader.cells, x, w, reader.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
         cells = len(volume.density)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from inference.grid import Grid
+from inference.grids.grid import Grid
 from inference.scene import Volume
-from inference.transmittance import sun_optical_depth
+from inference.grids.optical_depth_sweep import sun_optical_depth
 
 DIRECTIONS = [(0, 0, 1), (1, 1, 1), (0.3, -0.8, 0.5), (-0.9, 0.1, 0.2), (0.5, 0.45, -0.6)]
 

@@ -39,7 +39,7 @@ def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, ki
 
 
 def prepared(addon):
-    return addon.mrpnn_addon.preview.Prepared(addon.inference.Kept())
+    return addon.mrpnn_addon.preview.Prepared(addon.inference.RenderCache())
 
 
 def pictures(preview):

@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from inference.error import relative_bias, relative_rmse
+from inference.evaluation.error import relative_bias, relative_rmse
 
 from . import blender_scenes
 

@@ -9,9 +9,10 @@ can have its own optical density.
 import numba
 import numpy as np
 
-from inference.descriptors import stencil_points
-from inference.fields import BETA, DENSITY_SCALE, FINE, margins
-from inference.stencil import LEVEL0_CELLS, Stencil
+from inference.features.descriptors import stencil_points
+from inference.features.mip_lattices import BETA, DENSITY_SCALE, FINE, margins
+from inference.features.stencil import Stencil
+from inference.plan.resolution import LEVEL0_CELLS
 
 
 def _flatten(grids):

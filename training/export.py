@@ -18,7 +18,7 @@ import os
 import onnx
 import torch
 
-from inference.sun_lattice import make_sun_lattice
+from inference.features.rpnn_lattice import make_sun_lattice
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
 from training.stencil import load_stencil

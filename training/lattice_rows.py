@@ -15,10 +15,10 @@ import time
 
 import numpy as np
 
-from inference.cube import fit_cube, level0_density
-from inference.fields import density_pyramid
-from inference.lattice_field import density_feature
-from inference.sun_lattice import make_sun_lattice, read_lattices, refined_levels
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.features.mip_lattices import density_pyramid
+from inference.network.lattice_predictor import density_feature
+from inference.features.rpnn_lattice import make_sun_lattice, read_lattices, refined_levels
 from training.networks import RPNN
 from training.seeded_volume import seeded_volume
 

@@ -13,8 +13,8 @@ import pathlib
 
 import numpy as np
 
-from inference.cube import fit_cube
-from inference.transmittance import sun_optical_depth
+from inference.grids.working_cube import fit_cube
+from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.evaluate import load_weights, predictions
 from training.path_tracer import trace_points
 from training.seeded_volume import seeded_volume

@@ -9,9 +9,9 @@ import zlib
 
 import numpy as np
 
-from inference.network import register_system
+from inference.network.network import register_system
 from inference.scene import SceneError
-from inference.sparse_grid import SparseGrid
+from inference.scene.sparse_grid import SparseGrid
 from training.path_tracer import trace_points
 from training.transport import prepare
 
@@ -32,7 +32,7 @@ class PathTracer:
     anisotropy_range = (-1.0, 1.0)
     sigma_hat_range = (0.0, np.inf)
     albedo_range = (0.0, 1.0)
-    needs_light = False
+    needs_ray_features = False
 
     def __init__(self, paths: int = PATHS):
         self.paths = paths

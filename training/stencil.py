@@ -9,7 +9,8 @@ import sys
 
 import numpy as np
 
-from inference.stencil import LAYER_POINTS, LEVEL0_CELLS, LOW_LAYERS, Stencil
+from inference.features.stencil import LAYER_POINTS, LOW_LAYERS, Stencil
+from inference.plan.resolution import LEVEL0_CELLS
 
 POINTS_FILE = pathlib.Path(__file__).with_name("stencil.npz")
 

@@ -17,15 +17,15 @@ import time
 
 import numpy as np
 
-from inference.cube import fit_cube, level0_density
-from inference.diffused_light import COLUMNS as AROUND_COLUMNS
-from inference.diffused_light import DiffusedLight, light_cells, light_of, read_light
-from inference.fields import density_pyramid, padded_levels, unit_optical_depths
-from inference.grid import Grid
-from inference.march import light_at
-from inference.ordinates import LEVEL, Ordinates
-from inference.ray_light import COLUMNS as RAY_COLUMNS
-from inference.transmittance import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
+from inference.transport.scattered_fluence import ScatteredFluence, fluence_lattice, fluence_and_flux, read_fluence
+from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
+from inference.grids.grid import Grid
+from inference.marching.ray_march import light_at
+from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
+from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
+from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.descriptors import describe_points
 from training.path_tracer import sample_scattering_points, trace_points
 from training.seeded_volume import seeded_volume
@@ -147,12 +147,12 @@ def describe_light(volume, cube, coarse, suns, media, medium, positions, omega):
     for number in np.unique(medium):
         sigma, anisotropy = media[number]
         own = np.flatnonzero(medium == number)
-        ordinates = Ordinates(coarse, sigma * cube.edge, anisotropy)
-        cells = [light_cells(ordinates.light(sun)) for sun in l]
+        ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy)
+        cells = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(cells):
-            around[own, k] = read_light(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
+            around[own, k] = read_fluence(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
         grid.set_extinction(sigma)
-        diffused = DiffusedLight.in_cube(cube, [light_of(values) for values in cells], anisotropy)
+        diffused = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in cells], anisotropy)
         ray[own] = light_at(grid, sigma, positions[own], omega[own], diffused).values[:, 0]
     return ray, around
 

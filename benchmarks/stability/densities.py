@@ -3,7 +3,7 @@
 import numpy as np
 
 from inference import Volume
-from inference.sparse_grid import SparseGrid
+from inference.scene.sparse_grid import SparseGrid
 
 from .scenes import blob, camera, placed
 from .shots import shot

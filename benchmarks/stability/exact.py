@@ -8,7 +8,8 @@ steep the density is.
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from inference.rays import box_interval, camera_rays
+from inference.numerics.intersection import box_interval
+from inference.scene.camera_rays import camera_rays
 
 # Midpoints of even shares of a ray's opacity at which the sun is looked at.
 QUANTILES = 192

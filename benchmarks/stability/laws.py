@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
-from inference.error import relative_bias, relative_rmse
-from inference.multiple import FLUENCE_MOST
-from inference.network import register_system
-from inference.phase import henyey_greenstein
+from inference.evaluation.error import relative_bias, relative_rmse
+from inference.network.predictor import FLUENCE_MOST
+from inference.network.network import register_system
+from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome, unsound
 from .placements import CLOUD, scaled, shifted

@@ -3,7 +3,7 @@
 import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.network import load_network
+from inference.network.network import load_network
 
 from .case import refused
 from .placements import CLOUD, EYE, moved

@@ -3,9 +3,9 @@
 import numpy as np
 
 from inference import Medium, Settings, render
-from inference.network import register_system
-from inference.phase import henyey_greenstein
-from inference.rays import camera_rays
+from inference.network.network import register_system
+from inference.scene.phase_function import henyey_greenstein
+from inference.scene.camera_rays import camera_rays
 
 from .case import Case, Outcome, unsound
 from .exact import exact_view
@@ -19,7 +19,7 @@ DARK = 0.01
 class SingleOnly:
     """A system that predicts nothing: the render shows single scattering alone."""
 
-    name, checksum, needs_light = "single only", "", False
+    name, checksum, needs_ray_features = "single only", "", False
     anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
 
     def field(self, volume, cube, anisotropy, check):

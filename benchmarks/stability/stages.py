@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from inference.cube import fit_cube, level0_density
-from inference.fields import density_pyramid
-from inference.grid import Grid
-from inference.march import mean_transmittance
-from inference.phase import cumulative_phase, henyey_greenstein
-from inference.ray_light import ray_light
-from inference.ray_steps import Blocks
-from inference.transmittance import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.features.mip_lattices import density_pyramid
+from inference.grids.grid import Grid
+from inference.marching.ray_march import mean_transmittance
+from inference.features.phase_features import cumulative_phase
+from inference.scene.phase_function import henyey_greenstein
+from inference.marching.ray_features import ray_light
+from inference.marching.ray_steps import Blocks
+from inference.grids.optical_depth_sweep import sun_optical_depth
 
 from .case import Case, Outcome
 from .exact import ExactVolume

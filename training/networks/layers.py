@@ -9,7 +9,7 @@ import math
 import torch
 from torch import nn
 
-from inference.stencil import LAYER_POINTS, LOW_LAYERS
+from inference.features.stencil import LAYER_POINTS, LOW_LAYERS
 
 CHANNELS = 3
 #: Last blocks of the low- and of the high-frequency sub-network.

@@ -8,8 +8,8 @@ from onnx import TensorProto
 from torch import nn
 
 from inference import diffused_light, ray_light
-from inference.ray_light import TAU_AHEAD_MOST, TAU_SUN_MOST
-from inference.stencil import LAYER_POINTS, SPARSE
+from inference.marching.ray_features import TAU_AHEAD_MOST, TAU_SUN_MOST
+from inference.features.stencil import LAYER_POINTS, SPARSE
 
 WIDTH = 192
 HIDDEN_LAYERS = 3
@@ -158,7 +158,7 @@ class RayMRPNN(nn.Module):
         return (albedo[:, :, None] ** self.orders * weights).sum(dim=2)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.RayField feeds.
+        """Add the whole network to an ONNX graph, with the inputs that inference.RayPredictor feeds.
 
         What follows from the angle to the sun alone is computed once for each of V views, and `view` names the one that a
         point is seen from: points on one ray share it.

@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from inference.stencil import LAYER_POINTS, LOW_LAYERS
+from inference.features.stencil import LAYER_POINTS, LOW_LAYERS
 
 from .layers import ChannelLinear, Excitation, block_graph, run_blocks
 from .stencil_network import StencilNetwork

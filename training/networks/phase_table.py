@@ -4,8 +4,8 @@ import math
 
 import torch
 
-from inference.phase import PhaseFeatures
-from inference.stencil import POINTS
+from inference.features.phase_features import PhaseFeatures
+from inference.features.stencil import POINTS
 from training.stencil import load_stencil
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from inference.sun_lattice import LEVELS, POINTS, SHAPE
+from inference.features.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 WIDTH = 200
 #: Points of a lattice as seen in the mirror that holds the sun and the camera ray: light is the same there.
@@ -54,7 +54,7 @@ class RPNN(nn.Module):
         return torch.exp(self.head[2](o)[:, 0]).expand(albedo.shape)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.LatticeField feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that inference.LatticePredictor feeds."""
         g.input("lattice", ["N", LEVELS, POINTS])
         g.input("gamma", ["N"])
         g.input("albedo", ["A"])

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from inference.stencil import LAYER_POINTS, POINTS
+from inference.features.stencil import LAYER_POINTS, POINTS
 
 from .phase_table import PhaseTable
 
@@ -61,7 +61,7 @@ class StencilNetwork(nn.Module):
         return o
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.StencilField feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that inference.StencilPredictor feeds."""
         g.input("features", [3, "N", POINTS])
         g.input("anisotropy", ["N"])
         g.input("gamma", ["N"])

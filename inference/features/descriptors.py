@@ -1,0 +1,103 @@
+"""Features mu, S and P at the stencil's points around each x."""
+
+import numpy as np
+
+from .mip_lattices import Lattices
+from .phase_features import PhaseFeatures
+from .stencil import LOW_POINTS, POINTS, Stencil, frames
+
+# Points looked up together, so that what is made on the way stays in the cache, and products are small (`products.py`).
+POINTS_PER_STEP = 192
+
+
+def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
+    """The stencil around each position: float32 (N, 192, 3) in the cube's frame.
+
+    positions: (N, 3); omega: (N, 3) camera-ray directions; sun: (3,) unit vector.
+    """
+    points = np.empty((len(positions), POINTS, 3), np.float32)
+    rotation = frames(omega, sun).astype(np.float32)
+    np.matmul(stencil.low, rotation.transpose(0, 2, 1), out=points[:, :LOW_POINTS])
+    points[:, LOW_POINTS:] = stencil.high[:, None] * sun.astype(np.float32)
+    points += positions[:, None].astype(np.float32)
+    return points
+
+
+class FieldLookup:
+    """Features mu and S at the stencil around points, for one sun."""
+
+    def __init__(self, stencil: Stencil, lattices: Lattices, sun):
+        """sun: (3,) unit vector in the cube's frame."""
+        self.lattices, self.sun = lattices, np.asarray(sun, np.float64)
+        # Of each of the stencil's points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
+        levels = [lattices.levels[m] for m in stencil.mips]
+        scale = np.array([level.scale for level in levels], np.float32)
+        origin = np.array([level.origin * level.scale for level in levels], np.float32)
+        self.stride = np.array([level.packed.strides for level in levels], np.int32).T // lattices.values.itemsize
+        self.row = self.stride[1].astype(np.float32)
+        sizes = np.array([level.packed.size for level in lattices.levels])
+        begin = (np.cumsum(sizes) - sizes)[stencil.mips]
+        self.begin = (begin - (self.stride * np.array([level.first for level in levels]).T).sum(axis=0)).astype(np.int32)
+        # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all points'.
+        low, count = len(stencil.low), len(stencil.mips)
+        self.terms = np.zeros((3, 6, count), np.float32)
+        self.terms[:, 0], self.terms[:, 4] = scale, 1.0
+        self.terms[:, 1:4, :low] = stencil.low.T * scale[:low]
+        towards = np.zeros(count, np.float32)
+        towards[low:] = stencil.high * scale[low:]
+        self.terms[:, 5] = self.sun[:, None].astype(np.float32) * towards - origin
+
+    def __call__(self, positions, omega, view, jitter=None) -> np.ndarray:
+        """float32 (N, stencil's points, columns of the lattices) of points.
+
+        positions: float (N, 3) in the cube's frame; omega: (V, 3) camera-ray directions, and view: int (N,), which of them
+        each point is seen along. jitter: (N, 3) in [-1/2, 1/2), by which lookups of each point are moved, in fine
+        cells; none by default. Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
+        """
+        count = len(positions)
+        point = np.zeros((3, count, 6), np.float32)
+        point[..., 0], point[..., 5] = positions.T, 1.0
+        if jitter is not None:
+            point[..., 4] = jitter.T
+        for axis, rows in enumerate(frames(omega, self.sun).astype(np.float32).transpose(1, 0, 2)):
+            point[axis, :, 1:4] = rows.take(view, axis=0)
+        features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
+        for start in range(0, count, POINTS_PER_STEP):
+            span = slice(start, start + POINTS_PER_STEP)
+            # Rows and columns of a level are few enough to be counted in single precision.
+            cell = np.floor(point[1, span] @ self.terms[1])
+            cell *= self.row
+            cell += np.floor(point[2, span] @ self.terms[2])
+            index = (point[0, span] @ self.terms[0]).astype(np.int32)
+            index *= self.stride[0]
+            index += cell.astype(np.int32)
+            index += self.begin
+            self.lattices.read(index, features[span])
+        return features
+
+
+def distinct_rows(rows):
+    """Of rows (N, k) those that differ from the one before: their numbers (V,), and which of them each row is, int32 (N,)."""
+    new = np.ones(len(rows), bool)
+    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    return np.flatnonzero(new), np.cumsum(new, dtype=np.int32) - np.int32(1)
+
+
+def angle_to_sun(omega, sun) -> np.ndarray:
+    """gamma float32 (N,): the angle between camera rays (N, 3) and the direction towards the sun (3,)."""
+    cosine = np.asarray(omega, np.float64) @ np.asarray(sun, np.float64)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
+
+
+def describe(lookup: FieldLookup, phase: PhaseFeatures, positions, omega, jitter=None):
+    """Descriptors of points for one sun, as the paper's networks read them.
+
+    positions, omega: (N, 3) in the cube's frame; jitter: as FieldLookup has it. Returns features float32
+    (3, N, 192) in the order mu, S, P, and gamma float32 (N,).
+    """
+    first, view = distinct_rows(omega)
+    features = np.empty((3, len(positions), POINTS), np.float32)
+    features[:2] = lookup(positions, omega[first], view, jitter).transpose(2, 0, 1)
+    gamma = angle_to_sun(omega, lookup.sun)
+    features[2] = phase(gamma)
+    return features, gamma

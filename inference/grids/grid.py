@@ -1,0 +1,103 @@
+"""A volume at the density's own resolution: what camera rays and single scattering read."""
+
+import threading
+from typing import List
+
+import numpy as np
+
+from ..numerics.intersection import box_interval
+from ..numerics.small_matmul import product
+from ..plan.resolution import refinement
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Volume
+from ..scene.errors import SceneError
+from ..scene.sparse_grid import SparseGrid
+from .bounds import filled_bounds
+from .dense_grid import DenseGrid, refined
+from .occupancy import Occupancy
+from .sun_optical_depth import SunOpticalDepth
+
+
+class Grid:
+    """The active part of a volume's density and emission.
+
+    Voxels are the volume's, or finer ones where these are few. Indices count from the centre of the first active voxel;
+    the support of the trilinear interpolation is the box from -1 to the number of voxels on each axis.
+
+    density: DenseGrid or SparseGrid. emission: three of them, one per colour channel, or none. emission_power: as in Volume.
+    occupancy: Occupancy of both. shape: voxels. peak: largest density. linear: (3, 3) and offset: (3,), continuous indices
+    from world positions. box: lowest and highest index (3,) of the support. voxel, longest: shortest and longest edge of a
+    voxel in world units.
+
+    Raises SceneError where density and emission are 0 everywhere.
+    """
+
+    def __init__(self, volume: Volume):
+        emission = volume.emission_channels()
+        bounds = [found for found in map(filled_bounds, (volume.density, *emission)) if found is not None]
+        if not bounds:
+            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+        low = np.min([first for first, _ in bounds], axis=0)
+        high = np.max([end for _, end in bounds], axis=0)
+        times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
+        self.density = _part(volume.density, low, high, times)
+        # One grid a colour channel, or none.
+        self.emission = [_part(channel, low, high, times) for channel in emission]
+        self.emission_power = volume.emission_power
+        filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
+        self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
+        self.shape, self.peak = self.density.shape, self.density.peak
+        self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
+        index_from_world = np.linalg.inv(volume.world_from_index)
+        self.linear = times * index_from_world[:3, :3]
+        self.offset = times * (index_from_world[:3, 3] - low + 1.0) - 1.0
+        sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0) / times
+        self.voxel, self.longest = float(sizes.min()), float(sizes.max())
+        self._sun_depths, self._preparing = {}, threading.Lock()
+
+    def sun_depths(self, directions, cancel: CancelToken = NEVER) -> List[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: unit vectors (3,) in the world.
+
+        Those of the last call are kept and used again. Raises Cancelled.
+        """
+        index_directions = [self.linear @ direction for direction in directions]
+        with cancel.locked(self._preparing):
+            known, self._sun_depths = self._sun_depths, {}
+            for direction in index_directions:
+                cancel.check()
+                key = bytes(direction)
+                if key not in self._sun_depths:
+                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel)
+            return [self._sun_depths[bytes(direction)] for direction in index_directions]
+
+    def index(self, world: np.ndarray) -> np.ndarray:
+        """World positions (N, 3) as continuous indices, float64."""
+        return product(world, self.linear.T) + self.offset
+
+    def corners(self) -> np.ndarray:
+        """(8, 3) of the support in the world."""
+        low, high = self.box
+        ends = np.array([[(low, high)[b][axis] for axis, b in enumerate((x, y, z))]
+                         for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        return (ends - self.offset) @ np.linalg.inv(self.linear).T
+
+    def interval(self, origins, directions):
+        """Distances at which world rays enter and leave the grid's support."""
+        return box_interval(self.index(origins), product(directions, self.linear.T), *self.box)
+
+    def sample_density(self, index: np.ndarray) -> np.ndarray:
+        """Density (N,) at continuous indices float32 (3, N)."""
+        return self.density.sample(index)
+
+    def sample_emission(self, channel: int, index: np.ndarray) -> np.ndarray:
+        """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
+        values = self.emission[channel].sample(index)
+        return values if self.emission_power == 1 else values * np.abs(values) ** (self.emission_power - 1)
+
+
+def _part(values, low, high, times: int):
+    """DenseGrid or SparseGrid of voxels from low (3,) to before high (3,); of an array on finer ones if times > 1."""
+    if isinstance(values, SparseGrid):
+        return values.crop(low, high)
+    inside = values[tuple(map(slice, low, high))]
+    return DenseGrid(refined(inside, times) if times > 1 else inside)

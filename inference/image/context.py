@@ -1,0 +1,94 @@
+"""What a render holds while it runs."""
+
+from dataclasses import dataclass, replace
+from typing import List, Optional
+
+from ..grids.bound_medium import BoundMedium
+from ..grids.grid import Grid
+from ..grids.sun_optical_depth import SunOpticalDepth
+from ..marching.extended_lights import ExtendedLights
+from ..occluders.depth_buffer import DepthBuffer
+from ..occluders.occluders import Occluders
+from ..plan.plan import Channels, Plan
+from ..render_cache import RenderCache, ScatteringGroup
+from ..runtime.progress import Progress
+from ..runtime.report import Report
+from ..runtime.tasks import Tasks
+from ..scene.camera import Camera
+from ..scene.settings import Settings
+from ..transport.scattered_fluence import ScatteredFluence
+from .framebuffer import Framebuffer
+
+
+@dataclass(frozen=True)
+class RenderContext:
+    """How a render works, whatever the scene.
+
+    whole_volumes: whether lookup lattices are built for all of a volume rather than for what the tile shows of it.
+    """
+
+    settings: Settings
+    cache: RenderCache
+    tasks: Tasks
+    progress: Progress
+    report: Report
+    whole_volumes: bool
+
+    @property
+    def cancel(self):
+        """The CancelToken."""
+        return self.tasks.cancel
+
+
+@dataclass(frozen=True)
+class PreparedScene:
+    """The planned scene with everything that does not depend on the colour channel.
+
+    grids: of V volumes; sun_depths: (V, L), of each towards each of the plan's suns. depth_buffer: of surfaces that cover
+    volumes, or None. extended_lights: of the suns that have a spread, or None. groups: (G,) ScatteringGroups, None where
+    nothing is predicted. network: or None.
+    """
+
+    plan: Plan
+    grids: List[Grid]
+    sun_depths: List[List[SunOpticalDepth]]
+    occluders: Occluders
+    depth_buffer: Optional[DepthBuffer]
+    extended_lights: Optional[ExtendedLights]
+    groups: List[Optional[ScatteringGroup]]
+    network: object = None
+
+    def media(self, channels: Channels) -> List[BoundMedium]:
+        """The volumes as rays see them in some colour channels."""
+        return [BoundMedium(grid, medium, float(sigma_t), depths) for grid, (_, medium), sigma_t, depths
+                in zip(self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths)]
+
+
+@dataclass(frozen=True)
+class ChannelPass:
+    """Colour channels that are rendered together.
+
+    media: of each volume, with its extinction in these channels. fluence: of each group, None where nothing is predicted in
+    it; None altogether for networks that need no ray features.
+    """
+
+    channels: Channels
+    media: List[BoundMedium]
+    fluence: Optional[List[Optional[ScatteredFluence]]]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Rows of the image that are rendered together: a camera whose region they are, and their pixels."""
+
+    camera: Camera
+    framebuffer: Framebuffer
+
+
+def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> List[Tile]:
+    """The plan's tiles, each a part of the framebuffer's memory."""
+    x0, y0, x1, _ = camera.window
+    width = x1 - x0
+    return [Tile(replace(camera, region=(x0, top, x1, bottom)),
+                 framebuffer.part(slice((top - y0) * width, (bottom - y0) * width)))
+            for top, bottom in plan.tiles]

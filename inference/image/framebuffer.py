@@ -1,0 +1,34 @@
+"""The images that a render fills."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+
+@dataclass
+class Framebuffer:
+    """Of P pixels, row after row: single, multiple and emission float32 (P, 3), alpha, depth and uncertainty float32 (P,).
+
+    As in `layer.Layer`, but for depth, which is the sum of distances times opacity.
+    """
+
+    single: np.ndarray
+    multiple: np.ndarray
+    emission: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    uncertainty: np.ndarray
+
+    @classmethod
+    def black(cls, pixels: int) -> "Framebuffer":
+        return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((3, pixels), np.float32))
+
+    def part(self, pixels: slice) -> "Framebuffer":
+        """The same memory, of some pixels only."""
+        return Framebuffer(*(getattr(self, field.name)[pixels] for field in fields(self)))
+
+
+def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray):
+    """Add values (N,), N > 0, to an image (P,) at pixels (N,), int, ascending; what falls on one pixel adds up."""
+    added = np.bincount(pixel - pixel[0], values)
+    image[pixel[0] : pixel[0] + len(added)] += added

@@ -1,0 +1,60 @@
+"""The result of a render."""
+
+from dataclasses import dataclass
+from typing import Optional
+
+import numpy as np
+
+from ..runtime.report import Report
+from ..scene.camera import Camera
+from .framebuffer import Framebuffer
+
+
+@dataclass
+class Layer:
+    """What a render returns, rows from the top.
+
+    rgb: float32 (H, W, 3) linear radiance, premultiplied by alpha.
+    alpha: float32 (H, W), 1 - transmittance of the camera ray.
+    depth: float32 (H, W) mean distance along the ray at which light scatters, world units; infinity where alpha is 0.
+    single, multiple, emission: float32 (H, W, 3), single scattering, multiple scattering, and what volumes emit and do not
+        scatter; rgb is their sum.
+    uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths and from interpolation between
+        pixels, as a mean over the channels; the network's own error is not in it. With one depth sample nothing tells
+        it, and it is at least as large as `multiple`.
+    report: what was planned, left out and measured.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    single: np.ndarray
+    multiple: np.ndarray
+    uncertainty: np.ndarray
+    emission: np.ndarray
+    report: Optional[Report] = None
+
+
+def compose_layer(framebuffer: Framebuffer, shape, report: Optional[Report] = None) -> Layer:
+    """The Layer of a framebuffer's pixels; shape: (H, W)."""
+    single, multiple, emission = (
+        colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission))
+    alpha = framebuffer.alpha
+    depth = np.where(alpha > 0.0, framebuffer.depth / np.maximum(alpha, np.float32(1e-30)), np.float32(np.inf))
+    return Layer(
+        rgb=single + multiple + emission,
+        alpha=np.clip(alpha, 0.0, 1.0).reshape(shape),
+        depth=depth.reshape(shape),
+        single=single,
+        multiple=multiple,
+        uncertainty=framebuffer.uncertainty.reshape(shape),
+        emission=emission,
+        report=report,
+    )
+
+
+def empty_layer(camera: Camera) -> Layer:
+    """What a camera sees where nothing is."""
+    x0, y0, x1, y1 = camera.window
+    framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
+    return compose_layer(framebuffer, (y1 - y0, x1 - x0), Report(seconds={"total": 0.0}))

@@ -1,0 +1,119 @@
+"""Where opaque surfaces end camera rays.
+
+Triangles are drawn at several places in each pixel; the nearest wins. A pixel that a surface's edge crosses is rendered
+as several rays, one for each distance at which parts of it end.
+"""
+
+from typing import List
+
+import numpy as np
+
+from ..numerics.rasterization import rasterize
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.camera import Camera
+from ..scene.description import Surface
+
+#: Places across a pixel, an axis, at which surfaces are looked for.
+PLACES = 4
+# Distances that are told apart within one pixel, of the ray's way through the volumes.
+DISTANCES = 16
+# Triangles are cut at least at this share of the farthest one's distance.
+CLOSEST = 1e-6
+
+
+class DepthBuffer:
+    """Surfaces as a perspective or orthographic camera sees them."""
+
+    def __init__(self, surfaces: List[Surface], camera: Camera, cancel: CancelToken = NEVER):
+        """Raises Cancelled."""
+        self.camera = camera
+        # Only what lies beyond the near clipping plane is seen, by every camera.
+        eye, farthest = camera.world_matrix[:3, 3], 0.0
+        for surface in surfaces:
+            cancel.check()
+            farthest = max(farthest, np.abs(surface.triangles - eye).max(initial=0.0))
+        closest = max(camera.clip[0], CLOSEST * farthest)
+        self.extent = 2.0 * np.tan(0.5 * camera.fov)
+        projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
+        self.place, self.value = (np.concatenate(parts) for parts in zip(*projected))
+
+    def _project(self, corners, closest, cancel):
+        """Places (T, 3, 2) in pixels, and what is even across a triangle there, (T, 3), larger where it is nearer."""
+        cancel.check()
+        camera = self.camera
+        rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+        corners = _beyond(corners @ rotation, closest)
+        cancel.check()
+        width, height = camera.resolution
+        if camera.projection == "orthographic":
+            plane, value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
+        else:
+            value = -1.0 / corners[..., 2]
+            plane = corners[..., :2] * value[..., None] / self.extent
+        place = np.stack([(plane[..., 0] - camera.shift[0] + 0.5) * width,
+                          0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
+        return place, value
+
+    def distances(self, window, cancel: CancelToken = NEVER) -> np.ndarray:
+        """float64 (N, PLACES^2) along rays through the window's pixels, row by row; infinity where nothing is."""
+        x0, y0, x1, y1 = window
+        size = np.array([x1 - x0, y1 - y0]) * PLACES
+        place = (self.place - [x0, y0]) * PLACES - 0.5
+        found = np.full(size[0] * size[1], -np.inf)
+        for flat, value, _ in rasterize(place, self.value, size, cancel):
+            np.maximum.at(found, flat, value)
+        distance = self._along(found.reshape(size[1], size[0]), x0, y0)
+        parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
+        return parts.reshape(-1, PLACES**2)
+
+    def _along(self, value, x0, y0):
+        if self.camera.projection == "orthographic":
+            return -value
+        width, height = self.camera.resolution
+        rows, columns = np.indices(value.shape)
+        u = (x0 + (columns + 0.5) / PLACES) / width - 0.5 + self.camera.shift[0]
+        v = (0.5 * height - y0 - (rows + 0.5) / PLACES) / width + self.camera.shift[1]
+        with np.errstate(divide="ignore"):
+            depth = np.where(value > 0.0, 1.0 / value, np.inf)
+        return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
+
+
+def split_rays_at_surfaces(near, far, distances):
+    """Rays (pixel int (M,), far (M,), share (M,), free (M,)) for pixels with an interval (N,) and distances (N, K).
+
+    pixel: ascending; share: of the pixel that the ray stands for; free: of the ray, what no surface ends behind the
+    interval either. Where a surface lies before the interval, none does.
+    """
+    # Where there is no interval, one of no length.
+    near, far = (np.where(near < far, ends, 0.0) for ends in (near, far))
+    ends = np.clip(distances, near[:, None], far[:, None])
+    length = np.where(far > near, far - near, 1.0)[:, None]
+    group = np.ceil((ends - near[:, None]) / length * DISTANCES - 1e-9).astype(int)
+    flat = (np.arange(len(near))[:, None] * (DISTANCES + 1) + np.clip(group, 0, DISTANCES)).ravel()
+    count = np.bincount(flat, minlength=len(near) * (DISTANCES + 1))
+    total = np.bincount(flat, ends.ravel(), minlength=len(count))
+    kept = np.flatnonzero((count > 0) & (np.arange(len(count)) % (DISTANCES + 1) > 0))
+    pixel, last = kept // (DISTANCES + 1), kept % (DISTANCES + 1) == DISTANCES
+    free = np.isinf(distances).sum(axis=1)[pixel] * last / count[kept]
+    return pixel, total[kept] / count[kept], count[kept] / distances.shape[1], free
+
+
+def _beyond(corners, closest: float):
+    """Triangles (T, 3, 3), seen along -z, without what lies before the plane -z = closest."""
+    depth = -corners[..., 2] - closest
+    ahead = (depth > 0.0).sum(axis=1)
+    parts = [corners[ahead == 3]]
+    for inside in (1, 2):
+        some, d = corners[ahead == inside], depth[ahead == inside]
+        # First the corner that is alone on its side.
+        first = (d > 0.0).argmax(axis=1) if inside == 1 else (d <= 0.0).argmax(axis=1)
+        order = (first[:, None] + np.arange(3)) % 3
+        some, d = np.take_along_axis(some, order[..., None], 1), np.take_along_axis(d, order, 1)
+        a, b = (some[:, 0] + (d[:, 0] / (d[:, 0] - d[:, k]))[:, None] * (some[:, k] - some[:, 0]) for k in (1, 2))
+        if inside == 1:
+            parts.append(np.stack([some[:, 0], a, b], axis=1))
+        else:
+            parts += [np.stack([a, some[:, 1], some[:, 2]], axis=1), np.stack([a, some[:, 2], b], axis=1)]
+    return np.concatenate(parts)
+
+

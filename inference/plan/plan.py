@@ -1,0 +1,254 @@
+"""What a scene needs: pure functions of its description."""
+
+from dataclasses import dataclass, field, replace
+from typing import FrozenSet, List, Sequence, Tuple
+
+import numpy as np
+
+from ..scene.camera import Camera
+from ..scene.description import Medium, Sun, Volume
+from ..scene.errors import SceneError
+from ..scene.optimizations import ALL
+from ..scene.settings import Settings
+from ..scene.sparse_grid import SparseGrid
+from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, row_bytes
+from .overlap import overlapping
+from .resolution import BAND
+
+# Suns count as parallel, and are merged, below this angle in radians.
+PARALLEL = 1e-6
+# Grids whose largest density lies outside are scaled, and their extinction the other way round.
+USUAL_DENSITY = (2.0**-20, 2.0**20)
+# Pixels rendered together: small enough that finished parts appear soon, large enough that threads seldom wait at the end
+# of one.
+TILE_PIXELS = 1 << 18
+SMALLEST_TILE, TILES_PER_IMAGE = 1 << 16, 8
+# Optical thickness of the working cube below which nothing is rendered, and above which the picture does not change.
+SIGMA_HAT_LEAST, SIGMA_HAT_MOST = 1e-20, 1e12
+# Voxels are counted in 32 bits.
+MOST_VOXELS = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Colour channels that share their extinction and are rendered together.
+
+    indices: of the RGB channels. sigma_t: (V,), of each volume, per unit density and world unit.
+    """
+
+    indices: List[int]
+    sigma_t: np.ndarray
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The work that a scene asks for, and in words what it does not.
+
+    volumes: V of them with their media, in numbers that single precision holds. suns: with their shares of parallel ones.
+    channels: groups of colour channels. groups: of numbers of volumes, G of them, which the network takes as one medium.
+    multiple: (G,), whether the network runs for a group. scattered_emission: (G,), whether a group scatters light that it
+    emits. planned, left_out: sentences. leave_out: as in Settings. memory: bytes, estimated peak on top of the input.
+    tiles: rows, first and end, of the image that are rendered together.
+    """
+
+    volumes: List[Tuple[Volume, Medium]]
+    suns: List[Sun]
+    channels: List[Channels]
+    groups: List[List[int]]
+    multiple: List[bool]
+    scattered_emission: List[bool]
+    planned: List[str] = field(default_factory=list)
+    left_out: List[str] = field(default_factory=list)
+    leave_out: FrozenSet[str] = ALL
+    memory: int = 0
+    tiles: List[Tuple[int, int]] = field(default_factory=list)
+
+    def members(self, group: int) -> List[Tuple[Volume, Medium]]:
+        """Volume and Medium of each volume in a group."""
+        return [self.volumes[v] for v in self.groups[group]]
+
+    def group_name(self, group: int) -> str:
+        """For messages."""
+        return " and ".join(volume.name for volume, _ in self.members(group))
+
+    def predicts(self, group: int, channels: Channels) -> bool:
+        """Whether multiple scattering is predicted in a group, in some channels."""
+        return self.multiple[group] and any(
+            channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.leave_out)
+            for v in self.groups[group])
+
+    def with_suns(self, numbers: Sequence[int]) -> "Plan":
+        """The plan where no other suns reach the volumes; surfaces keep the rest from them."""
+        # One stays where all are dark: its single scattering is 0.
+        suns = [self.suns[n] for n in numbers] or self.suns[:1]
+        dark = f"{len(self.suns) - len(numbers)} suns: surfaces keep all of their light from the volumes"
+        return replace(self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple],
+                       left_out=[*self.left_out, dark])
+
+
+def distinct_albedos(medium: Medium, indices: List[int], leave_out: FrozenSet[str] = ALL):
+    """Albedos above 0 among some channels, and the channels of each; or those of all channels."""
+    if "equal_albedos" not in leave_out:
+        return [(float(medium.albedo[c]), [c]) for c in indices]
+    values = sorted({float(medium.albedo[c]) for c in indices if medium.albedo[c] > 0.0})
+    return [(value, [c for c in indices if medium.albedo[c] == value]) for value in values]
+
+
+def merge_parallel(suns: List[Sun]) -> List[Sun]:
+    """Suns with one direction become one, since light is linear."""
+    merged = []
+    for sun in suns:
+        for other in merged:
+            if np.linalg.norm(sun.direction - other.direction) < PARALLEL and sun.spread is None and other.spread is None:
+                other.irradiance = other.irradiance + sun.irradiance
+                break
+        else:
+            merged.append(replace(sun))
+    return merged
+
+
+def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
+    """The same picture from numbers that single precision holds.
+
+    Raises SceneError for a grid of more voxels than can be counted.
+    """
+    sparse = isinstance(volume.density, SparseGrid)
+    if (volume.density.values.size if sparse else np.prod([n + 3.0 for n in volume.density.shape])) > MOST_VOXELS:
+        raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
+    density, sigma_t, peak = volume.density, medium.sigma_t, float(volume.density.max())
+    if peak == 0.0:
+        return volume, medium
+    if not USUAL_DENSITY[0] < peak < USUAL_DENSITY[1]:
+        exponent = int(np.frexp(peak)[1])
+        sigma_t, peak = np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
+        if sparse:
+            density = density.with_values(np.ldexp(density.values, -exponent))
+        else:
+            density = np.ldexp(density, -exponent)
+        volume = Volume(density, volume.world_from_index, volume.name, volume.emission, volume.emission_power)
+    size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
+    sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
+    sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)
+    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
+
+
+def emits(volume: Volume, medium: Medium) -> bool:
+    """Whether a volume emits light."""
+    shines = volume.emission is not None and medium.emission > 0.0
+    return shines and any(channel.any() for channel in volume.emission_channels())
+
+
+def attenuates(volume: Volume, medium: Medium) -> bool:
+    """Whether a volume absorbs or scatters light."""
+    return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
+
+
+def make_tiles(y0: int, y1: int, rows: int) -> List[Tuple[int, int]]:
+    """Rows of pixels from y0 to y1 in tiles of about `rows`, each of whole bands of the image."""
+    size = max(rows // BAND, 1) * BAND
+    starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
+    return list(zip(starts, [*starts[1:], y1]))
+
+
+def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
+    """Decide what to render.
+
+    Raises SceneError where there is nothing to render or the memory limit is too small.
+    """
+    if not volumes:
+        raise SceneError("there is no volume to render")
+    if not suns and not any(emits(*pair) for pair in volumes):
+        raise SceneError("there is no sun: without light the image would be black")
+    planned, left_out = [], []
+    volumes = [in_range(volume, medium) for volume, medium in volumes]
+    rendered = [pair for pair in volumes if attenuates(*pair) or emits(*pair)]
+    for volume, medium in volumes:
+        if emits(volume, medium):
+            planned.append(f"{volume.name}: emission")
+        elif not np.any(medium.sigma_t > 0.0):
+            left_out.append(f"{volume.name}: its extinction is 0")
+        elif not volume.density.max() > 0.0:
+            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+    merged = _needed_suns(suns, settings, left_out)
+    channels = _channel_groups(rendered, settings)
+    if len(channels) == 1:
+        left_out.append("two of three colour channels' rays and fields: extinction is grey")
+    groups, _ = overlapping([volume for volume, _ in rendered])
+    multiple, scattered_emission = [], []
+    for group in groups:
+        predicted, scattered = _plan_group([rendered[v] for v in group], bool(merged), settings, planned, left_out)
+        multiple.append(predicted)
+        scattered_emission.append(scattered)
+
+    memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
+    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
+    tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged), memory)
+    if len(tiles) > 1:
+        planned.append(f"{len(tiles)} tiles of up to {max(end - start for start, end in tiles)} rows")
+    if needed > settings.memory_limit:
+        raise SceneError(
+            f"the render needs about {needed / 2**30:.1f} GiB and the limit is "
+            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
+            "a smaller image or smaller grids"
+        )
+    return Plan(rendered, merged, channels, groups, multiple, scattered_emission, planned, left_out,
+                settings.leave_out, needed, tiles)
+
+
+def _needed_suns(suns, settings: Settings, left_out: List[str]) -> List[Sun]:
+    """Suns that give light, parallel ones merged; what is left out is said."""
+    if "needless_suns" not in settings.leave_out:
+        return list(suns)
+    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
+    left_out += [f"{sun.name}: its irradiance is 0" for sun in suns if not np.any(sun.irradiance > 0.0)]
+    merged = merge_parallel(bright)
+    if len(merged) < len(bright):
+        left_out.append(f"{len(bright) - len(merged)} suns parallel to another: merged")
+    return merged
+
+
+def _channel_groups(volumes, settings: Settings) -> List[Channels]:
+    """Channels in which every volume has the same extinction share rays, fields and feature stage."""
+    groups = []
+    for c in range(3):
+        sigma_t = np.array([medium.sigma_t[c] for _, medium in volumes])
+        for group in groups:
+            if "equal_channels" in settings.leave_out and np.array_equal(group.sigma_t, sigma_t):
+                group.indices.append(c)
+                break
+        else:
+            groups.append(Channels([c], sigma_t))
+    return groups
+
+
+def _plan_group(members, lit: bool, settings: Settings, planned: List[str], left_out: List[str]):
+    """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission."""
+    names = " and ".join(volume.name for volume, _ in members)
+    scatters = any(attenuates(*pair) and bool(distinct_albedos(pair[1], [0, 1, 2], settings.leave_out)) for pair in members)
+    predicted = settings.multiple and scatters and lit
+    scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
+    if scattered_emission:
+        planned.append(f"{names}: emission, scattered")
+    if not predicted:
+        reason = "its albedo or density is 0" if not scatters else "no sun shines"
+        left_out.append(f"{names}: multiple scattering, {reason if settings.multiple else 'the settings say so'}")
+    elif len(members) > 1:
+        planned.append(f"{names}: network, as one medium")
+    else:
+        stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
+        planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
+    return predicted, scattered_emission
+
+
+def _plan_tiles(camera: Camera, settings: Settings, volumes: int, suns: int, memory: int):
+    """Tiles of the camera's window, and the bytes needed with them; memory: bytes needed without any."""
+    x0, y0, x1, y1 = camera.window
+    pixels = (x1 - x0) * (y1 - y0)
+    memory += pixels * IMAGE_BYTES
+    row = row_bytes(x1 - x0, settings.depth_samples, volumes, suns)
+    rows = -(-min(max(pixels // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // (x1 - x0))
+    if suns > 1:
+        # The fields of each sun are made for every tile: as few tiles as memory allows.
+        rows = max(rows, int((settings.memory_limit - memory) // row))
+    tiles = make_tiles(y0, y1, rows)
+    return tiles, memory + row * max(end - start for start, end in tiles)

@@ -1,0 +1,147 @@
+"""Scene in, layer out: the stages of a render in their order."""
+
+from typing import Iterator, Optional, Tuple
+
+import numpy as np
+
+from .image.camera_pass import march_tile
+from .image.context import ChannelPass, PreparedScene, RenderContext, make_tiles
+from .image.framebuffer import Framebuffer
+from .image.layer import Layer, compose_layer
+from .image.multiple_scattering import add_multiple_scattering, solve_transport
+from .image.scattered_emission_pass import add_scattered_emission
+from .image.work_estimate import WorkEstimate
+from .marching.extended_lights import ExtendedLights
+from .occluders.depth_buffer import DepthBuffer
+from .occluders.occluders import NO_OCCLUDERS, find_occluders, of_suns
+from .plan.plan import Plan, make_plan
+from .plan.savings import estimated_savings
+from .render_cache import RenderCache
+from .runtime.cancellation import CancelToken
+from .runtime.progress import Progress
+from .runtime.report import Report, process_peak_memory
+from .runtime.tasks import Tasks
+from .scene.camera import Camera
+from .scene.settings import Settings
+
+
+def render(
+    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
+    cache: Optional[RenderCache] = None, surfaces=(),
+) -> Layer:
+    """Render volumes lit by suns.
+
+    volumes: list of (Volume, Medium). lights: list of Sun. progress: (fraction, message), called on the calling thread; the
+    fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier renders, for what has not
+    changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera rays end, for a layer that is
+    put over them (but not those of equirectangular cameras), and that keep light from the volumes.
+
+    The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
+    Cancelled when asked to stop.
+    """
+    for _, layer in render_tiles(volumes, lights, camera, settings, progress, cancelled, cache, surfaces):
+        pass
+    return layer
+
+
+def render_tiles(
+    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
+    cache: Optional[RenderCache] = None, surfaces=(),
+) -> Iterator[Tuple[Tuple[int, int, int, int], Layer]]:
+    """As `render`, but yield each part of the image as soon as it is finished.
+
+    Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report. The
+    last one is the whole image, with the report.
+    """
+    settings, report = settings or Settings(), Report()
+    with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
+        with report.stage("total"):
+            shared = cache is not None and "unchanged" in settings.leave_out
+            plan = make_plan(volumes, lights, camera, settings)
+            context = RenderContext(settings, cache if shared else RenderCache(), tasks, Progress(report, progress), report,
+                                    whole_volumes=shared or len(plan.tiles) > 1)
+            scene = prepare_scene(context, plan, camera, surfaces)
+            x0, y0, x1, y1 = camera.window
+            framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
+            yield from _render_passes(context, scene, camera, framebuffer)
+    context.progress.finish()
+    report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
+    report.count("pixels", len(framebuffer.alpha))
+    report.count("suns", len(scene.plan.suns))
+    report.count("suns left out", len(lights) - len(scene.plan.suns))
+    report.saved = estimated_savings(report, scene.plan, settings)
+    report.threads, report.peak_memory = tasks.threads, process_peak_memory()
+    yield camera.window, compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
+
+
+def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer):
+    """Render into the framebuffer; yield the window and Layer of each finished tile."""
+    tiles = make_tiles(scene.plan, camera, framebuffer) if scene.plan.volumes else []
+    work = WorkEstimate(context, scene, tiles)
+    for channels in scene.plan.channels if tiles else []:
+        fluence = solve_transport(context, scene, channels)
+        channel_pass = ChannelPass(channels, scene.media(channels), fluence)
+        for tile in tiles:
+            samples = march_tile(context, scene, channel_pass, tile)
+            if samples is not None:
+                add_scattered_emission(context, scene, channel_pass, tile, samples)
+                add_multiple_scattering(context, scene, channel_pass, tile, samples)
+            work.tile_finished(tile)
+            if channels is scene.plan.channels[-1]:
+                x0, y0, x1, y1 = tile.camera.window
+                yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))
+
+
+def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:
+    """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
+    network = _load_network(context, plan)
+    report, cancel, cache = context.report, context.cancel, context.cache
+    context.progress.expect("shadows", sum(volume.density.size for volume, _ in plan.volumes) * len(plan.suns))
+    with report.stage("shadows"):
+        grids = cache.grids([volume for volume, _ in plan.volumes], cancel)
+    depth_buffer, occluders = None, NO_OCCLUDERS
+    with report.stage("surfaces"):
+        covering = [surface for surface in surfaces if surface.covers]
+        if covering and camera.projection != "equirectangular":
+            depth_buffer = DepthBuffer(covering, camera, cancel)
+        if surfaces and grids:
+            corners = np.concatenate([grid.corners() for grid in grids])
+            occluders, lit = find_occluders(surfaces, [sun.direction for sun in plan.suns], corners, cancel)
+            if len(lit) < len(plan.suns) and "needless_suns" in plan.leave_out:
+                plan, occluders = plan.with_suns(lit), of_suns(occluders, lit or [0], corners)
+    with report.stage("shadows"):
+        sun_depths = []
+        for grid, (volume, _) in zip(grids, plan.volumes):
+            context.progress.message(f"shadows of {volume.name}")
+            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
+            context.progress.advance("shadows", volume.density.size * len(plan.suns))
+    see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
+    extended = [sun for sun in plan.suns if sun.spread is not None]
+    phases = [medium.scattered for _, medium in plan.volumes]
+    extended_lights = ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None
+    cache.keep_groups(len(plan.groups))
+    context.progress.expect("fields", sum(plan.multiple) * len(plan.suns) * len(plan.channels))
+    context.progress.message("fields")
+    with report.stage("fields"):
+        groups = [
+            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel) if plan.multiple[g] else None
+            for g, members in enumerate(plan.groups)]
+    for g, group in enumerate(groups):
+        channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
+        if channels is not None:
+            sigma_t = float(group.medium.sigma_t[channels.indices[0]])
+            report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
+    return PreparedScene(plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network)
+
+
+def _load_network(context: RenderContext, plan: Plan):
+    """The network, or None where nothing is predicted."""
+    if not any(plan.multiple):
+        return None
+    report, settings = context.report, context.settings
+    with report.stage("network loading"):
+        network = context.cache.network(settings.model, settings.provider, context.cancel)
+    report.model, report.checksum = network.name, network.checksum
+    report.provider = getattr(network, "provider", "CPU")
+    report.warnings += getattr(network, "warnings", ())
+    return network

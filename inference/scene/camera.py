@@ -1,0 +1,69 @@
+"""The camera."""
+
+from dataclasses import dataclass
+from typing import Literal, Optional, Tuple
+
+import numpy as np
+
+from .errors import SceneError
+from .validation import affine_matrix
+
+
+@dataclass
+class Camera:
+    """A view with Blender's axes: looks along -Z, +Y up.
+
+    world_matrix: (4, 4) camera to world; scale is ignored.
+    resolution: (width, height) in pixels.
+    fov: horizontal field of view in radians (perspective).
+    ortho_scale: world units across the image's width (orthographic).
+    shift: (x, y) lens shift in units of the image's width; positive moves the
+        window right and up.
+    longitude, latitude: (left, right) and (lower, upper) edge in radians, 0 straight ahead,
+        positive to the right and up (equirectangular).
+    clip: (near, far) distances along the viewing axis; along each ray where equirectangular.
+    region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive,
+        rows from the top; None renders the whole image. The layer has the
+        region's size.
+    """
+
+    world_matrix: np.ndarray
+    projection: Literal["perspective", "orthographic", "equirectangular"] = "perspective"
+    resolution: Tuple[int, int] = (1920, 1080)
+    fov: float = 0.6911112070083618
+    ortho_scale: float = 6.0
+    shift: Tuple[float, float] = (0.0, 0.0)
+    longitude: Tuple[float, float] = (-np.pi, np.pi)
+    latitude: Tuple[float, float] = (-np.pi / 2.0, np.pi / 2.0)
+    clip: Tuple[float, float] = (0.0, np.inf)
+    region: Optional[Tuple[int, int, int, int]] = None
+
+    def __post_init__(self):
+        self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")
+        if self.projection not in ("perspective", "orthographic", "equirectangular"):
+            raise SceneError(f"camera: projection {self.projection!r} is not supported")
+        width, height = (int(n) for n in self.resolution)
+        if width < 1 or height < 1:
+            raise SceneError(f"camera: resolution {width}x{height} has no pixels")
+        self.resolution = (width, height)
+        if self.projection == "perspective" and not 0.0 < self.fov < np.pi:
+            raise SceneError(f"camera: field of view {self.fov:g} must lie between 0 and pi")
+        if self.projection == "orthographic" and not 0.0 < self.ortho_scale < np.inf:
+            raise SceneError(f"camera: orthographic scale {self.ortho_scale:g} must be positive")
+        if self.longitude[0] == self.longitude[1] or self.latitude[0] == self.latitude[1]:
+            raise SceneError(f"camera: longitudes {self.longitude} and latitudes {self.latitude} span nothing")
+        if not np.all(np.isfinite([*self.shift, *self.longitude, *self.latitude])):
+            raise SceneError("camera: shift, longitudes and latitudes must be finite")
+        near, far = self.clip
+        if not 0.0 <= near < far:
+            raise SceneError(f"camera: clip range {near:g} to {far:g} is empty")
+        if self.region is not None:
+            x0, y0, x1, y1 = (int(n) for n in self.region)
+            if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+                raise SceneError(f"camera: region {self.region} does not lie in the image")
+            self.region = (x0, y0, x1, y1)
+
+    @property
+    def window(self) -> Tuple[int, int, int, int]:
+        """(x0, y0, x1, y1) of the pixels to render."""
+        return self.region or (0, 0, *self.resolution)

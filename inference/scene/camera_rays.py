@@ -1,0 +1,97 @@
+"""Camera rays through pixel centres, and where they meet a grid."""
+
+import numpy as np
+
+from ..numerics.small_matmul import product
+from .camera import Camera
+
+
+def camera_rays(camera: Camera):
+    """Rays of the camera's window, row by row from the top.
+
+    Returns origins and unit directions, float64 (N, 3) in the world, and the distances
+    (N,) along each ray to the near and the far clipping plane.
+    """
+    x0, y0, x1, y1 = camera.window
+    columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    origins, directions, cosine = image_rays(camera, columns.ravel() + 0.5, rows.ravel() + 0.5)
+    # Clipping planes are perpendicular to the viewing axis, around a panorama they are spheres.
+    return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
+
+
+def image_rays(camera: Camera, x, y):
+    """Rays through places (N,) of the image, in pixels from its upper left corner.
+
+    Returns origins and unit directions, float64 (N, 3) in the world, and the cosines (N,) to the viewing axis, 1
+    where clipping does not know it.
+    """
+    width, height = camera.resolution
+    # Image plane coordinates in units of the image's width, x right, y up.
+    u = (x - 0.5 * width) / width + camera.shift[0]
+    v = (0.5 * height - y) / width + camera.shift[1]
+    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+    eye = camera.world_matrix[:3, 3]
+    forward = np.full_like(u, -1.0)
+    if camera.projection == "orthographic":
+        local = np.stack([u * camera.ortho_scale, v * camera.ortho_scale, np.zeros_like(u)], axis=1)
+        origins = eye + product(local, rotation.T)
+        directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
+        cosine = np.ones_like(u)
+    elif camera.projection == "equirectangular":
+        longitude = _between(camera.longitude, x / width)
+        latitude = _between(camera.latitude, 1.0 - y / height)
+        local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
+                          -np.cos(latitude) * np.cos(longitude)], axis=1)
+        directions = product(local, rotation.T)
+        origins = np.broadcast_to(eye, directions.shape).copy()
+        cosine = np.ones_like(u)
+    else:
+        extent = 2.0 * np.tan(0.5 * camera.fov)
+        local = np.stack([u * extent, v * extent, forward], axis=1)
+        length = np.linalg.norm(local, axis=1)
+        directions = product(local / length[:, None], rotation.T)
+        origins = np.broadcast_to(eye, directions.shape).copy()
+        cosine = 1.0 / length
+    return origins, directions, cosine
+
+
+def widest_angle(camera: Camera) -> float:
+    """Between the rays at the ends of the image's longer edge, about; radians."""
+    if camera.projection == "orthographic":
+        return 0.0
+    if camera.projection == "equirectangular":
+        return max(abs(ends[1] - ends[0]) for ends in (camera.longitude, camera.latitude))
+    width, height = camera.resolution
+    return 2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width)
+
+
+def _between(ends, share):
+    return ends[0] + (ends[1] - ends[0]) * share
+
+
+def window_around(camera: Camera, corners: np.ndarray):
+    """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the hull of points (N, 3) in the world.
+
+    All of it where some lie beside or behind the camera, and for panoramas.
+    """
+    x0, y0, x1, y1 = camera.window
+    if camera.projection == "equirectangular":
+        return x0, y0, x1, y1
+    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+    local = (corners - camera.world_matrix[:3, 3]) @ np.linalg.inv(rotation).T
+    if camera.projection == "orthographic":
+        plane = local[:, :2] / camera.ortho_scale
+    elif local[:, 2].max() < -1e-6 * np.abs(local).max():
+        plane = local[:, :2] / -local[:, 2:] / (2.0 * np.tan(0.5 * camera.fov))
+    else:
+        return x0, y0, x1, y1
+    width, height = camera.resolution
+    x, y = ((plane - camera.shift) * width * [1.0, -1.0]).T
+    # A pixel more on each side, for rounding.
+    low = np.floor([x.min() + 0.5 * width, y.min() + 0.5 * height]) - 1.0
+    high = np.ceil([x.max() + 0.5 * width, y.max() + 0.5 * height]) + 1.0
+    if not np.isfinite([low, high]).all():
+        return x0, y0, x1, y1
+    left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
+    right, bottom = np.clip(high, [x0, y0], [x1, y1]).astype(int).tolist()
+    return left, top, right, bottom
