@@ -8,7 +8,7 @@ from typing import List
 import numpy as np
 
 from .. import inference
-from ..inference import Kept
+from ..inference import RenderCache
 from ..inference.scene import Camera, Cancelled, SceneError, Settings, Sun
 from .layer_frame import rgba
 
@@ -20,10 +20,10 @@ ROUGH, FINER = 4_000, 16_000
 class Prepared:
     """What one viewport's pictures share.
 
-    shadows, fields: the SceneDescription for all of whose suns `kept` holds them.
+    shadows, fields: the SceneDescription for all of whose suns `cache` holds them.
     """
 
-    kept: Kept
+    cache: RenderCache
     shadows: object = None
     fields: object = None
 
@@ -88,7 +88,7 @@ class Preview:
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(
                     description.volumes, step.suns, replace(camera, resolution=step.size), step.settings,
-                    cancelled=self._stop.is_set, kept=prepared.kept, surfaces=description.surfaces)
+                    cancelled=self._stop.is_set, cache=prepared.cache, surfaces=description.surfaces)
                 if self.stopped:
                     return
                 _remember(prepared, description, step)

@@ -5,7 +5,7 @@ import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
-from ..inference import Kept
+from ..inference import RenderCache
 from ..inference.scene import Camera, SceneError, Settings
 from .preview import Prepared, Preview
 from .scene import read_scene
@@ -45,7 +45,7 @@ class Viewport:
     """
 
     def __init__(self):
-        self.reader, self._prepared = VolumeReader(), Prepared(Kept())
+        self.reader, self._prepared = VolumeReader(), Prepared(RenderCache())
         self.description, self.message = None, ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
         self._loading, self._before = None, None

@@ -12,7 +12,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from inference import network
+from inference.network import network
 from inference.scene import SceneError
 
 from . import blender_scenes

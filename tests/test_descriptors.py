@@ -5,7 +5,7 @@ import pytest
 
 from inference.features.descriptors import FieldLookup, describe, stencil_points
 from inference.features.mip_lattices import (
-    STEPS, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
+    STEPS, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
 )
 from inference.features.phase_features import PhaseFeatures
 from inference.scene.phase_function import henyey_greenstein
@@ -40,7 +40,7 @@ def rays():
 
 
 def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
-    lattices = build_lattices(*fields, SIGMA_HAT, stencil)
+    lattices = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     features, gamma = describe(FieldLookup(stencil, lattices, SUN), PhaseFeatures(stencil, 0.6), *rays)
     expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
     # A point within rounding of a cell's border may fall on either side.
@@ -53,17 +53,17 @@ def test_another_suns_lattices_are_taken_over(stencil, fields):
     """The density stays, and of the transmittance of the sun before nothing is left."""
     padded, depths = fields
     other = unit_optical_depths(padded, np.array([0.6, -0.8, 0.0]))
-    earlier = build_lattices(padded, other, SIGMA_HAT, stencil)
-    taken_over = build_lattices(padded, depths, SIGMA_HAT, stencil, earlier=earlier)
-    for one, anew in zip(taken_over.levels, build_lattices(padded, depths, SIGMA_HAT, stencil).levels):
+    earlier = build_lattices(padded, SIGMA_HAT, stencil, SunLevels(other))
+    taken_over = build_lattices(padded, SIGMA_HAT, stencil, SunLevels(depths), earlier=earlier)
+    for one, anew in zip(taken_over.levels, build_lattices(padded, SIGMA_HAT, stencil, SunLevels(depths)).levels):
         np.testing.assert_array_equal(one.packed, anew.packed)
 
 
 def test_sparse_stencil_reads_the_density_of_every_fourth_point(stencil, fields, rays):
-    whole = FieldLookup(stencil, build_lattices(*fields, SIGMA_HAT, stencil), SUN)
+    whole = FieldLookup(stencil, build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1])), SUN)
     sparse = stencil.sparse()
     pyramid = [level[m:-m, m:-m, m:-m] for level, m in zip(fields[0], margins(stencil))]
-    lattices = build_lattices(padded_levels(pyramid, sparse), None, SIGMA_HAT, sparse)
+    lattices = build_lattices(padded_levels(pyramid, sparse), SIGMA_HAT, sparse)
     features = FieldLookup(sparse, lattices, SUN)(rays[0], rays[1], np.arange(300))
     assert features.shape == (300, 48, 1)
     np.testing.assert_allclose(features[..., 0], whole(rays[0], rays[1], np.arange(300))[:, ::4, 0], atol=1e-6)
@@ -72,8 +72,9 @@ def test_sparse_stencil_reads_the_density_of_every_fourth_point(stencil, fields,
 def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
     """What is left out is what no stencil around these points reads."""
     positions = 0.1 + 0.05 * rays[0]
-    whole = build_lattices(*fields, SIGMA_HAT, stencil)
-    cut = build_lattices(*fields, SIGMA_HAT, stencil, positions.min(axis=0), positions.max(axis=0))
+    whole = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
+    cut = build_lattices(
+        fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]), (positions.min(axis=0), positions.max(axis=0)))
     assert cut.values.size < 0.1 * whole.values.size
     phase = PhaseFeatures(stencil, 0.6)
     np.testing.assert_array_equal(
@@ -84,7 +85,7 @@ def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
 
 def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
     """Means over jitter change gradually where single lookups jump from cell to cell."""
-    lookup, phase = FieldLookup(stencil, build_lattices(*fields, SIGMA_HAT, stencil), SUN), PhaseFeatures(stencil, 0.6)
+    lookup, phase = FieldLookup(stencil, build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1])), SUN), PhaseFeatures(stencil, 0.6)
     random = np.random.default_rng(3)
     steps, copies = 12, 400
     # A cell of mip 0 to either side of a place where the density jumps.

@@ -8,7 +8,7 @@ import torch
 
 from benchmarks import fidelity, fidelity_tables, real_volumes, views
 from benchmarks.references import relative_variance
-from inference import network
+from inference.network import network
 from training.export import export, save
 from training.networks import MRPNN, RPNN
 from training.volumes import HELD_BACK

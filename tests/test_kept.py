@@ -27,28 +27,28 @@ def camera(size=12):
 
 
 def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
-    volume, sun, kept = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
+    volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
-    render([(volume, thin)], sun, camera(), SETTINGS, kept=kept)
+    render([(volume, thin)], sun, camera(), SETTINGS, cache=cache)
     for medium in (thick, thin):
         # The ninth time that it asks, half of the lattices are built.
         asked = iter(range(9))
         with pytest.raises(Cancelled):
-            render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, kept=kept)
-        found = render([(volume, medium)], sun, camera(), SETTINGS, kept=kept)
+            render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)
+        found = render([(volume, medium)], sun, camera(), SETTINGS, cache=cache)
         np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
 
 
 def test_two_threads_share_what_is_kept():
-    volume, kept = ball(), RenderCache()
+    volume, cache = ball(), RenderCache()
     scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
               for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
     expected = [render(*scene, camera(), SETTINGS).rgb for scene in scenes]
     found = {}
 
     def run(number):
-        found[number] = render(*scenes[number], camera(), SETTINGS, kept=kept).rgb
+        found[number] = render(*scenes[number], camera(), SETTINGS, cache=cache).rgb
 
     threads = [threading.Thread(target=run, args=(number,)) for number in range(2)]
     for thread in threads:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from inference import network, sun_lattice
+from inference.features import rpnn_lattice
+from inference.network import network
 from inference.scene import SceneError
 from inference.features.stencil import Stencil
 from training.export import export, save
@@ -28,7 +29,7 @@ def make_inputs(kind):
     random = np.random.default_rng(4)
     gamma = random.uniform(0, np.pi, POINTS // POINTS_A_RAY).astype(np.float32).repeat(POINTS_A_RAY)
     if kind == "lattice":
-        return {"lattice": random.random((POINTS, sun_lattice.LEVELS, sun_lattice.POINTS), np.float32), "gamma": gamma}
+        return {"lattice": random.random((POINTS, rpnn_lattice.LEVELS, rpnn_lattice.POINTS), np.float32), "gamma": gamma}
     anisotropy = np.full(POINTS, 0.857, np.float32)
     if kind == "ray":
         stencil, light = random.random((POINTS, SPARSE_POINTS), np.float32), random.random((POINTS, RAY_INPUTS), np.float32)
@@ -85,7 +86,7 @@ def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
     loaded = network.load_network("test")
     assert loaded.anisotropy_range == (0.857, 0.857) and loaded.albedo_range == (1.0, 1.0)
     assert loaded.sigma_hat_range == (1, 2000)
-    np.testing.assert_array_equal(loaded.points.points, sun_lattice.make_sun_lattice().points)
+    np.testing.assert_array_equal(loaded.points.points, rpnn_lattice.make_sun_lattice().points)
     weights_folder(tmp_path, monkeypatch, export(make_net("mrpnn-narrow"), CONFIGURATION))
     loaded = network.load_network("test")
     assert loaded.anisotropy_range == (-0.3, 0.95) and loaded.albedo_range == (0.0, 1.0)
@@ -93,10 +94,10 @@ def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
 
 
 def test_points_that_do_not_belong_are_refused(tmp_path, monkeypatch):
-    stencil, lattice = load_stencil(), sun_lattice.make_sun_lattice()
+    stencil, lattice = load_stencil(), rpnn_lattice.make_sun_lattice()
     moved = {
         "mrpnn-paper": Stencil(stencil.low * 1.01, stencil.high),
-        "rpnn": sun_lattice.SunLattice(lattice.points * 1.01),
+        "rpnn": rpnn_lattice.SunLattice(lattice.points * 1.01),
     }
     for name, points in moved.items():
         net = make_net(name)

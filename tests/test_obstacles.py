@@ -113,12 +113,12 @@ def test_a_surface_that_ends_scattered_light_darkens_what_is_around_it():
 
 
 def test_what_is_kept_knows_when_surfaces_and_suns_change():
-    medium, view, kept = Medium(4.0, 0.9, 0.4), camera(), RenderCache()
+    medium, view, cache = Medium(4.0, 0.9, 0.4), camera(), RenderCache()
     first, second = ([Surface(rectangle(-9, edge, -9, 9, 6.0).triangles, covers=False)] for edge in (0.4, 0.9))
     other = Sun((-0.5, 0.1, 1.0), 2.0)
     for surfaces, sun in ((first, SUN), (second, SUN), (second, other), ([], other), (first, SUN)):
-        found = render([(fog(), medium)], [sun], view, kept=kept, surfaces=surfaces)
-        anew = render([(fog(), medium)], [sun], view, kept=RenderCache(), surfaces=surfaces)
+        found = render([(fog(), medium)], [sun], view, cache=cache, surfaces=surfaces)
+        anew = render([(fog(), medium)], [sun], view, cache=RenderCache(), surfaces=surfaces)
         np.testing.assert_array_equal(found.rgb, anew.rgb)
 
 

@@ -10,7 +10,7 @@ from .test_render import camera, cloud
 
 # What a render does more of, when it no longer leaves something out.
 COUNTED = {
-    "missed_pixels": "camera rays", "empty_space": "steps looked at", "behind_opaque": "steps looked at",
+    "missed_pixels": "camera rays", "empty_space": "steps evaluated", "behind_opaque": "steps evaluated",
     "needless_suns": "suns", "equal_channels": "rays marched", "equal_albedos": "network answers",
     "unread_fields": "cells of lookup fields", "faint_rays": "points", "shared_pixels": "network points",
 }
@@ -28,9 +28,9 @@ def draw():
     a, b, c, d = ([x, y, -2.0] for x, y in ((-30, -30), (30, -30), (30, 30), (-30, 30)))
     plate = Surface([(a, b, c), (a, c, d)], covers=False)
 
-    def draw(leave_out=ALL, kept=None):
+    def draw(leave_out=ALL, cache=None):
         settings = Settings(8, leave_out=leave_out)
-        return render(volumes, suns, camera(resolution=(72, 48)), settings, kept=kept, surfaces=[plate])
+        return render(volumes, suns, camera(resolution=(72, 48)), settings, cache=cache, surfaces=[plate])
 
     return draw
 
@@ -63,8 +63,8 @@ def test_the_picture_stays_within_the_budget_and_the_switch_does_something(name,
 
 def test_nothing_is_kept_where_that_is_not_wanted(draw, every_pixel):
     """Fields that serve any view hold more cells, those of one view alone fewer."""
-    kept, left_out = RenderCache(), ALL - {"shared_pixels"}
-    first, again = draw(left_out, kept), draw(left_out - {"unchanged"}, kept)
+    cache, left_out = RenderCache(), ALL - {"shared_pixels"}
+    first, again = draw(left_out, cache), draw(left_out - {"unchanged"}, cache)
     assert change(again, first) <= OPTIMIZATIONS["unchanged"].budget
     cells = [layer.report.counts["cells of lookup fields"] for layer in (every_pixel, again, first)]
     assert cells[0] == cells[1] < cells[2]

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from inference import Volume
+from inference import Medium, Volume
+from inference.grids.bound_medium import BoundMedium
+from inference.marching.ray_steps import RayBatch
 from inference.transport.scattered_fluence import ScatteredFluence
 from inference.numerics.exponential import one_minus_exp
 from inference.grids.grid import Grid
-from inference.marching.ray_march import light_at, march
+from inference.marching.ray_march import MarchOptions, march, ray_features_at
 from inference.transport.discrete_ordinates import CELLS as COARSE_CELLS
 from inference.marching.ray_features import SCALES
 
@@ -30,21 +32,19 @@ def slabs(offset=(0.0, 0.0, 0.0), suns=1):
     return ScatteredFluence(linear, 0.5 * COARSE_CELLS - linear @ np.array(offset), [light] * suns, ANISOTROPY)
 
 
-def prepared(volume, sun, sigma_t):
+def bound(volume, sun, sigma_t):
     grid = Grid(volume)
-    grid.add_sun(np.asarray(sun, float))
-    grid.set_extinction(sigma_t)
-    return grid
+    return BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([np.asarray(sun, float)]))
 
 
 @pytest.mark.parametrize("sigma_t", [0.3, 3.0, 8.0])
 def test_light_in_a_box_has_its_closed_form(sigma_t):
     """Along +x below a sun at +z: exp(-a tau_sun) (1 - exp(-a tau_ahead)), tau_sun being constant along the ray;
     and J (1 - exp(-a tau_ahead)), J being fluence - 3 G' flux, G' = G / (1 + G)."""
-    grid = prepared(box(), (0.0, 0.0, 1.0), sigma_t)
+    medium = bound(box(), (0.0, 0.0, 1.0), sigma_t)
     position = np.array([[-0.3, 0.0, 0.2], [0.1, 0.1, -0.1], [0.45, -0.2, 0.3]])
     direction = np.tile([1.0, 0.0, 0.0], (3, 1))
-    found = light_at(grid, sigma_t, position, direction, slabs()).of(slice(None), 0, 0)
+    found = ray_features_at(medium, position, direction, slabs()).of(slice(None), 0, 0)
     tau_sun, tau_ahead = sigma_t * (0.5 - position[:, 2]), sigma_t * (0.5 - position[:, 0])
     expected = [tau_sun, tau_ahead] + [np.exp(-a * tau_sun) * -np.expm1(-a * tau_ahead) for a in SCALES]
     fluence = np.where(position[:, 2] > 0.0, 2.0, 1.0)
@@ -59,16 +59,16 @@ def test_marched_samples_see_what_their_points_see():
     volume = box()
     volume.density[:, :, :20] = 0.2
     volume.density[:30, :20] *= 0.5
-    grid = prepared(volume, sun, sigma_t)
+    medium = bound(volume, sun, sigma_t)
     random = np.random.default_rng(2)
     origins = np.concatenate([random.uniform(-0.4, 0.4, (40, 2)), np.full((40, 1), 2.0)], axis=1)
     directions = np.tile([0.0, 0.0, -1.0], (40, 1))
-    near, far = grid.interval(origins, directions)
-    segment = march([grid], [sigma_t], origins, directions, near, far, 4, [slabs()])
+    batch = RayBatch(origins, directions, *medium.grid.interval(origins, directions))
+    segment = march([medium], batch, MarchOptions(4, [slabs()]))
     ray = segment.sample_ray
     positions = origins[ray] + segment.sample_distance[:, None] * directions[ray]
-    marched = segment.sample_light.of(slice(None), 0, 0)
-    own = light_at(grid, sigma_t, positions, directions[ray], slabs()).of(slice(None), 0, 0)
+    marched = segment.sample_features.of(slice(None), 0, 0)
+    own = ray_features_at(medium, positions, directions[ray], slabs()).of(slice(None), 0, 0)
     assert marched[:, 1].max() > 3.0 and marched[:, 1].min() < 1.5
     np.testing.assert_allclose(marched, own, rtol=0.03, atol=0.01)
 
@@ -77,29 +77,29 @@ def test_each_volume_is_seen_by_itself():
     """The network of one volume knows nothing of another; so must the light that it is given."""
     sun, sigma_t = np.array([0.0, 0.6, 0.8]), (4.0, 2.0)
     volumes = [box("left"), box("right", (0.6, 0.0, 0.0))]
-    grids = [prepared(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
-    diffused = [slabs(), slabs((0.6, 0.0, 0.0))]
+    media = [bound(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
+    fluence = [slabs(), slabs((0.6, 0.0, 0.0))]
     origins, directions = np.array([[-2.0, 0.05, 0.1]]), np.array([[1.0, 0.0, 0.0]])
     near, far = np.array([1.5 - 0.5 / CELLS]), np.array([3.1 + 0.5 / CELLS])
-    both = march(grids, sigma_t, origins, directions, near, far, 16, diffused)
+    both = march(media, RayBatch(origins, directions, near, far), MarchOptions(16, fluence))
     positions = origins + both.sample_distance[:, None] * directions
     for v in range(2):
         inside = both.sample_fraction[:, v] > 0.0
-        alone = light_at(grids[v], sigma_t[v], positions[inside], np.tile(directions, (inside.sum(), 1)), diffused[v])
-        found = both.sample_light.of(inside, v, 0)
+        alone = ray_features_at(media[v], positions[inside], np.tile(directions, (inside.sum(), 1)), fluence[v])
+        found = both.sample_features.of(inside, v, 0)
         np.testing.assert_allclose(found, alone.of(slice(None), 0, 0), rtol=0.05, atol=0.03)
 
 
 def test_without_need_nothing_is_kept():
-    grid = prepared(box(), (0.0, 0.0, 1.0), 1.0)
+    medium = bound(box(), (0.0, 0.0, 1.0), 1.0)
     origins, directions = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]])
-    near, far = grid.interval(origins, directions)
-    assert march([grid], [1.0], origins, directions, near, far, 4).sample_light is None
+    batch = RayBatch(origins, directions, *medium.grid.interval(origins, directions))
+    assert march([medium], batch, MarchOptions(4)).sample_features is None
 
 
 def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_together():
     """Along x, from low to high through cells of a fluence that grows with z: what rays see grows with them."""
-    grid = prepared(box(), (0.0, 0.0, 1.0), 2.0)
+    medium = bound(box(), (0.0, 0.0, 1.0), 2.0)
     values = np.zeros((*[COARSE_CELLS] * 3, 4), np.float32)
     values[..., 0] = np.arange(COARSE_CELLS, dtype=np.float32)
     linear = np.eye(3) * COARSE_CELLS
@@ -108,9 +108,9 @@ def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_togeth
     z = 0.1 + np.arange(rays) / rays * 4 / COARSE_CELLS
     origins = np.stack([np.full(rays, -2.0), np.full(rays, 0.013), z], axis=1)
     directions = np.tile([1.0, 0.0, 0.0], (rays, 1))
-    near, far = grid.interval(origins, directions)
-    segment = march([grid], [2.0], origins, directions, near, far, 8, [light])
-    seen = segment.sample_light.of(slice(None), 0, 0)[:, -1].reshape(rays, 8)[:, 0]
+    batch = RayBatch(origins, directions, *medium.grid.interval(origins, directions))
+    segment = march([medium], batch, MarchOptions(8, [light]))
+    seen = segment.sample_features.of(slice(None), 0, 0)[:, -1].reshape(rays, 8)[:, 0]
     rise = (seen[-1] - seen[0]) / (rays - 1)
     # Nearest cells alone would rise by ten rays' share at every tenth ray.
     assert rise > 0.0 and np.abs(np.diff(seen) - rise).max() < 2.5 * rise

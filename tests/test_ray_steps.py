@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from inference import Volume
+from inference import Medium, Volume
+from inference.grids.bound_medium import BoundMedium
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
-from inference.marching.ray_march import march
+from inference.marching.ray_march import MarchOptions, march
 from inference.grids.occupancy import REACH, Occupancy
-from inference.marching.ray_steps import Blocks
+from inference.marching.ray_steps import Blocks, RayBatch
 from inference.scene.sparse_grid import SparseGrid
 
 
@@ -38,24 +39,22 @@ def rays(count=60):
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def placed(density):
+def placed(density, sigma_t):
     matrix = np.diag([1.0 / max(density.shape)] * 3 + [1.0])
     matrix[:3, 3] = -0.5
     grid = Grid(Volume(density, matrix, "sparse"))
-    grid.add_sun(np.array([0.0, 0.6, 0.8]))
-    return grid
+    return BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([np.array([0.0, 0.6, 0.8])]))
 
 
 @pytest.mark.parametrize("sigma_t", [30.0, 400.0, 1e5])
 def test_no_density_is_skipped(sigma_t):
     """Against a walk along each ray in steps a fiftieth of a voxel long that skips none."""
-    grid = placed(sparse(share=0.01))
-    grid.set_extinction(sigma_t)
-    origins, directions = rays()
+    medium = placed(sparse(share=0.01), sigma_t)
+    grid, (origins, directions) = medium.grid, rays()
     near, far = grid.interval(origins, directions)
     meets = near < far
     origins, directions, near, far = (a[meets] for a in (origins, directions, near, far))
-    found = march([grid], [sigma_t], origins, directions, near, far, 4)
+    found = march([medium], RayBatch(origins, directions, near, far), MarchOptions(4))
     steps = 4000
     middle = near[:, None] + (far - near)[:, None] * (np.arange(steps) + 0.5) / steps
     places = origins[:, None] + middle[..., None] * directions[:, None]
@@ -67,14 +66,12 @@ def test_no_density_is_skipped(sigma_t):
 
 @pytest.mark.parametrize("sigma_t", [3.0, 1e5])
 def test_a_ray_does_not_depend_on_its_neighbours(sigma_t):
-    grid = placed(sparse(share=0.01))
-    grid.set_extinction(sigma_t)
-    origins, directions = rays()
-    near, far = grid.interval(origins, directions)
-    meets = np.flatnonzero(near < far)
+    medium, (origins, directions) = placed(sparse(share=0.01), sigma_t), rays()
+    batch = RayBatch(origins, directions, *medium.grid.interval(origins, directions))
+    meets = np.flatnonzero(batch.near < batch.far)
 
     def marched(chosen):
-        return march([grid], [sigma_t], origins[chosen], directions[chosen], near[chosen], far[chosen], 4)
+        return march([medium], batch.take(chosen), MarchOptions(4))
 
     together = marched(meets)
     for number in (0, 7, len(meets) - 1):

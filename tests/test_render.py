@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, plan, predict_multiple, render
+from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
+from inference.plan import plan
 from inference.network.predictor import FLUENCE_MOST
 from inference.scene.optimizations import ALL
 from inference.scene.phase_function import henyey_greenstein
@@ -248,14 +249,14 @@ def test_progress_grows_to_one():
     "change, message",
     [
         (dict(volumes=[]), "no volume"),
-        (dict(suns=[]), "no sun"),
+        (dict(lights=[]), "no sun"),
         (dict(settings=Settings(model="nothing")), "no network called 'nothing'"),
         (dict(settings=Settings(memory_limit=1)), "raise the limit"),
         (dict(volumes=[(box(density=0.0, name="fog"), BLACK)]), "fog: .* zero everywhere"),
     ],
 )
 def test_a_scene_that_cannot_be_rendered_is_named(change, message):
-    scene = dict(volumes=[(box(), Medium(1.0, 0.9))], suns=[SUN], camera=camera(), settings=Settings()) | change
+    scene = dict(volumes=[(box(), Medium(1.0, 0.9))], lights=[SUN], camera=camera(), settings=Settings()) | change
     with pytest.raises(SceneError, match=message):
         render(**scene)
 

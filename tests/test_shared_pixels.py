@@ -7,7 +7,7 @@ import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
-from inference.plan.plan import tiles_of
+from inference.plan.plan import make_tiles
 from inference.image.adaptive_interpolation import LEVELS, Squares, agreeing
 from inference.plan.resolution import BAND
 
@@ -140,7 +140,7 @@ def test_a_sharp_step_in_a_volume_stays_sharp():
 @pytest.mark.parametrize("rows", [(0, 500), (7, 500), (40, 41), (32, 100)])
 @pytest.mark.parametrize("size", [1, 33, 50, 10_000])
 def test_tiles_are_whole_bands(rows, size):
-    tiles = tiles_of(*rows, size)
+    tiles = make_tiles(*rows, size)
     assert tiles[0][0] == rows[0] and tiles[-1][1] == rows[1]
     assert all(end == start for (_, end), (start, _) in zip(tiles, tiles[1:]))
     assert all(start % BAND == 0 for start, _ in tiles[1:])

@@ -61,7 +61,7 @@ def test_a_scene_cannot_name_a_model_that_is_not_shipped(addon, scene, cloud):
     assert scene.mrpnn.settings().model == "mrpnn"
     bpy.ops.mrpnn.render()
     with pytest.raises(addon.inference.SceneError, match="no network called"):
-        addon.inference.network.load_network(str(addon.inference.network.WEIGHTS / "mrpnn"))
+        addon.inference.network.network.load_network(str(addon.inference.network.network.WEIGHTS / "mrpnn"))
 
 
 @pytest.mark.parametrize("name", ["bashrc", "authorized_keys", "startup.py", "layer.exr.py"])

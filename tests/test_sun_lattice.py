@@ -6,7 +6,7 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from inference import Medium, network
+from inference.network import network
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
 from inference.network.predictor import VolumePredictor
@@ -147,10 +147,10 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     cube = fit_cube(volume)
     for i in (0, len(kept) // 2, len(kept) - 1):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
-        field = VolumePredictor(network.load_network("rpnn"), volume, Medium(sigma_t, 1.0, 0.857))
+        predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
-        field.light(sigma_t, data["sun"][kept[i]].astype(np.float64), *field.bounds(position))
-        np.testing.assert_allclose(field.predict(position, omega, [1.0])[0, 0], trained[i], rtol=5e-3)
+        prepared = predictor.prepare(sigma_t, data["sun"][kept[i]].astype(np.float64), predictor.bounds(position))
+        np.testing.assert_allclose(prepared.predict(position, omega, [1.0])[0, 0], trained[i], rtol=5e-3)
 
 
 def test_rows_of_another_volume_are_refused(data):

@@ -15,8 +15,9 @@ from inference import Medium, Sun
 from inference.grids.working_cube import fit_cube
 from inference.features.descriptors import angle_to_sun
 from inference.transport.scattered_fluence import read_fluence
+from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.marching.ray_march import light_at
+from inference.marching.ray_march import ray_features_at
 from inference.network.predictor import VolumePredictor
 from inference.network.network import load_network
 from inference.features.stencil import SPARSE
@@ -289,20 +290,16 @@ def test_inputs_are_those_that_rendering_uses():
         sun = Sun(rows["sun"][row]).direction
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
-            field = VolumePredictor(loaded, volume, Medium(sigma_t, 1.0, rows["anisotropy"][row]))
-            field.light(sigma_t, sun, *field.bounds(position))
-            reader = field.field
+            predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
+            reader = predictor.prepare(sigma_t, sun, predictor.bounds(position)).predictor
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(0.01 * features.size, 1)
-        assert angle_to_sun(w, reader.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
+        assert angle_to_sun(w, reader.lookup.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
 
-        grid.sun_directions, grid.sun_depths = [], []
-        grid.add_sun(sun)
-        grid.set_extinction(sigma_t)
-        diffused = field.diffused_light(sigma_t, [sun])
-        light = light_at(grid, sigma_t, position, omega, diffused).of(slice(None), 0, 0)[0]
-        around = read_fluence(reader.cells, x, w, reader.sun, reader.anisotropy)[0]
+        bound = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([sun]))
+        light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [sun])).of(slice(None), 0, 0)[0]
+        around = read_fluence(reader.cells, x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
         cells = len(volume.density)

@@ -6,10 +6,14 @@ composition. What is left between such an image and a path-traced one is not the
 
 import threading
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 
+from inference.network.conditions import Conditions
 from inference.network.network import register_system
+from inference.runtime.cancellation import NEVER
+from inference.runtime.tasks import SERIAL
 from inference.scene import SceneError
 from inference.scene.sparse_grid import SparseGrid
 from training.path_tracer import trace_points
@@ -37,13 +41,15 @@ class PathTracer:
     def __init__(self, paths: int = PATHS):
         self.paths = paths
 
-    def field(self, volume, cube, anisotropy: float, check=lambda: None):
+    def predictor(self, volume, cube, anisotropy: float, cancel=NEVER):
         """Raises SceneError where the volume's voxels are no cubes."""
-        return TracedField(self.paths, volume, cube, anisotropy)
+        return VolumeTracer(self.paths, volume, cube, anisotropy)
 
 
-class TracedField:
-    """A volume's own voxels, as the tracer's cube, and paths through them."""
+class VolumeTracer:
+    """A volume's own voxels, as the tracer's cube."""
+
+    respects_surfaces = False
 
     def __init__(self, paths, volume, cube, anisotropy):
         axes = volume.world_from_index[:3, :3]
@@ -64,17 +70,28 @@ class TracedField:
         self.offset = index / cells - 0.5
         self.edge = cells * voxel / cube.edge
 
-    def light(self, sigma_hat: float, sun, low, high, mapper=map):
-        """Take one optical density of the working cube's edge and one sun (3,), in the cube's frame."""
-        self.sigma, self.sun = sigma_hat * self.edge, self.linear @ sun
+    def prepare(self, conditions: Conditions, tasks=SERIAL) -> "PreparedTracer":
+        """For one optical thickness and one sun; bounds and surfaces are not used."""
+        return PreparedTracer(self, conditions.sigma_hat * self.edge, self.linear @ conditions.sun)
 
-    def predict(self, positions, omega, albedos, jitter=None, light=None) -> np.ndarray:
-        """Radiance float32 (A, N), noisy, the same for the same points and jitter; light is not needed."""
-        places = np.clip(positions @ self.linear.T + self.offset, -0.5, 0.5)
+
+@dataclass(frozen=True)
+class PreparedTracer:
+    """Paths through one volume; sigma: optical thickness of the tracer's cube, sun: (3,) in its frame."""
+
+    volume: VolumeTracer
+    sigma: float
+    sun: np.ndarray
+    lattice_cells = 0
+
+    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
+        """Radiance float32 (A, N), noisy, the same for the same points and jitter; ray features are not needed."""
+        volume = self.volume
+        places = np.clip(positions @ volume.linear.T + volume.offset, -0.5, 0.5)
         with _tracing:
             radiance = trace_points(
-                self.grid, self.sun, None, places, omega @ self.linear.T, self.sigma, self.anisotropy,
-                albedos, self.paths, seed=_seed(positions, jitter),
+                volume.grid, self.sun, None, places, omega @ volume.linear.T, self.sigma, volume.anisotropy,
+                albedos, volume.paths, seed=_seed(positions, jitter),
             )
         return radiance[:, 0].T
 

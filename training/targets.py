@@ -17,12 +17,14 @@ import time
 
 import numpy as np
 
+from inference import Medium
+from inference.grids.bound_medium import BoundMedium
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
 from inference.transport.scattered_fluence import ScatteredFluence, fluence_lattice, fluence_and_flux, read_fluence
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
 from inference.grids.grid import Grid
-from inference.marching.ray_march import light_at
+from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.grids.optical_depth_sweep import sun_optical_depth
@@ -133,14 +135,13 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
 
 
 def describe_light(volume, cube, coarse, suns, media, medium, positions, omega):
-    """What a network sees of light: along rays (N, S, ray_light.COLUMNS), and around points (N, S, diffused_light.COLUMNS).
+    """What a network sees of light: along rays (N, S, ray_features.COLUMNS), and around points (N, S, scattered_fluence.COLUMNS).
 
     coarse: level `ordinates.LEVEL` of the volume's pyramid; suns: (S, 3); media: (M, 2) extinction per cube edge and G;
     medium: (N,) number of each point's; positions, omega: (N, 3), in the world.
     """
     grid = Grid(volume)
-    for sun in suns:
-        grid.add_sun(sun)
+    sun_depths = grid.sun_depths(suns)
     x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
     ray = np.empty((len(x), len(suns), RAY_COLUMNS), np.float32)
     around = np.empty((len(x), len(suns), AROUND_COLUMNS), np.float32)
@@ -151,9 +152,9 @@ def describe_light(volume, cube, coarse, suns, media, medium, positions, omega):
         cells = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(cells):
             around[own, k] = read_fluence(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
-        grid.set_extinction(sigma)
-        diffused = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in cells], anisotropy)
-        ray[own] = light_at(grid, sigma, positions[own], omega[own], diffused).values[:, 0]
+        fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in cells], anisotropy)
+        bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, sun_depths)
+        ray[own] = ray_features_at(bound, positions[own], omega[own], fluence).values[:, 0]
     return ray, around
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from inference import Medium, Settings, render
-from inference.network.network import register_system
+from inference.network.baselines import SINGLE, register_baselines
 from inference.scene.phase_function import henyey_greenstein
 from inference.scene.camera_rays import camera_rays
 
@@ -16,23 +16,7 @@ BOUNDS = {"alpha": 2e-3, "single": 0.05, "bias": 0.02}
 DARK = 0.01
 
 
-class SingleOnly:
-    """A system that predicts nothing: the render shows single scattering alone."""
-
-    name, checksum, needs_ray_features = "single only", "", False
-    anisotropy_range, sigma_hat_range, albedo_range = (-1.0, 1.0), (0.0, np.inf), (0.0, 1.0)
-
-    def field(self, volume, cube, anisotropy, check):
-        return self
-
-    def light(self, sigma_hat, sun, low, high, mapper=map):
-        pass
-
-    def predict(self, positions, omega, albedos, jitter=None, light=None):
-        return np.zeros((len(albedos), len(positions)), np.float32)
-
-
-register_system("single only", SingleOnly)
+register_baselines()
 
 
 def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0.0, albedo=0.5, quick=False, seen=None,
@@ -48,7 +32,7 @@ def shot(group, name, volume, sigma_t=10.0, view=None, suns=(SUN,), anisotropy=0
 
     def measure():
         shown = volume() if callable(volume) else volume
-        layer = render([(shown, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, "single only"))
+        layer = render([(shown, Medium(sigma_t, albedo, anisotropy))], list(suns), view, Settings(1, SINGLE))
         alpha, through = exact_view(seen or shown, sigma_t, suns, view)
         cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in suns]).T
         phase = albedo * henyey_greenstein(cosine, anisotropy) * [sun.irradiance[0] for sun in suns]

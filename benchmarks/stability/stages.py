@@ -2,13 +2,15 @@
 
 import numpy as np
 
+from inference import Medium
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.marching.ray_march import mean_transmittance
 from inference.features.phase_features import cumulative_phase
 from inference.scene.phase_function import henyey_greenstein
-from inference.marching.ray_features import ray_light
+from inference.marching.ray_features import SampleSteps, gather_ray_features
 from inference.marching.ray_steps import Blocks
 from inference.grids.optical_depth_sweep import sun_optical_depth
 
@@ -22,11 +24,10 @@ def shadows(density, sigma_t):
     def measure():
         volume = placed(density)
         grid, exact = Grid(volume), ExactVolume(volume, sigma_t)
-        grid.add_sun(SUN.direction)
-        grid.set_extinction(sigma_t)
+        medium = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([SUN.direction]))
         index = np.random.default_rng(0).uniform(-1.0, np.array(density.shape), (2000, 3))
         world = index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
-        found = grid.sun_depth(grid.index(world).T.astype(np.float32), 0, may_be_outside=True)
+        found = medium.sun_optical_depth(grid.index(world).T.astype(np.float32), 0, may_be_outside=True)
         error = np.exp(-found) - np.exp(-exact.to_sun(index, SUN.direction))
         return Outcome({"root mean square": float(np.sqrt((error**2).mean())), "mean": float(abs(error.mean()))})
 
@@ -55,15 +56,15 @@ def light_ahead():
     """Light along rays of 400 steps of up to two optical depths."""
     random = np.random.default_rng(2)
     blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(np.arange(50), 60))
-    sigma = random.random((1, 3000, 8)) ** 6 * 2.0
+    tau = random.random((1, 3000, 8)) ** 6 * 2.0
     depth = np.cumsum(random.random((60, 401)) * 0.3, axis=1)
-    shadow = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]
+    depths = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]
     block, step, inside = 50 * np.arange(60) + random.integers(0, 3, 60), random.integers(0, 8, 60), random.random(60)
-    fluence, dt = random.random((1, 1, 3000, 8)), np.ones((3000, 1))
-    turning = [0.3]
-    double = ray_light(blocks, sigma, shadow, fluence, turning, dt, block, step, inside).values
-    sigma, shadow, fluence, dt = (a.astype(np.float32) for a in (sigma, shadow, fluence, dt))
-    single = ray_light(blocks, sigma, shadow, fluence, turning, dt, block, step, inside)
+    source = random.random((1, 1, 3000, 8))
+    samples = SampleSteps(block, step, inside)
+    double = gather_ray_features(blocks, tau, depths, source, [0.3], samples).values
+    tau, depths, source = (a.astype(np.float32) for a in (tau, depths, source))
+    single = gather_ray_features(blocks, tau, depths, source, [0.3], samples)
     error = np.abs(single.values - double) / np.maximum(np.abs(double), 1e-3)
     return Outcome({"largest": float(error.max())})
 

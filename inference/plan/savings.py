@@ -14,7 +14,7 @@ def estimated_savings(report, plan, settings) -> Dict[str, float]:
     rendered = len(plan.channels)
     suns = max(len(plan.suns), 1)
     spared = {
-        "empty_space": march * (count("steps", 0) / max(count("steps looked at", 0), 1) - 1.0),
+        "empty_space": march * (count("steps", 0) / max(count("steps evaluated", 0), 1) - 1.0),
         "equal_channels": (3 - rendered) * (march + fields + prediction) / max(rendered, 1),
         "needless_suns": count("suns left out", 0) * (seconds("shadows", 0.0) + fields + prediction) / suns,
         "faint_rays": a_point * jobs * (settings.depth_samples * count("rays that meet density", 0) - count("points", 0)),

@@ -7,7 +7,8 @@ import torch
 from onnx import TensorProto
 from torch import nn
 
-from inference import diffused_light, ray_light
+from inference.marching import ray_features
+from inference.transport import scattered_fluence
 from inference.marching.ray_features import TAU_AHEAD_MOST, TAU_SUN_MOST
 from inference.features.stencil import LAYER_POINTS, SPARSE
 
@@ -26,9 +27,9 @@ POINTS = sum(LAYERS)
 # Added to logarithms of layers' mean densities and of the light ahead.
 POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
 #: Of what light is seen: from ahead, its logarithms around the point, and fluxes there.
-AHEAD = ray_light.COLUMNS - 2
-LOGS = diffused_light.PROBES + 1
-FLUXES = diffused_light.COLUMNS - LOGS
+AHEAD = ray_features.COLUMNS - 2
+LOGS = scattered_fluence.PROBES + 1
+FLUXES = scattered_fluence.COLUMNS - LOGS
 RAY_INPUTS = 2 + AHEAD + LOGS + FLUXES
 
 
