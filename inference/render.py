@@ -96,7 +96,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
     report, cancel, cache = context.report, context.cancel, context.cache
-    context.progress.expect("shadows", sum(volume.density.size for volume, _ in plan.volumes) * len(plan.suns))
+    voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
+    context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with report.stage("shadows"):
         grids = cache.grids([volume for volume, _ in plan.volumes], cancel)
     depth_buffer, occluders = None, NO_OCCLUDERS
@@ -111,10 +112,10 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
                 plan, occluders = plan.with_suns(lit), of_suns(occluders, lit or [0], corners)
     with report.stage("shadows"):
         sun_depths = []
-        for grid, (volume, _) in zip(grids, plan.volumes):
+        for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
             context.progress.message(f"shadows of {volume.name}")
             sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
-            context.progress.advance("shadows", volume.density.size * len(plan.suns))
+            context.progress.advance("shadows", count * len(plan.suns))
     see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from inference.grids.working_cube import active_bounds, fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.runtime.cancellation import CancelToken
 from inference.scene import Cancelled, SceneError, Volume
 
 
@@ -95,12 +96,11 @@ def test_level_0_of_a_large_grid_asks_several_times_a_second_whether_to_stop(she
     volume = Volume(np.ones(shape, np.float32), matrix)
     asked = []
 
-    def check():
+    def cancelled():
         asked.append(time.perf_counter())
-        if len(asked) > 20:
-            raise Cancelled()
+        return len(asked) > 20
 
     cube = fit_cube(volume)
     with pytest.raises(Cancelled):
-        level0_density(volume, cube, check)
+        level0_density(volume, cube, CancelToken(cancelled))
     assert np.median(np.diff(asked)) < 0.2

@@ -116,7 +116,7 @@ def test_homogeneous_cube_at_its_centre(stencil):
     """All density 1: mu is one constant inside, and S of the centre has its closed form."""
     padded = padded_levels(density_pyramid(np.ones((256,) * 3, np.float32)), stencil)
     sun = np.array([0.0, 0.0, 1.0])
-    lattices = build_lattices(padded, unit_optical_depths(padded, sun), 10.0, stencil)
+    lattices = build_lattices(padded, 10.0, stencil, SunLevels(unit_optical_depths(padded, sun)))
     omega = np.array([[0.0, 1.0, 0.0]])
     features, _ = describe(FieldLookup(stencil, lattices, sun), PhaseFeatures(stencil, 0.0), np.zeros((1, 3)), omega)
     inside = stencil.mips < 4
@@ -131,7 +131,7 @@ def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
     """A.3: a point behind the cube sees the sun through it, one beside the sun's ray sees all of it."""
     padded = padded_levels(density_pyramid(np.ones((256,) * 3, np.float32)), stencil)
     sun = np.array([0.0, 0.0, 1.0])
-    lattices = build_lattices(padded, unit_optical_depths(padded, sun), 3.0, stencil)
+    lattices = build_lattices(padded, 3.0, stencil, SunLevels(unit_optical_depths(padded, sun)))
     mip = 5
     lattice = lattices.levels[mip]
     def read(x, y, z):

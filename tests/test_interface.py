@@ -30,7 +30,7 @@ def test_presets_set_the_samples_and_samples_tell_the_preset(scene):
 
 
 def test_what_is_left_out_is_chosen_one_by_one(addon, scene):
-    omissions = addon.inference.omissions
+    omissions = addon.inference.scene.optimizations
     assert scene.mrpnn.leave_out == set(omissions.OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == omissions.ALL
     scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
     assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from inference import Volume, diffused_light
+from inference import Volume
+from inference.transport import scattered_fluence
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import FLUENCE_MOST
 from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
@@ -54,9 +55,9 @@ def test_it_is_near_the_traced_truth(cloud, sigma_hat, anisotropy, tolerance):
     positions = np.array([[0.0, 0.0, 0.1], [0.2, -0.1, -0.2], [-0.25, 0.25, 0.0], [0.05, -0.38, 0.02], [0.02, 0.03, 0.39]])
     omega = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
     traced = trace_points(cloud, SLANT, None, positions, omega, sigma_hat, anisotropy, [1.0], 20000, seed=2)[:, 0, 0]
-    cells = diffused_light.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
-    read = diffused_light.read_fluence(cells, positions, omega, SLANT, anisotropy)
-    radiance = np.exp(read[:, diffused_light.PROBES]) / (4.0 * np.pi)
+    cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
+    read = scattered_fluence.read_fluence(cells, positions, omega, SLANT, anisotropy)
+    radiance = np.exp(read[:, scattered_fluence.PROBES]) / (4.0 * np.pi)
     # Of what counts as not scattered the light is missing here.
     share = radiance / traced
     if anisotropy == 0.0:
@@ -82,7 +83,7 @@ def test_no_light_is_negative_or_more_than_any_medium_holds(cloud, sigma_hat, an
 
 def test_more_sweeps_change_little(cloud, monkeypatch):
     few = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
-    monkeypatch.setattr("inference.ordinates.MORE_ROUNDS", 12)
+    monkeypatch.setattr("inference.transport.discrete_ordinates.MORE_ROUNDS", 12)
     many = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
     assert np.abs(few - many).sum() < 0.08 * many.sum()
 
@@ -109,7 +110,7 @@ def test_light_stays_outside_a_box(cloud):
     sides = np.concatenate([rectangle(z, low, high)[..., order] for z in (low, high) for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))])
     ordinates = DiscreteOrdinates(cloud, 30.0, 0.5, sides)
     box = np.all([np.abs(x) < high for x in middles()], axis=0)
-    np.testing.assert_array_equal(ordinates.walls.inside, box)
+    np.testing.assert_array_equal(ordinates.boundaries.inside, box)
     found, free = ordinates.light(UP, (~box).astype(np.float32))[0], DiscreteOrdinates(cloud, 30.0, 0.5).light(UP)[0]
     assert found[box].max() < 1e-2 * free[box].min() and found.sum() < 0.9 * free.sum()
 
@@ -119,25 +120,25 @@ def test_points_read_what_lies_between_cells():
     x, y, z = middles()
     fluence = np.exp(0.5 + 0.8 * x - 0.4 * y + 0.3 * z)
     light = np.stack([fluence, *(fluence * f for f in (0.1 * x, 0.2 + 0.1 * y, -0.3 * z))]).astype(np.float32)
-    cells = diffused_light.fluence_lattice(light).astype(np.float32)
+    cells = scattered_fluence.fluence_lattice(light).astype(np.float32)
     random = np.random.default_rng(3)
     p, w = random.uniform(-0.44, 0.44, (50, 3)), random.normal(size=(50, 3))
     w /= np.linalg.norm(w, axis=1, keepdims=True)
-    read = diffused_light.read_fluence(cells, p, w, SLANT, 0.6)
-    slope, h = np.array([0.8, -0.4, 0.3]), diffused_light.REACH
+    read = scattered_fluence.read_fluence(cells, p, w, SLANT, 0.6)
+    slope, h = np.array([0.8, -0.4, 0.3]), scattered_fluence.REACH
     for column, offset in enumerate((0.0 * w, h * w, -h * w, h * SLANT)):
         np.testing.assert_allclose(read[:, column], 0.5 + (p + offset) @ slope, atol=2e-3)
     flux = np.stack([0.1 * p[:, 0], 0.2 + 0.1 * p[:, 1], -0.3 * p[:, 2]], axis=1)
     along = (flux * w).sum(axis=1)
     np.testing.assert_allclose(read[:, 4], read[:, 0] + np.log(1.0 - 3.0 * reduced_anisotropy(0.6) * along), atol=2e-3)
     np.testing.assert_allclose(read[:, 5:], np.stack([along, flux @ SLANT], axis=1), atol=1e-3)
-    np.testing.assert_allclose(diffused_light.fluence_and_flux(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(scattered_fluence.fluence_and_flux(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3)
 
 
 def test_positions_in_the_world_find_their_cells():
     matrix = np.array([[0.0, -0.3, 0.0, 5.0], [0.3, 0.0, 0.0, -2.0], [0.0, 0.0, 0.3, 1.0], [0.0, 0.0, 0.0, 1.0]])
     cube = fit_cube(Volume(np.ones((9, 7, 5), np.float32), matrix))
-    light = diffused_light.ScatteredFluence.in_cube(cube, [], 0.5)
+    light = scattered_fluence.ScatteredFluence.in_cube(cube, [], 0.5)
     world = cube.centre + np.random.default_rng(4).uniform(-0.5, 0.5, (100, 3)) * cube.edge @ cube.rotation.T
     cell = np.floor((cube.positions(world) + 0.5) * CELLS).astype(int)
     found = light.cells((world @ light.linear.T + light.offset).T.astype(np.float32))

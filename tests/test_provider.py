@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, Settings, Sun, Volume, network, provider, render
+from inference import Camera, Medium, Settings, Sun, Volume, render
+from inference.network import network, provider
 from inference.scene import SceneError
 
 onnxruntime = pytest.importorskip("onnxruntime")

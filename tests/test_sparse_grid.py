@@ -174,8 +174,8 @@ def test_a_grid_much_larger_than_what_it_holds_fits():
 MEASURED = """
 import numpy as np
 from inference import Camera, Medium, Settings, SparseGrid, Sun, Volume, render
-from inference.plan import make_plan
-from inference.report import process_peak_memory
+from inference.plan.plan import make_plan
+from inference.runtime.report import process_peak_memory
 
 random, count = np.random.default_rng(0), (64,) * 3
 middle = np.linalg.norm(np.indices(count) - 31.5, axis=0)

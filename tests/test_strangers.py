@@ -9,7 +9,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from benchmarks.stability.shots import SingleOnly
+from inference.network.baselines import SingleScattering
 
 from . import blender_scenes
 
@@ -132,18 +132,18 @@ def test_it_can_be_stopped_while_it_writes(addon, scene, cloud, tmp_path):
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".vdb"]
 
 
-class Breaks(SingleOnly):
+class Breaks(SingleScattering):
     """A system that fails in the middle of a render, as a bug in ours would."""
 
     name = "breaks"
 
-    def predict(self, positions, omega, albedos, jitter=None, light=None):
+    def predict(self, positions, omega, albedos, jitter=None, ray_features=None):
         raise ZeroDivisionError("in a thread")
 
 
 @pytest.fixture
 def breaks(addon, monkeypatch):
-    monkeypatch.setitem(addon.inference.network._systems, "breaks", Breaks)
+    monkeypatch.setitem(addon.inference.network.network._systems, "breaks", Breaks)
 
 
 def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import training.reference
-from inference import Camera, Medium, Settings, Sun, Volume, available_models, network, predict_multiple, render
+from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
+from inference.network import network
 from inference.scene import SceneError
 from training.export import export, save
 from training.networks import RPNN
@@ -113,7 +114,7 @@ def test_without_the_repository_the_reference_is_named_and_refused():
     """As in the extension, which holds no training: a process of its own, since here it is registered."""
     assert training.reference.PathTracer.name == "reference"
     code = (
-        "import sys; from inference.network import available_models, load_network; from inference import SceneError\n"
+        "import sys; from inference.network.network import available_models, load_network; from inference import SceneError\n"
         "assert 'reference' not in available_models()\n"
         "try: load_network('reference')\n"
         "except SceneError as error: print(error)\n"

@@ -71,7 +71,7 @@ def _describe(points, mips, sigma_hat, density, density_at, density_edge, depth,
 def describe_points(stencil: Stencil, padded, unit_depths, positions, omega, sun, sigma_hat):
     """Features mu and S: float32 (2, N, 192).
 
-    padded, unit_depths: from inference.fields; positions, omega: (N, 3) in the cube's frame;
+    padded, unit_depths: from inference.features.mip_lattices; positions, omega: (N, 3) in the cube's frame;
     sun: (3,); sigma_hat: (N,) optical density of each point's medium.
     """
     points = stencil_points(stencil, positions, omega, np.asarray(sun, np.float64))
