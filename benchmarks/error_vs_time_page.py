@@ -159,7 +159,7 @@ def scenes(main, model: str) -> str:
         row.append("good" if result["verdict"]["good"] else f"{NOISY}: {_more(result['verdict'])}")
         rows.append(row)
     head = ["scene", f"{model}: error", "bias", "seconds, first / frame", "Cycles to this error: times first / frame",
-            "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single only",
+            "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single-scattering",
             "multi-octave", "reference"]
     return ("Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
             "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "

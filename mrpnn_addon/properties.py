@@ -4,7 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ..inference import Settings
-from ..inference.scene.optimizations import ALL, OMISSIONS
+from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
 from .models import model_items
 from .preferences import machine
 
@@ -25,7 +25,7 @@ _PRESET_ITEMS = [
 
 _LEAVE_OUT_ITEMS = [
     (name, omission.title, omission.what, 'NONE', 1 << number)
-    for number, (name, omission) in enumerate(OMISSIONS.items())]
+    for number, (name, omission) in enumerate(OPTIMIZATIONS.items())]
 
 # Of the scene's network: the preferences' one.
 AS_PREFERRED = ('PREFERENCES', "As in the Preferences", "The network that the preferences name", 'NONE', 0)

@@ -10,7 +10,7 @@ import time
 import bpy
 
 from ..inference import available_models
-from ..inference.scene.optimizations import ALL, OMISSIONS
+from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
 from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison_run import REPORT_FOLDER
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")
         action.add_argument("--leave-out", type=_omissions, metavar="NAMES",
-                            help=f"all, none, or with commas between: {', '.join(OMISSIONS)}")
+                            help=f"all, none, or with commas between: {', '.join(OPTIMIZATIONS)}")
     return parser
 
 
@@ -81,7 +81,7 @@ def _omissions(text: str) -> frozenset:
     named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")))
     if named <= ALL:
         return named
-    raise argparse.ArgumentTypeError(f"there is no {min(named - ALL)!r} to leave out; there are: {', '.join(OMISSIONS)}")
+    raise argparse.ArgumentTypeError(f"there is no {min(named - ALL)!r} to leave out; there are: {', '.join(OPTIMIZATIONS)}")
 
 
 def _positive(text: str) -> int:

@@ -12,7 +12,7 @@ from .scenes import SUN, camera, placed
 
 def drawn(volumes=None, suns=(SUN,), view=None, settings=None):
     return lambda: render(volumes or [(CLOUD, Medium(10.0, 0.5))], list(suns), view or camera(),
-                          settings or Settings(1, "single only"))
+                          settings or Settings(1, "single-scattering"))
 
 
 def beside(k: float):
