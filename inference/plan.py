@@ -192,7 +192,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
         else:
             channels.append(Channels([c], sigma_t))
     if len(channels) == 1:
-        left_out.append("two of three colour channels' rays and fields: extinction is grey")
+        left_out.append("two of three colour channels: extinction is grey")
 
     groups, _ = overlapping([volume for volume, _ in kept])
     multiple, scattered_glow = [], []
@@ -203,16 +203,16 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
         multiple.append(settings.multiple and scatters and bool(merged))
         scattered_glow.append(settings.multiple and scatters and any(glows(*kept[v]) for v in group))
         if scattered_glow[-1]:
-            planned.append(f"{names}: emission, scattered")
+            planned.append(f"{names}: scattered emission")
         if not multiple[-1]:
             reason = "its albedo or density is 0" if not scatters else "no sun shines"
-            reason = reason if settings.multiple else "the settings say so"
+            reason = reason if settings.multiple else "turned off"
             left_out.append(f"{names}: multiple scattering, {reason}")
         elif len(group) > 1:
-            planned.append(f"{names}: network, as one medium")
+            planned.append(f"{names}: multiple scattering, as one medium")
         else:
             stages = len(distinct_albedos(kept[group[0]][1], [0, 1, 2], settings.leave_out))
-            planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
+            planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, glows(volume, medium), merged) for volume, medium in kept)
     memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES

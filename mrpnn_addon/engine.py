@@ -8,7 +8,7 @@ import gpu
 import numpy as np
 
 from ..inference.scene import Cancelled, SceneError
-from . import viewport
+from . import builtin_panels, viewport
 from .film import background, on_background
 from .last_render import remember_finished
 from .layer_frame import rgba
@@ -30,6 +30,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_label = "MRPNN Volumes"
     bl_use_preview = False
     bl_use_postprocess = True
+    # Left at its default, it hides the Shader Editor.
+    bl_use_shading_nodes_custom = False
     # Material Preview is EEVEE's.
     bl_use_eevee_viewport = True
 
@@ -179,30 +181,12 @@ def _shows_volumes(depsgraph) -> bool:
     return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
 
 
-# Built-in panels for every engine carry BLENDER_RENDER; these hold material, sun and world besides.
-MORE_PANELS = ('EEVEE_MATERIAL_PT_context_material', 'EEVEE_MATERIAL_PT_volume', 'DATA_PT_EEVEE_light',
-               'VIEWLAYER_PT_layer_passes')
-# Post-effects on surfaces, which this engine does not render.
-FOREIGN_PANELS = ('VIEWLAYER_PT_filter', 'RENDER_PT_freestyle')
-
-
-def _panels():
-    """Built-in panels to show while this engine is chosen."""
-    for panel in bpy.types.Panel.__subclasses__():
-        engines = getattr(panel, 'COMPAT_ENGINES', ())
-        general = 'BLENDER_RENDER' in engines and panel.__name__ not in FOREIGN_PANELS
-        if general or panel.__name__ in MORE_PANELS:
-            yield panel
-
-
 def register():
     bpy.utils.register_class(MRPNNRenderEngine)
-    for panel in _panels():
-        panel.COMPAT_ENGINES.add(MRPNNRenderEngine.bl_idname)
+    builtin_panels.register(MRPNNRenderEngine.bl_idname)
 
 
 def unregister():
     viewport.unregister()
-    for panel in _panels():
-        panel.COMPAT_ENGINES.discard(MRPNNRenderEngine.bl_idname)
+    builtin_panels.unregister(MRPNNRenderEngine.bl_idname)
     bpy.utils.unregister_class(MRPNNRenderEngine)
