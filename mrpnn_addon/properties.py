@@ -28,7 +28,7 @@ _LEAVE_OUT_ITEMS = [
     for number, (name, omission) in enumerate(OMISSIONS.items())]
 
 # Of the scene's network: the preferences' one.
-AS_PREFERRED = ('PREFERENCES', "As in the Preferences", "The network chosen in the preferences", 'NONE', 0)
+AS_PREFERRED = ('PREFERENCES', "From Preferences", "The network chosen in the preferences", 'NONE', 0)
 _model_items = []
 
 

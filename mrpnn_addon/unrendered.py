@@ -23,7 +23,7 @@ class Unrendered:
         if self.lights:
             found.append(f"Left out: {_names(self.lights, 'light')}. Only suns and the World light volumes")
         if self.surfaces:
-            found.append(f"Not rendered: {_names(self.surfaces, 'surface')}. Surfaces hide and shade volumes only")
+            found.append(f"Not rendered: {_names(self.surfaces, 'surface')}. Surfaces only hide and shade volumes")
         return found
 
     @property

@@ -23,7 +23,8 @@ def draw_shader(layout, block, name: str, colour: str = "") -> None:
     colour: the property that holds its colour while it has no nodes, or "".
     """
     layout.use_property_split = True
-    if not always_has_nodes(block):
+    # Once, with what every block has.
+    if name == "Surface" and not always_has_nodes(block):
         layout.prop(block, "use_nodes", icon='NODETREE')
     output = active_output(block)
     if output is not None:

@@ -14,14 +14,6 @@ class _MaterialPanel(EnginePanel):
         return super().poll(context) and material is not None and not material.grease_pencil
 
 
-class MRPNN_PT_material_preview(_MaterialPanel, bpy.types.Panel):
-    bl_label = "Preview"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    def draw(self, context):
-        self.layout.template_preview(context.material)
-
-
 class MRPNN_PT_material_surface(_MaterialPanel, bpy.types.Panel):
     bl_label = "Surface"
 
@@ -36,4 +28,4 @@ class MRPNN_PT_material_volume(_MaterialPanel, bpy.types.Panel):
         draw_shader(self.layout, context.material, "Volume")
 
 
-classes = (MRPNN_PT_material_preview, MRPNN_PT_material_surface, MRPNN_PT_material_volume)
+classes = (MRPNN_PT_material_surface, MRPNN_PT_material_volume)

@@ -41,9 +41,10 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.mrpnn
         layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
         layout.row().prop(settings, "preset", expand=True)
-        column = _split(layout)
+        _split(layout).prop(settings, "model")
+        # With their names in the fields, which the default width would cut off beside them.
+        column = layout.column(align=True)
         column.prop(settings, "depth_samples")
-        column.prop(settings, "model")
         column.prop(settings, "seed")
         row = column.row()
         row.active = context.scene.world is not None

@@ -13,14 +13,6 @@ class _WorldPanel(EnginePanel):
         return super().poll(context) and context.world is not None
 
 
-class MRPNN_PT_world_preview(_WorldPanel, bpy.types.Panel):
-    bl_label = "Preview"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    def draw(self, context):
-        self.layout.template_preview(context.world)
-
-
 class MRPNN_PT_world_surface(_WorldPanel, bpy.types.Panel):
     bl_label = "Surface"
 
@@ -44,4 +36,4 @@ class MRPNN_PT_world_visibility(_WorldPanel, bpy.types.Panel):
         self.layout.prop(visibility, "scatter")
 
 
-classes = (MRPNN_PT_world_preview, MRPNN_PT_world_surface, MRPNN_PT_world_visibility)
+classes = (MRPNN_PT_world_surface, MRPNN_PT_world_visibility)
