@@ -16,6 +16,7 @@ from .material import shows_volume
 from .passes import extra_passes
 from .render_job import render_scene, stamp
 from .scene import read_scene
+from .unrendered import unrendered
 from .viewport import Viewport, viewport_camera
 from .visibility import shown_objects
 from .volume_loading import VolumeLoading
@@ -110,6 +111,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             behind, more = background(depsgraph)
             warnings = [*warnings, *more]
             image = on_background(finished.layer, behind)
+        # Blender's window shows the last report.
+        if missing := unrendered(depsgraph).message:
+            warnings = [*warnings, missing]
         for warning in warnings:
             self.report({'WARNING'}, warning)
         extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]

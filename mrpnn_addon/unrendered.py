@@ -33,6 +33,16 @@ class Unrendered:
         found += [_names(self.surfaces, "surface")] if self.surfaces else []
         return f"Not rendered: {', '.join(found)}" if found else ""
 
+    @property
+    def message(self) -> str:
+        """`summary`, and what to do about it."""
+        more = "; Composite over Cycles in the render properties renders surfaces, too" if self.surfaces else ""
+        return self.summary + more
+
+    def names(self, text: str) -> bool:
+        """Whether a text is about one of them."""
+        return any(f"\"{name}\"" in text for name in (*self.lights, *self.surfaces))
+
 
 def unrendered(depsgraph) -> Unrendered:
     """Look through the objects that renders show; reads no volume and no mesh."""

@@ -53,7 +53,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
 
 
 def _draw_last(context, layout, last):
-    """Time and warnings of the last render, or why it failed."""
+    """Time and warnings of the last render, or why it failed; what Before Rendering says is not said again."""
     if last is None:
         return
     if last.error:
@@ -61,8 +61,10 @@ def _draw_last(context, layout, last):
         return
     saved = f" ({last.saved:.0f} s saved)" if last.saved >= 1.0 else ""
     draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", 'TIME')
+    _, missing = _expected(context)
     for warning in last.warnings:
-        draw_text(context, layout.box(), warning, 'INFO')
+        if not missing.names(warning):
+            draw_text(context, layout, warning, 'INFO')
 
 
 class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
@@ -182,7 +184,7 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
 
 def _draw_preferred(context, layout, value: str) -> None:
     """What 0 in the setting above stands for."""
-    draw_text(context, layout, f"0 as in the preferences: {value}", 'INFO')
+    draw_text(context, layout, f"{value}, as in the preferences")
 
 
 class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
