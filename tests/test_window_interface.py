@@ -11,8 +11,7 @@ pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blend
 
 # The panels that a tab shows for an object: (label, label of the panel around it).
 PANELS = """
-def show(tab, name, engine="MRPNN"):
-    scene.render.engine = engine
+def show(tab, name):
     bpy.context.view_layer.objects.active = bpy.data.objects[name]
     for item in bpy.context.view_layer.objects: item.select_set(item.name == name)
     area("PROPERTIES").spaces.active.context = tab
@@ -21,7 +20,12 @@ def polled(panel):
     # Some of Cycles' fail where their panel is not the tab's, as where no light is shown.
     try: return not hasattr(panel, "poll") or panel.poll(bpy.context)
     except AttributeError: return False
-def panels(tab):
+def panels(tab, engine):
+    # The other engine for a moment only: Blender hangs where Python changes the engine during one of Cycles' previews.
+    scene.render.engine = engine
+    try: return panels_of(tab)
+    finally: scene.render.engine = "MRPNN"
+def panels_of(tab):
     with over(area("PROPERTIES")):
         found = {}
         for panel in bpy.types.Panel.__subclasses__():
@@ -72,12 +76,10 @@ def artist(window):
 
 def panels(window, tab, name, engine="MRPNN"):
     """Of a tab, once the editor has been drawn with it: only then does it know which tabs there are."""
-    window.do(f"show('OBJECT', '{name}', '{engine}')")
-    for _ in range(2):
-        time.sleep(0.2)
-        window.do(f"show('{tab}', '{name}', '{engine}')")
-    time.sleep(0.2)
-    return eval(window.do(f"print(panels('{tab}'))"))
+    for place in ("OBJECT", tab):
+        window.do(f"show('{place}', '{name}')")
+        time.sleep(0.3)
+    return eval(window.do(f"print(panels('{tab}', '{engine}'))"))
 
 
 def test_each_tab_has_what_cycles_has_for_volumes_once(artist):
@@ -100,12 +102,12 @@ def test_shaders_and_lights_are_edited_in_one_panel_each(artist):
 
 
 def test_a_panorama_can_be_chosen(artist):
-    artist.do("bpy.data.cameras['Camera'].type = 'PANO'")
+    artist.do("scene.camera.data.type = 'PANO'")
     try:
         assert ("Panorama", "Lens") in panels(artist, "DATA", "Camera")
         artist.shot("panel-panorama", artist.box("PROPERTIES"))
     finally:
-        artist.do("bpy.data.cameras['Camera'].type = 'PERSP'")
+        artist.do("scene.camera.data.type = 'PERSP'")
 
 
 @pytest.mark.parametrize("kind, tree", [("OBJECT", "bpy.data.materials['Ball'].node_tree"), ("WORLD", "world.node_tree")])
@@ -125,7 +127,7 @@ def test_the_shader_editor_shows_the_nodes(artist, kind, tree):
         artist.do("viewport.ui_type = 'VIEW_3D'")
 
 
-# Letters that stand alone, wrapped as sentences are: a line that were cut off would end in dots.
+# Letters wrapped as sentences are: a line that is cut off ends in dots.
 LETTERS = """
 import sys
 text = next(module for name, module in sys.modules.items() if name.endswith("mrpnn.panels.text"))
@@ -146,16 +148,17 @@ def test_sentences_are_wrapped_at_the_width_of_the_editor(artist):
         rows = artist.shot("letters")[top:bottom, left:right].min(axis=2) > 150
     finally:
         artist.do("bpy.utils.unregister_class(MRPNN_PT_letters)")
-    # Lines of many letters: an H has two tall columns.
-    lines = np.flatnonzero(rows[:, 60:].sum(axis=1) > 20)
-    counted, widest = 0, 0
+    rows = rows[:, 68:]
+    lines, full, widest = np.flatnonzero(rows.sum(axis=1) > 20), 0, 0
     for line in np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1):
-        tall = np.flatnonzero(rows[line[0]:line[-1] + 1, 60:].sum(axis=0) >= 6)
-        stems = np.split(tall, np.flatnonzero(np.diff(tall) > 1) + 1)
-        if len(stems) > 10:
-            counted, widest = counted + len(stems), max(widest, np.ptp(tall))
-    assert counted == 2 * 120
-    assert widest > 0.6 * (right - left)
+        lit = rows[line[0]:line[-1] + 1]
+        tall = np.flatnonzero(lit.sum(axis=0) >= 7)
+        # Full lines: an H has two tall columns. Nothing, such as three dots, comes after the last one.
+        if np.count_nonzero(np.diff(tall) > 1) > 20:
+            assert not lit[:, tall[-1] + 2:tall[-1] + 14].any()
+            full, widest = full + 1, max(widest, np.ptp(tall))
+    assert full >= 6
+    assert widest > 0.55 * (right - left)
 
 
 def test_memory_says_its_unit(artist):
@@ -208,9 +211,9 @@ def test_the_default_scene_says_what_of_it_is_not_rendered(window):
         window.until(RENDERING)
         window.until(f"not {RENDERING}")
         # Reports are told with the next event.
-        for place in (500, 520, 540):
-            window.mouse("mousemove", 1100, place)
-            time.sleep(0.5)
+        for place in ((400, 700), (300, 720), (1100, 520)):
+            window.mouse("mousemove", *place)
+            time.sleep(1.0)
         window.shot("default-scene-render")
         window.do("for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:\n"
                   "    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()\n"
