@@ -222,7 +222,7 @@ def test_the_default_scene_says_what_of_it_is_not_rendered(window):
                   "    bpy.ops.info.select_all(action='SELECT'); bpy.ops.info.report_copy()\n"
                   "said = bpy.context.window_manager.clipboard")
         said = window.do("print(said)")
-        assert "mesh object \"Cube\" only hides" in said and "point light \"Light\" is left out" in said
+        assert "mesh object \"Cube\" only hides" in said and "light \"Light\" (point) is left out" in said
         last = [line for line in said.splitlines() if "rendered" in line or "left out" in line][-1]
         assert last.startswith("Not rendered: light \"Light\", surface \"Cube\"; Composite over Cycles")
     finally:
