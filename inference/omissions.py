@@ -33,7 +33,7 @@ OMISSIONS = {
     "equal_channels": Omission(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING),
     "equal_albedos": Omission(
-        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, and black ones need none", ROUNDING),
+        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING),
     "unread_fields": Omission(
         "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING),
     "unchanged": Omission(

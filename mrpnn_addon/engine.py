@@ -29,8 +29,9 @@ SECONDS_A_LOOK = 0.05
 class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_idname = "MRPNN"
     bl_label = "MRPNN Volumes"
-    # When Python sets some properties, Blender waits for the thread of a preview while it holds the interpreter's lock,
-    # and hangs where an engine is written in Python, as with Cycles' previews. Without, it shows none, as for Workbench.
+    # Where Python sets some properties, such as the engine, Blender waits for the thread of a preview while it holds the
+    # interpreter's lock, and hangs if the preview's engine is written in Python, as Cycles' is, too (4.3 and 5.2).
+    # Without, Blender shows no previews, as for Workbench.
     bl_use_preview = False
     bl_use_postprocess = True
     # Left at its default, it hides the Shader Editor.

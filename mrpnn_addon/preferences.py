@@ -37,7 +37,8 @@ class PreferenceProperties:
         name="Network", items=model_items, default=model_number(Settings.model),
         description="Network that predicts multiple scattering, for scenes that choose none")
     provider: EnumProperty(
-        name="Provider", items=_PROVIDER_ITEMS, default='CPU', description="Hardware that onnxruntime runs the network on")
+        name="Provider", items=_PROVIDER_ITEMS, default='CPU',
+        description="Hardware that onnxruntime runs the network on")
 
 
 @dataclass

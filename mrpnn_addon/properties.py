@@ -64,9 +64,10 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image")
     leave_out: EnumProperty(
         name="Optimizations", items=_LEAVE_OUT_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
-        description="Shortcuts that save time and keep the picture. Turn one off to see that the picture stays the same")
+        description="Shortcuts that save time and keep the picture. Turn one off to see that it stays the same")
     threads: IntProperty(
-        name="Threads", default=0, min=0, max=1024, description="Number of render threads. 0 takes the number from the preferences")
+        name="Threads", default=0, min=0, max=1024,
+        description="Number of render threads. 0 takes the number from the preferences")
     memory_limit: IntProperty(
         name="Memory (GiB)", default=0, min=0, max=1024,
         description="Memory that a render may use, in GiB; one that needs more is refused before it starts. "

@@ -50,7 +50,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         description="Size of the compared images, relative to the render resolution. Time grows with its square")
     reference_path: StringProperty(
         name="Reference Image", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
-        description="Image of the same view, OpenEXR with alpha, to measure errors against. Cycles renders it by default")
+        description="Image of the same view, OpenEXR with alpha, to measure errors against. Without, Cycles renders it")
     folder: StringProperty(
         name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
         description="Folder of the report and of finished images, from which another run continues. While the file "

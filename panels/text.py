@@ -12,7 +12,8 @@ def draw_text(context, layout, text: str, icon: str = 'NONE') -> None:
     blf.size(0, points * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for index, line in enumerate(wrapped(text, context.region.width - TAKEN * scale, lambda s: blf.dimensions(0, s)[0])):
+    width = context.region.width - TAKEN * scale
+    for index, line in enumerate(wrapped(text, width, lambda part: blf.dimensions(0, part)[0])):
         column.label(text=line, icon=icon if index == 0 else 'BLANK1')
 
 

@@ -93,8 +93,9 @@ def test_each_tab_has_what_cycles_has_for_volumes_once(artist):
 
 
 def test_shaders_and_lights_are_edited_in_one_panel_each(artist):
-    for tab, name, wanted in (("WORLD", "Ball", "Surface"), ("MATERIAL", "Ball", "Surface"), ("MATERIAL", "Ball", "Volume"),
-                              *(("DATA", lamp, "Light") for lamp in ("Sun", "POINT", "SPOT", "AREA"))):
+    lamps = [("DATA", lamp, "Light") for lamp in ("Sun", "POINT", "SPOT", "AREA")]
+    shaders = [("WORLD", "Ball", "Surface"), ("MATERIAL", "Ball", "Surface"), ("MATERIAL", "Ball", "Volume")]
+    for tab, name, wanted in shaders + lamps:
         labels = [label for label, _ in panels(artist, tab, name)]
         assert labels.count(wanted) == 1, (tab, name, labels)
     assert ("Beam Shape", "Light") in panels(artist, "DATA", "SPOT")
@@ -110,7 +111,8 @@ def test_a_panorama_can_be_chosen(artist):
         artist.do("scene.camera.data.type = 'PERSP'")
 
 
-@pytest.mark.parametrize("kind, tree", [("OBJECT", "bpy.data.materials['Ball'].node_tree"), ("WORLD", "world.node_tree")])
+@pytest.mark.parametrize("kind, tree", [
+    ("OBJECT", "bpy.data.materials['Ball'].node_tree"), ("WORLD", "world.node_tree")])
 def test_the_shader_editor_shows_the_nodes(artist, kind, tree):
     artist.do("world = scene.world; show('OBJECT', 'Ball'); viewport = area('VIEW_3D')")
     try:
