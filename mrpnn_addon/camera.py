@@ -59,14 +59,18 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     ), _warnings(where, lens, render)
 
 
+def panorama_settings(lens):
+    """What holds the kind of a panoramic lens; None where Cycles is disabled and keeps it."""
+    # Before 4.3, panoramas are Cycles' own property.
+    return lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
+
+
 def _panorama(lens) -> str:
-    # Before 4.5 panoramas are Cycles' own property.
-    settings = lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
-    return getattr(settings, 'panorama_type', lens.type)
+    return getattr(panorama_settings(lens), 'panorama_type', lens.type)
 
 
 def _ends(lens, name: str) -> Tuple[float, float]:
-    settings = lens if hasattr(lens, 'panorama_type') else lens.cycles
+    settings = panorama_settings(lens)
     return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
 
 

@@ -8,7 +8,7 @@ import gpu
 import numpy as np
 
 from ..inference.scene import Cancelled, SceneError
-from . import viewport
+from . import builtin_panels, viewport
 from .film import background, on_background
 from .last_render import remember_finished
 from .layer_frame import rgba
@@ -16,6 +16,7 @@ from .material import shows_volume
 from .passes import extra_passes
 from .render_job import render_scene, stamp
 from .scene import read_scene
+from .unrendered import unrendered
 from .viewport import Viewport, viewport_camera
 from .visibility import shown_objects
 from .volume_loading import VolumeLoading
@@ -28,8 +29,13 @@ SECONDS_A_LOOK = 0.05
 class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_idname = "MRPNN"
     bl_label = "MRPNN Volumes"
+    # Where Python sets some properties, such as the engine, Blender waits for the thread of a preview while it holds the
+    # interpreter's lock, and hangs if the preview's engine is written in Python, as Cycles' is, too (4.3 and 5.2).
+    # Without, Blender shows no previews, as for Workbench.
     bl_use_preview = False
     bl_use_postprocess = True
+    # Left at its default, it hides the Shader Editor.
+    bl_use_shading_nodes_custom = False
     # Material Preview is EEVEE's.
     bl_use_eevee_viewport = True
 
@@ -106,6 +112,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             behind, more = background(depsgraph)
             warnings = [*warnings, *more]
             image = on_background(finished.layer, behind)
+        # Blender's window shows the last report.
+        if missing := unrendered(depsgraph).message:
+            warnings = [*warnings, missing]
         for warning in warnings:
             self.report({'WARNING'}, warning)
         extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]
@@ -179,30 +188,12 @@ def _shows_volumes(depsgraph) -> bool:
     return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
 
 
-# Built-in panels for every engine carry BLENDER_RENDER; these hold material, sun and world besides.
-MORE_PANELS = ('EEVEE_MATERIAL_PT_context_material', 'EEVEE_MATERIAL_PT_volume', 'DATA_PT_EEVEE_light',
-               'VIEWLAYER_PT_layer_passes')
-# Post-effects on surfaces, which this engine does not render.
-FOREIGN_PANELS = ('VIEWLAYER_PT_filter', 'RENDER_PT_freestyle')
-
-
-def _panels():
-    """Built-in panels to show while this engine is chosen."""
-    for panel in bpy.types.Panel.__subclasses__():
-        engines = getattr(panel, 'COMPAT_ENGINES', ())
-        general = 'BLENDER_RENDER' in engines and panel.__name__ not in FOREIGN_PANELS
-        if general or panel.__name__ in MORE_PANELS:
-            yield panel
-
-
 def register():
     bpy.utils.register_class(MRPNNRenderEngine)
-    for panel in _panels():
-        panel.COMPAT_ENGINES.add(MRPNNRenderEngine.bl_idname)
+    builtin_panels.register(MRPNNRenderEngine.bl_idname)
 
 
 def unregister():
     viewport.unregister()
-    for panel in _panels():
-        panel.COMPAT_ENGINES.discard(MRPNNRenderEngine.bl_idname)
+    builtin_panels.unregister(MRPNNRenderEngine.bl_idname)
     bpy.utils.unregister_class(MRPNNRenderEngine)

@@ -21,9 +21,9 @@ SECONDS_A_POINT, SECONDS_A_PIXEL, SECONDS_A_FIELD = 8e-6, 1.3e-5, 0.8
 
 @dataclass
 class Forecast:
-    """volumes, suns: how many. pixels: inside the bounds of volumes. points: that the network
-    predicts, at most. seconds: of the render, roughly. warnings: of camera and suns.
-    problem: what keeps the scene from rendering, or "".
+    """volumes, suns: how many, a soft sun and the World counting as several. pixels: inside the bounds of volumes.
+    points: that the network predicts, at most. seconds: of the render, roughly. warnings: of camera and suns.
+    problem: what keeps the scene from rendering, or "". lamps: sun lamps. world: whether the World lights the volumes.
     """
 
     volumes: int
@@ -33,29 +33,33 @@ class Forecast:
     seconds: float
     warnings: List[str]
     problem: str = ""
+    lamps: int = 0
+    world: bool = False
 
 
 def forecast(depsgraph) -> Forecast:
     """Look at the scene without reading its volumes."""
     try:
         camera, warnings = read_camera(depsgraph)
-        covered, volumes, lights = np.zeros(camera.resolution[::-1], bool), 0, []
+        covered, volumes, lamps, lights = np.zeros(camera.resolution[::-1], bool), 0, 0, []
         for shown in shown_objects(depsgraph):
             if shows_volume(shown.object) and not why_unseen(shown, depsgraph.view_layer):
                 volumes += 1
                 _cover(covered, camera, shown)
             elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
                 suns, said = read_suns(shown)
+                lamps += 1
                 lights += suns
                 warnings += said
-        suns = len(lights) + expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
+        directions = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
+        suns = len(lights) + directions
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
     x0, y0, x1, y1 = camera.window
     pixels = int(covered[y0:y1, x0:x1].sum())
     points = pixels * depsgraph.scene.mrpnn.depth_samples * suns
     seconds = pixels * SECONDS_A_PIXEL + points * _seconds_a_point() + volumes * suns * SECONDS_A_FIELD
-    return Forecast(volumes, suns, pixels, points, seconds, warnings)
+    return Forecast(volumes, suns, pixels, points, seconds, warnings, lamps=lamps, world=directions > 0)
 
 
 def _seconds_a_point() -> float:

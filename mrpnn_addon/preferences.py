@@ -13,13 +13,13 @@ EXTENSION = __package__.rpartition(".")[0]
 DEFAULT_THREADS, DEFAULT_MEMORY = 0, 8
 
 # Names and descriptions of `inference.provider.PROVIDERS`. Numbers stand in files: new ones go to the end.
-_OTHER = "; needs an onnxruntime that has it, else the processor runs the network and a warning says so"
+_OTHER = "; needs an onnxruntime built for it, otherwise the network runs on the processor and a warning says so"
 _PROVIDER_ITEMS = [
-    ('CPU', "Processor", "The shipped onnxruntime's", 0),
-    ('CUDA', "CUDA", f"NVIDIA graphics{_OTHER}", 1),
-    ('DIRECTML', "DirectML", f"Graphics on Windows{_OTHER}", 2),
-    ('COREML', "CoreML", f"On macOS{_OTHER}", 3),
-    ('OPENVINO', "OpenVINO", f"Intel processors and graphics{_OTHER}", 4),
+    ('CPU', "Processor", "Always available", 0),
+    ('CUDA', "CUDA", f"NVIDIA GPUs{_OTHER}", 1),
+    ('DIRECTML', "DirectML", f"GPUs on Windows{_OTHER}", 2),
+    ('COREML', "CoreML", f"macOS{_OTHER}", 3),
+    ('OPENVINO', "OpenVINO", f"Intel processors and GPUs{_OTHER}", 4),
 ]
 
 
@@ -28,16 +28,17 @@ class PreferenceProperties:
 
     threads: IntProperty(
         name="Threads", default=DEFAULT_THREADS, min=0, max=1024,
-        description="Worker threads where the scene says nothing else; 0 uses one a core")
+        description="Number of render threads, for scenes that set none; 0 uses one per core")
     memory_limit: IntProperty(
-        name="Memory Limit", default=DEFAULT_MEMORY, min=1, max=1024,
-        description="GiB that a render may use where the scene says nothing else; one that needs more is refused "
+        name="Memory Limit (GiB)", default=DEFAULT_MEMORY, min=1, max=1024,
+        description="Memory that a render may use, in GiB, for scenes that set no limit; one that needs more is refused "
         "before it starts")
     model: EnumProperty(
         name="Network", items=model_items, default=model_number(Settings.model),
-        description="Network that predicts multiple scattering where the scene says nothing else")
+        description="Network that predicts multiple scattering, for scenes that choose none")
     provider: EnumProperty(
-        name="Provider", items=_PROVIDER_ITEMS, default='CPU', description="What of onnxruntime runs the network")
+        name="Provider", items=_PROVIDER_ITEMS, default='CPU',
+        description="Hardware that onnxruntime runs the network on")
 
 
 @dataclass

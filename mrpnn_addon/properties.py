@@ -17,10 +17,10 @@ RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0)
 # Depth samples of each preset.
 PRESETS = {'PREVIEW': 1, 'DRAFT': 4, 'FINAL': 16}
 _PRESET_ITEMS = [
-    ('PREVIEW', "Preview", "Fastest; single scattering and shape are final already"),
-    ('DRAFT', "Draft", "Little error left from the choice of depths"),
-    ('FINAL', "Final", "No error left from the choice of depths but in the thickest clouds"),
-    ('CUSTOM', "Custom", "None of the presets"),
+    ('PREVIEW', "Preview", "1 depth sample: fastest, with final shape and single scattering"),
+    ('DRAFT', "Draft", "4 depth samples: little sampling error"),
+    ('FINAL', "Final", "16 depth samples: no visible sampling error except in the densest clouds"),
+    ('CUSTOM', "Custom", "Another number of depth samples"),
 ]
 
 _LEAVE_OUT_ITEMS = [
@@ -28,7 +28,7 @@ _LEAVE_OUT_ITEMS = [
     for number, (name, omission) in enumerate(OPTIMIZATIONS.items())]
 
 # Of the scene's network: the preferences' one.
-AS_PREFERRED = ('PREFERENCES', "As in the Preferences", "The network that the preferences name", 'NONE', 0)
+AS_PREFERRED = ('PREFERENCES', "From Preferences", "The network chosen in the preferences", 'NONE', 0)
 _model_items = []
 
 
@@ -52,7 +52,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     version: IntProperty(options={'HIDDEN'})
     preset: EnumProperty(
         name="Preset", items=_PRESET_ITEMS, get=_preset, set=_choose_preset, options={'SKIP_SAVE'},
-        description="Depth samples for a purpose")
+        description="Number of depth samples")
     depth_samples: IntProperty(
         name="Depth Samples", default=PRESETS['DRAFT'], min=1, max=256, soft_max=64,
         description="Points along each camera ray at which the network predicts multiple scattering",
@@ -61,26 +61,27 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         name="Network", items=_scene_models, default=AS_PREFERRED[-1],
         description="Network that predicts multiple scattering")
     seed: IntProperty(
-        name="Seed", default=0, min=0, description="Of the lookups' random offsets; the same seed gives the same image")
+        name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image")
     leave_out: EnumProperty(
-        name="Leave Out", items=_LEAVE_OUT_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
-        description="Work that the picture does not need. All of it can be asked for, to see that the picture stays the same")
+        name="Optimizations", items=_LEAVE_OUT_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
+        description="Shortcuts that save time and keep the picture. Turn one off to see that it stays the same")
     threads: IntProperty(
-        name="Threads", default=0, min=0, max=1024, description="Worker threads; 0 is as in the preferences")
+        name="Threads", default=0, min=0, max=1024,
+        description="Number of render threads. 0 takes the number from the preferences")
     memory_limit: IntProperty(
-        name="Memory Limit", default=0, min=0, max=1024,
-        description="GiB that a render may use; one that needs more is refused before it starts. "
-        "0 is as in the preferences")
+        name="Memory (GiB)", default=0, min=0, max=1024,
+        description="Memory that a render may use, in GiB; one that needs more is refused before it starts. "
+        "0 takes the limit from the preferences")
     world_directions: IntProperty(
         name="World Directions", default=12, min=0, max=256,
-        description="Directions of light that stand for the World, at most half of them beside bright suns; each takes "
-                    "as long as a sun. 0 leaves the World out")
+        description="Directions from which the World lights the volumes, half as many beside bright suns. Each takes as "
+                    "long as a sun. 0 leaves the World out")
     use_exr: BoolProperty(
-        name="Write EXR", default=False, description="Write the layer to a multi-layer OpenEXR file after each "
-        "Render Volumes. F12 writes as Output Properties say")
+        name="Write EXR", default=False, description="Write a multi-layer OpenEXR file after each "
+        "Render Volumes. F12 writes what the output properties say")
     exr_path: StringProperty(
         name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
-        description="File that Write EXR writes")
+        description="Multi-layer OpenEXR file to write")
 
     def settings(self) -> Settings:
         """As `inference.render` takes them."""

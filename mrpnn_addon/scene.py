@@ -102,7 +102,8 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
         description.warnings += warnings
     elif kind == 'LIGHT':
         lamp = shown.object.data.type.lower()
-        description.warnings.append(f"light \"{shown.name}\", of type {lamp}, is not rendered; only suns are")
+        description.warnings.append(
+            f"light \"{shown.name}\" ({lamp}) is left out; only suns and the World light volumes")
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
         description.opaque += [surface] if surface else []

@@ -26,13 +26,19 @@ class Source:
     groups: Tuple = ()
 
 
+def always_has_nodes(block) -> bool:
+    """Whether a material, World or light cannot do without nodes. Asking it whether it uses them then warns."""
+    return bpy.app.version >= (5, 0, 0) and not isinstance(block, bpy.types.Light)
+
+
+def has_nodes(block) -> bool:
+    """Whether a material, World or light is rendered by its nodes."""
+    return block.node_tree is not None and (always_has_nodes(block) or block.use_nodes)
+
+
 def active_output(block):
     """The output node that Cycles uses of a material, World or light; None without nodes."""
-    # From 5.0 on materials and Worlds always use their nodes, and asking for it warns.
-    always = bpy.app.version >= (5, 0, 0) and not isinstance(block, bpy.types.Light)
-    if not (always or block.use_nodes) or block.node_tree is None:
-        return None
-    return block.node_tree.get_output_node('CYCLES')
+    return block.node_tree.get_output_node('CYCLES') if has_nodes(block) else None
 
 
 def source_of(socket, groups=()) -> Source:

@@ -57,10 +57,12 @@ def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
     found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
-    if surfaces:
-        found.append(f"{_names(surfaces)}: surfaces cover volumes, keep suns from them and end the light that they "
-                     "scatter, as if they were black: what they throw back is not rendered. Composite over Cycles renders "
-                     "the surfaces themselves")
+    if len(surfaces) == 1:
+        found.append(f"{_names(surfaces)} only hides and shades volumes, as if it were black; Composite over Cycles "
+                     "renders it, too")
+    elif surfaces:
+        found.append(f"{_names(surfaces)} only hide and shade volumes, as if they were black; Composite over Cycles "
+                     "renders them, too")
     return found
 
 

@@ -9,6 +9,7 @@ from ..inference import RenderCache
 from ..inference.scene import Camera, SceneError, Settings
 from .preview import Prepared, Preview
 from .scene import read_scene
+from .unrendered import unrendered
 from .volume_loading import VolumeLoading
 from .volumes import VolumeReader
 
@@ -46,7 +47,7 @@ class Viewport:
 
     def __init__(self):
         self.reader, self._prepared = VolumeReader(), Prepared(RenderCache())
-        self.description, self.message = None, ""
+        self.description, self.message, self._unrendered = None, "", ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
         self._loading, self._before = None, None
 
@@ -76,6 +77,7 @@ class Viewport:
     def _describe(self, depsgraph) -> None:
         error = self._loading and self._loading.error
         self._stop_loading()
+        self._unrendered = unrendered(depsgraph).summary
         try:
             if error is not None:
                 return self.describe(None, str(error))
@@ -121,7 +123,8 @@ class Viewport:
         """A line for the viewport's header."""
         if self.message or self._preview is None:
             return self.message
-        return self._preview.message or ("" if self._preview.done else "Refining")
+        now = self._preview.message or ("" if self._preview.done else "Refining")
+        return " | ".join(part for part in (now, self._unrendered) if part)
 
     def close(self) -> None:
         """Stop what is at work."""

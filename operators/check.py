@@ -7,7 +7,7 @@ from .waiting import WaitsForVolumes
 
 
 class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
-    """Read the scene as a render would, and list everything that it would ignore or approximate"""
+    """Read the scene as a render does, and list everything in it that is left out or approximated"""
 
     bl_idname = "mrpnn.check"
     bl_label = "Check Scene"

@@ -22,39 +22,39 @@ SECONDS_A_TICK, SECONDS_A_LOOK = 0.1, 0.01
 
 
 class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
-    """Measure error against run time of the layer and of Cycles on this view, and write a report.
-    Cycles renders in a Blender of its own; Esc stops and keeps what is finished, and another run goes on from there"""
+    """Render this view with Cycles as well, and report samples, time and error of both.
+    Cycles runs in a process of its own. Esc stops it and keeps what is finished; another run continues from there"""
 
     bl_idname = "mrpnn.compare"
     bl_label = "Compare with Cycles"
 
     samples: IntProperty(
-        name="Reference Samples", default=32, min=1, max=65536,
-        description="Samples a pixel in each of the reference's two halves, at most")
+        name="Samples", default=32, min=1, max=65536,
+        description="Samples per pixel, at most, of each of the two Cycles images that make the reference")
     budget: FloatProperty(
-        name="Seconds", default=300.0, min=0.0, soft_max=3600.0,
-        description="That Cycles may take in this run, roughly; 0 for as many as it needs")
+        name="Time Limit", default=300.0, min=0.0, soft_max=3600.0, subtype='TIME_ABSOLUTE', unit='TIME_ABSOLUTE',
+        description="Time that Cycles may take, roughly. 0 sets no limit")
     ladder: IntProperty(
-        name="Ladder", default=64, min=0, max=65536,
-        description="Samples a pixel of Cycles' highest rung: 1, 4, 16 and so on up to it; 0 for none")
+        name="Cycles Up To", default=64, min=0, max=65536,
+        description="Measure Cycles at 1, 4, 16 and so on up to this many samples per pixel. 0 measures none")
     denoised: BoolProperty(
-        name="Denoised", default=True, description="Measure Cycles with OpenImageDenoise as well")
+        name="Denoised Cycles", default=True, description="Measure Cycles with OpenImageDenoise, too")
     models: EnumProperty(
-        name="Networks", default='ONE', description="Whose errors are measured",
+        name="Networks", default='ONE', description="Networks to measure",
         items=[('ONE', "The Scene's", "The scene's network"), ('ALL', "All", "Every network of the extension")])
     bounces: IntProperty(
         name="Bounces", default=1024, min=1, max=1024,
-        description="Most scattering events along a path in Cycles")
+        description="Maximum number of volume bounces in Cycles")
     scale: IntProperty(
         name="Size", default=25, min=1, max=100, subtype='PERCENTAGE',
-        description="Size of the comparison, of the render resolution; Cycles' time goes with its square")
+        description="Size of the compared images, relative to the render resolution. Time grows with its square")
     reference_path: StringProperty(
-        name="Reference", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
-        description="Image of the same view to judge by, OpenEXR with alpha; rendered in Cycles by default")
+        name="Reference Image", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
+        description="Image of the same view, OpenEXR with alpha, to measure errors against. Without, Cycles renders it")
     folder: StringProperty(
         name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
-        description="For the report and for finished images, from which another run goes on; beside a file "
-                    "that is not saved, it lies in Blender's temporary folder")
+        description="Folder of the report and of finished images, from which another run continues. While the file "
+                    "is not saved, it is in Blender's temporary folder")
 
     _run = None
     _timer = None
@@ -70,6 +70,17 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         # Blender prepares its view transform at the first picture, for as long as 0.3 s: now, while nothing is at work.
         view_png(np.zeros((1, 1, 4)), context.scene)
         return context.window_manager.invoke_props_dialog(self)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        for name in ("samples", "budget", "scale"):
+            layout.prop(self, name)
+        header, body = layout.panel("MRPNN_compare_settings", default_closed=True)
+        header.label(text="Settings")
+        if body:
+            for name in ("ladder", "denoised", "models", "bounces", "reference_path", "folder"):
+                body.prop(self, name)
 
     def execute(self, context):
         if MRPNN_OT_compare._run is not None:

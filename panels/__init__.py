@@ -2,9 +2,12 @@
 
 import bpy
 
-from . import object_panel, preferences_panel, render_panel, view_layer_panel
+from . import (camera_panel, light_panel, material_panel, object_panel, preferences_panel, render_panel,
+               view_layer_panel, visibility_panel, world_panel)
 
-CLASSES = (*preferences_panel.classes, *render_panel.classes, *view_layer_panel.classes, *object_panel.classes)
+MODULES = (preferences_panel, render_panel, view_layer_panel, object_panel, visibility_panel, material_panel,
+           light_panel, camera_panel, world_panel)
+CLASSES = tuple(panel for module in MODULES for panel in module.classes)
 
 
 def register():

@@ -1,36 +1,25 @@
-"""Panel in the object properties of volumes and suns: how MRPNN sees them."""
+"""Panel in the object properties of volumes: how MRPNN sees them."""
 
 import bpy
 
-from ..mrpnn_addon.engine import MRPNNRenderEngine
 from ..mrpnn_addon.material import shows_volume
 from ..mrpnn_addon.scene_check import last_check
+from .engine_panel import EnginePanel
 from .text import draw_text
 
 
-class MRPNN_PT_object(bpy.types.Panel):
+class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
     bl_label = "MRPNN Volumes"
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
     bl_context = "object"
 
     @classmethod
     def poll(cls, context):
-        shown = context.object
-        return context.engine == MRPNNRenderEngine.bl_idname and shown is not None and (
-            shows_volume(shown) or shown.type == 'LIGHT' and shown.data.type == 'SUN')
+        return super().poll(context) and context.object is not None and shows_volume(context.object)
 
     def draw(self, context):
-        layout, shown = self.layout, context.object
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        if shown.type == 'LIGHT':
-            layout.prop(shown, "visible_volume_scatter", text="Lights Volumes")
-            return
-        layout.prop(shown, "visible_camera", text="Visible to Camera")
-        check = last_check()
+        layout, shown, check = self.layout, context.object, last_check()
         if check is None:
-            draw_text(context, layout, "Check Scene in the render properties tells more", 'INFO')
+            draw_text(context, layout, "Check Scene in the render properties reads its voxels", 'INFO')
             return
         column = layout.column()
         column.active = not check.outdated(context.scene)

@@ -6,8 +6,10 @@ from ..mrpnn_addon.engine import MRPNNRenderEngine
 from ..mrpnn_addon.forecast import forecast
 from ..mrpnn_addon.last_comparison import last_comparison
 from ..mrpnn_addon.last_render import last_render
+from ..mrpnn_addon.preferences import machine
 from ..mrpnn_addon.scene_check import last_check
 from ..mrpnn_addon.scene_watch import scene_state
+from ..mrpnn_addon.unrendered import unrendered
 from ..operators.check import MRPNN_OT_check
 from ..operators.compare import MRPNN_OT_compare
 from ..operators.composite import MRPNN_OT_composite
@@ -15,8 +17,8 @@ from ..operators.documentation import MRPNN_OT_documentation
 from ..operators.render import MRPNN_OT_render
 from .text import draw_text
 
-
-CLOCK_NAMES = {"seconds": "seconds", "cpu_seconds": "processor seconds"}
+# Headings of a comparison's clocks.
+TIMES = {"seconds": "Time", "cpu_seconds": "Processor"}
 
 
 class _RenderPanel:
@@ -39,9 +41,10 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.mrpnn
         layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
         layout.row().prop(settings, "preset", expand=True)
-        column = _split(layout)
+        _split(layout).prop(settings, "model")
+        # With their names in the fields, which the default width would cut off beside them.
+        column = layout.column(align=True)
         column.prop(settings, "depth_samples")
-        column.prop(settings, "model")
         column.prop(settings, "seed")
         row = column.row()
         row.active = context.scene.world is not None
@@ -50,16 +53,18 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
 
 
 def _draw_last(context, layout, last):
-    """Time and warnings of the last render, or why it failed."""
+    """Time and warnings of the last render, or why it failed; what Before Rendering says is not said again."""
     if last is None:
         return
     if last.error:
         draw_text(context, layout.box(), last.error, 'ERROR')
         return
-    spared = f", about {last.saved:.1f} s left out" if last.saved >= 0.05 else ""
-    layout.label(text=f"Last render: {last.seconds:.1f} s{spared}", icon='TIME')
+    saved = f" ({last.saved:.0f} s saved)" if last.saved >= 1.0 else ""
+    draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", 'TIME')
+    _, missing = _expected(context)
     for warning in last.warnings:
-        draw_text(context, layout.box(), warning, 'INFO')
+        if not missing.names(warning):
+            draw_text(context, layout, warning, 'INFO')
 
 
 class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
@@ -68,18 +73,23 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
 
     def draw(self, context):
         layout, scene = self.layout, context.scene
-        expected = _forecast(context)
+        expected, missing = _expected(context)
         if expected.problem:
             draw_text(context, layout, expected.problem, 'ERROR')
         elif not expected.volumes:
-            draw_text(context, layout, "The scene shows no Volume object; add one with Add > Volume", 'ERROR')
-        elif not expected.suns:
-            draw_text(context, layout, "The scene shows no sun; add one with Add > Light > Sun", 'ERROR')
+            draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", 'ERROR')
         else:
-            column = layout.column(align=True)
-            column.label(text=f"{_number(expected.volumes, 'volume')}, {_number(expected.suns, 'sun')}, "
-                              f"{expected.pixels:,} pixels", icon='OUTLINER_DATA_VOLUME')
-            column.label(text=f"About {_duration(expected.seconds)}, at most {expected.points:,} points", icon='TIME')
+            lights = [_number(expected.lamps, "sun")] * (expected.lamps > 0) + ["World"] * expected.world
+            draw_text(context, layout, f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}, "
+                                       f"{expected.pixels:,} pixels", 'OUTLINER_DATA_VOLUME')
+            if not lights:
+                draw_text(context, layout, "Only what volumes emit is seen; add a sun with Add > Light > Sun", 'INFO')
+            else:
+                draw_text(context, layout, f"About {_duration(expected.seconds)}", 'TIME')
+        for line in missing.lines:
+            draw_text(context, layout, line, 'INFO')
+        if missing.surfaces:
+            layout.operator(MRPNN_OT_composite.bl_idname)
         row = layout.row(align=True)
         row.operator(MRPNN_OT_check.bl_idname, icon='VIEWZOOM')
         row.operator(MRPNN_OT_documentation.bl_idname, icon='HELP', text="")
@@ -91,27 +101,47 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         column = layout.column()
         column.active = not check.outdated(scene)
         if check.outdated(scene):
-            column.label(text="The scene has changed since:", icon='FILE_REFRESH')
+            draw_text(context, column, "The scene has changed since:", 'FILE_REFRESH')
         if check.error:
             draw_text(context, column, check.error, 'ERROR')
             return
-        column.label(text=f"{check.memory / 2**30:.1f} GiB of memory", icon='MEMORY')
         for text in check.warnings:
             draw_text(context, column, text, 'INFO')
+        if not check.warnings:
+            draw_text(context, column, "Everything in the scene is rendered", 'CHECKMARK')
+
+
+class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
+    bl_label = "Details"
+    bl_parent_id = "MRPNN_PT_forecast"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        check = last_check()
+        return check is not None and not check.error
+
+    def draw(self, context):
+        check, column = last_check(), self.layout.column()
+        column.active = not check.outdated(context.scene)
+        draw_text(context, column, f"{check.memory / 2**30:.1f} GiB of memory", 'MEMORY')
         for text in check.planned:
-            draw_text(context, column, f"Renders {text}", 'CHECKMARK')
+            draw_text(context, column, text, 'DOT')
+        if check.left_out:
+            column.label(text="Not needed for this picture:")
         for text in check.left_out:
-            draw_text(context, column, f"Leaves out {text}", 'X')
+            draw_text(context, column, text, 'DOT')
 
 
-# The last forecast and what it was made for: panels are drawn whenever the pointer moves.
+# The last forecast, what is not rendered, and what they were made for: panels are drawn whenever the pointer moves.
 _forecasts = {}
 
 
-def _forecast(context):
+def _expected(context):
     key = (context.view_layer.name, last_render(), *scene_state(context.scene))
     if _forecasts.get("key") != key:
-        value = forecast(context.evaluated_depsgraph_get())
+        depsgraph = context.evaluated_depsgraph_get()
+        value = forecast(depsgraph), unrendered(depsgraph)
         # Asking for the scene may have evaluated it, which counts as a change.
         _forecasts.update(key=(*key[:2], *scene_state(context.scene)), value=value)
     return _forecasts["value"]
@@ -143,13 +173,22 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        column = _split(self.layout)
-        column.prop(context.scene.mrpnn, "threads")
-        column.prop(context.scene.mrpnn, "memory_limit")
+        settings, preferred, column = context.scene.mrpnn, machine(), _split(self.layout)
+        column.prop(settings, "threads")
+        if not settings.threads:
+            _draw_preferred(context, column, str(preferred.threads or "one per core"))
+        column.prop(settings, "memory_limit")
+        if not settings.memory_limit:
+            _draw_preferred(context, column, f"{preferred.memory_limit} GiB")
+
+
+def _draw_preferred(context, layout, value: str) -> None:
+    """What 0 in the setting above stands for."""
+    draw_text(context, layout, f"{value}, as in the preferences")
 
 
 class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
-    bl_label = "Leave Out"
+    bl_label = "Optimizations"
     bl_parent_id = "MRPNN_PT_performance"
     bl_options = {'DEFAULT_CLOSED'}
 
@@ -191,13 +230,13 @@ def _draw_comparison(context, layout, last):
         return
     comparison, page = last
     box = layout.box()
-    box.label(text=f"Error and {CLOCK_NAMES[comparison.clock]}", icon='GRAPH')
-    grid = box.column(align=True)
+    table = box.grid_flow(row_major=True, columns=3, align=True)
+    for title in ("Samples", TIMES[comparison.clock], "Error"):
+        table.label(text=title)
     for rung in comparison.rungs:
-        row = grid.row()
-        row.label(text=f"{rung.method}, {rung.samples}")
-        row.label(text=f"{rung.error:.3f}")
-        row.label(text=f"{getattr(rung, comparison.clock):.2g}")
+        table.label(text=f"{rung.samples}, {rung.method}")
+        table.label(text=f"{getattr(rung, comparison.clock):.2g} s")
+        table.label(text=f"{rung.error:.3f}")
     for sentence in (*comparison.sentences(), *comparison.marks):
         draw_text(context, box, sentence, 'INFO')
     if not comparison.verdict.good:
@@ -205,5 +244,5 @@ def _draw_comparison(context, layout, last):
     box.operator("wm.url_open", text="Open Report", icon='URL').url = page.as_uri()
 
 
-classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_leave_out, MRPNN_PT_exr,
-           MRPNN_PT_cycles)
+classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_plan, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_leave_out,
+           MRPNN_PT_exr, MRPNN_PT_cycles)

@@ -1,15 +1,33 @@
 """Sentences in panels, whose labels do not wrap by themselves."""
 
-import textwrap
+import blf
 
-# Of Blender's interface font, at scale 1.
-PIXELS_A_LETTER = 8
+# Of a region's width, at scale 1: the margins of panel and box, the icon and the label's own padding.
+TAKEN = 72
 
 
 def draw_text(context, layout, text: str, icon: str = 'NONE') -> None:
     """A sentence in as many labels as the region's width asks for, the first with the icon."""
-    letters = int(context.region.width / (PIXELS_A_LETTER * context.preferences.system.ui_scale))
+    scale, points = context.preferences.system.ui_scale, context.preferences.ui_styles[0].widget.points
+    blf.size(0, points * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for index, line in enumerate(textwrap.wrap(text, max(letters - 6, 20))):
+    width = context.region.width - TAKEN * scale
+    for index, line in enumerate(wrapped(text, width, lambda part: blf.dimensions(0, part)[0])):
         column.label(text=line, icon=icon if index == 0 else 'BLANK1')
+
+
+def wrapped(text: str, width: float, measure) -> list:
+    """The words of a text in lines that `measure` finds no wider than `width`; a wider word is cut."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if measure(longer) <= width:
+            lines[-1] = longer
+            continue
+        lines += [""] if lines[-1] else []
+        for letter in word:
+            if lines[-1] and measure(lines[-1] + letter) > width:
+                lines.append("")
+            lines[-1] += letter
+    return lines

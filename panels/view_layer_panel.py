@@ -2,19 +2,13 @@
 
 import bpy
 
-from ..mrpnn_addon.engine import MRPNNRenderEngine
+from .engine_panel import EnginePanel
 
 
-class MRPNN_PT_passes(bpy.types.Panel):
+class MRPNN_PT_passes(EnginePanel, bpy.types.Panel):
     bl_label = "Data"
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
     bl_context = "view_layer"
     bl_parent_id = "VIEWLAYER_PT_layer_passes"
-
-    @classmethod
-    def poll(cls, context):
-        return context.engine == MRPNNRenderEngine.bl_idname
 
     def draw(self, context):
         layout, view_layer = self.layout, context.view_layer

@@ -1,10 +1,13 @@
 """Fixtures for the tests that run inside Blender (the bpy module)."""
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
+
+from .window import SCENE, SUITES, WORK, Window
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
@@ -67,3 +70,19 @@ def zips():
 def linux_zip(zips):
     (path,) = [path for path in zips if "linux_x64" in path.name]
     return path
+
+
+@pytest.fixture(scope="module", params=SUITES)
+def window(request, linux_zip):
+    window = Window(request.param)
+    shutil.copy(linux_zip, window.work / "window.zip")
+    window.start()
+    try:
+        window.do(f"WORK = '{WORK}'")
+        window.do("bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
+                  "enable_on_install=True, overwrite=True)")
+        made = window.do(SCENE)
+        assert made.endswith("made"), made
+        yield window
+    finally:
+        window.stop()

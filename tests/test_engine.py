@@ -218,7 +218,7 @@ def test_files_tell_how_they_were_made(addon, scene, cloud, tmp_path):
 
 
 def test_built_in_panels_show_for_the_engine_only_while_registered(addon):
-    panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_volume]
+    panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_context_material]
     assert all('MRPNN' in panel.COMPAT_ENGINES for panel in panels)
     addon.unregister()
     try:

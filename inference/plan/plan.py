@@ -172,7 +172,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
     merged = _needed_suns(suns, settings, left_out)
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:
-        left_out.append("two of three colour channels' rays and fields: extinction is grey")
+        left_out.append("two of three colour channels: extinction is grey")
     groups, _ = overlapping([volume for volume, _ in rendered])
     multiple, scattered_emission = [], []
     for group in groups:
@@ -228,15 +228,15 @@ def _plan_group(members, lit: bool, settings: Settings, planned: List[str], left
     predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
-        planned.append(f"{names}: emission, scattered")
+        planned.append(f"{names}: scattered emission")
     if not predicted:
         reason = "its albedo or density is 0" if not scatters else "no sun shines"
-        left_out.append(f"{names}: multiple scattering, {reason if settings.multiple else 'the settings say so'}")
+        left_out.append(f"{names}: multiple scattering, {reason if settings.multiple else 'turned off'}")
     elif len(members) > 1:
-        planned.append(f"{names}: network, as one medium")
+        planned.append(f"{names}: multiple scattering, as one medium")
     else:
         stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
-        planned.append(f"{names}: network with {stages} albedo stage{'s' if stages > 1 else ''}")
+        planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
 
 

@@ -22,25 +22,25 @@ ROUNDING = 1e-4
 
 OPTIMIZATIONS = {
     "missed_pixels": Optimization(
-        "Pixels Without Volumes", "No camera rays through pixels away from every volume", 0.0),
+        "Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
     "empty_space": Optimization(
-        "Empty Space", "Camera rays skip what lies away from density", ROUNDING),
+        "Skip Empty Space", "Camera rays skip space without density", ROUNDING),
     "behind_opaque": Optimization(
-        "What Is Hidden", "Camera rays end where volumes have become opaque", 1e-3),
+        "Early Ray Termination", "Camera rays end where volumes have become opaque", 1e-3),
     "needless_suns": Optimization(
-        "Needless Suns",
-        "Suns of no light, or in the shadow of meshes, are left out, and parallel ones merged", 5e-3),
+        "Merge and Cull Suns",
+        "Suns without light, or shadowed by meshes, are skipped, and parallel ones merged", 5e-3),
     "equal_channels": Optimization(
-        "Equal Extinction", "Colour channels of one extinction share rays, fields and network", ROUNDING),
+        "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING),
     "equal_albedos": Optimization(
-        "Equal Albedos", "Channels of one albedo share the network's answer, and black ones need none", ROUNDING),
+        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING),
     "unread_fields": Optimization(
-        "Fields Out of Reach", "Lookup fields are built only as far as visible points reach", ROUNDING),
+        "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING),
     "unchanged": Optimization(
-        "What Has Not Changed", "Viewport and animations keep volumes, shadows and fields", ROUNDING),
+        "Reuse Between Frames", "Viewport and animations reuse volumes, shadows and lookup grids", ROUNDING),
     "faint_rays": Optimization(
-        "Samples of Faint Rays", "Fewer depth samples where volumes are faint", 0.02),
+        "Adaptive Depth Samples", "Fewer depth samples where volumes are faint", 0.02),
     "shared_pixels": Optimization(
-        "Pixels Like Their Neighbours", "Pixels take multiple scattering from neighbours that agree", 0.02),
+        "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbours agree", 0.02),
 }
 ALL = frozenset(OPTIMIZATIONS)

@@ -1,0 +1,35 @@
+"""What the panels of this engine in Blender's own tabs share."""
+
+from bpy_extras.node_utils import find_node_input
+
+from ..mrpnn_addon.engine import MRPNNRenderEngine
+from ..mrpnn_addon.sockets import active_output, always_has_nodes, has_nodes
+
+
+class EnginePanel:
+    """A panel of the properties editor, while the engine is chosen."""
+
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == MRPNNRenderEngine.bl_idname
+
+
+def draw_shader(layout, block, name: str, colour: str = "") -> None:
+    """The shader at an input of the output that is rendered, of a material, World or light.
+
+    colour: the property that holds its colour while it has no nodes, or "".
+    """
+    layout.use_property_split = True
+    # Once, with what every block has.
+    if name == "Surface" and not always_has_nodes(block):
+        layout.prop(block, "use_nodes", icon='NODETREE')
+    output = active_output(block)
+    if output is not None:
+        layout.template_node_view(block.node_tree, output, find_node_input(output, name))
+    elif has_nodes(block):
+        layout.label(text="No output node")
+    elif colour:
+        layout.prop(block, colour, text="Color")

@@ -1,0 +1,36 @@
+"""Cycles' ray visibility of objects, as far as volumes heed it."""
+
+import bpy
+
+from ..mrpnn_addon.material import SURFACES, shows_volume
+from .engine_panel import EnginePanel
+
+
+class MRPNN_PT_visibility(EnginePanel, bpy.types.Panel):
+    bl_label = "Ray Visibility"
+    bl_context = "object"
+    bl_parent_id = "OBJECT_PT_visibility"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and bool(_rays(context.object))
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        for ray in _rays(context.object):
+            layout.prop(context.object, f"visible_{ray}", text=ray.replace("_", " ").title())
+
+
+def _rays(shown):
+    """Names of the kinds of rays whose switch changes something for an object."""
+    if shown is None:
+        return ()
+    if shows_volume(shown):
+        return ("camera",)
+    if shown.type in SURFACES:
+        return "camera", "volume_scatter", "shadow"
+    return ("volume_scatter",) if shown.type == 'LIGHT' else ()
+
+
+classes = (MRPNN_PT_visibility,)
