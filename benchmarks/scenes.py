@@ -62,7 +62,7 @@ def write_cloud(path: Path) -> None:
 def measured(name, stage, options) -> dict:
     """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
     from mrpnn import inference
-    from mrpnn.inference.error import relative_bias, relative_rmse
+    from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
     from mrpnn.mrpnn_addon.cycles_reference import render_reference, volumes_and_suns
     from mrpnn.mrpnn_addon.scene import read_scene
 

@@ -98,7 +98,7 @@ def measure(path: Path, cells: int, size) -> dict:
     """Read and render a file of cells^3 voxels in Blender's scene; figures."""
     import bpy
     from mrpnn.inference import Settings, render
-    from mrpnn.inference.plan import make_plan
+    from mrpnn.inference.plan.plan import make_plan
     from mrpnn.mrpnn_addon.scene import read_scene
 
     from . import demo_scene

@@ -57,7 +57,7 @@ def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
 
 def test_the_preferences_offer_every_provider(addon, scene):
     items = addon.mrpnn_addon.preferences._PROVIDER_ITEMS
-    assert [item[0] for item in items] == list(addon.inference.provider.PROVIDERS)
+    assert [item[0] for item in items] == list(addon.inference.network.provider.PROVIDERS)
 
 
 def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_path, capfd):

@@ -373,7 +373,7 @@ def test_rays_pass_through_the_pixels_that_blender_projects_to(addon, scene, tmp
         scene.render.resolution_y * scene.render.resolution_percentage // 100)
     # Blender's projection in full-size pixels of the same aspect.
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
-    origins, directions, *_ = addon.inference.rays.camera_rays(camera)
+    origins, directions, *_ = addon.inference.scene.camera_rays.camera_rays(camera)
     bpy.context.view_layer.update()
     for pixel in random.integers(0, width * height, 20):
         point = Vector(origins[pixel] + random.uniform(2, 9) * directions[pixel])
