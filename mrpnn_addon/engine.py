@@ -9,7 +9,8 @@ import numpy as np
 
 from ..inference.scene import Cancelled, SceneError
 from . import builtin_panels, viewport
-from .film import background, on_background
+from .camera import read_camera
+from .film import over, read_background
 from .last_render import remember_finished
 from .layer_frame import rgba
 from .material import shows_volume
@@ -66,7 +67,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         """Blender calls this when something in the viewport's scene has changed."""
         if self._viewport is None:
             self._viewport = Viewport()
-        elif self._viewport.description is not None and all(
+        self._viewport.backdrop.read(depsgraph)
+        if self._viewport.description is not None and all(
                 isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
             # Selecting, and settings, which view_draw compares: the volumes are as they were.
             return
@@ -83,6 +85,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         camera = viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
                                  context.space_data.clip_end)
         self._viewport.look(camera, depsgraph.scene.mrpnn.settings())
+        self._viewport.backdrop.look(camera)
         gpu.state.blend_set('ALPHA_PREMULT')
         self.bind_display_space_shader(depsgraph.scene)
         self._viewport.draw(size)
@@ -99,23 +102,20 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
             self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
             return self._write_empty(depsgraph)
-        self.update_stats("", "Reading volumes")
         scene = self._read(depsgraph)
         # With a render region, Blender hands out a result of the region's size.
         scene.crop = True
+        transparent = depsgraph.scene.render.film_transparent
+        behind = None if transparent else self._behind(depsgraph, scene.camera)
         settings = depsgraph.scene.mrpnn.settings()
         finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break)
         remember_finished(finished)
-        warnings = finished.warnings
         image = rgba(finished.layer)
-        if not depsgraph.scene.render.film_transparent:
-            behind, more = background(depsgraph)
-            warnings = [*warnings, *more]
-            image = on_background(finished.layer, behind)
+        if behind is not None:
+            image = over(image, behind.pixels())
         # Blender's window shows the last report.
-        if missing := unrendered(depsgraph).message:
-            warnings = [*warnings, missing]
-        for warning in warnings:
+        missing = unrendered(depsgraph).message
+        for warning in [*finished.warnings, missing] if missing else finished.warnings:
             self.report({'WARNING'}, warning)
         extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]
         self._write(view_layer, image, extras, stamp(settings, finished.layer.report))
@@ -125,12 +125,21 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         reader = VolumeReader()
         loading = VolumeLoading(reader, reader.wanted(depsgraph))
         while not loading.done:
+            self.update_stats("", loading.message.capitalize())
             loading.wait(SECONDS_A_LOOK)
             if self.test_break():
                 loading.stop()
         if loading.error is not None:
             raise loading.error
         return read_scene(depsgraph, reader, self._check)
+
+    def _behind(self, depsgraph, camera):
+        """The Background of a camera's pixels, whose warnings are reported."""
+        self.update_stats("", "Rendering the sky")
+        found = read_background(depsgraph, camera, self._check)
+        for warning in found.warnings:
+            self.report({'WARNING'}, warning)
+        return found
 
     def _check(self):
         if self.test_break():
@@ -140,7 +149,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         x, y = self.resolution_x, self.resolution_y
         image = np.zeros((y, x, 4), np.float32)
         if not depsgraph.scene.render.film_transparent:
-            image[...] = (*background(depsgraph)[0], 1.0)
+            image = over(image, self._behind(depsgraph, read_camera(depsgraph)[0]).pixels())
         self._write(depsgraph.view_layer, image, [], {})
 
     def _write(self, view_layer, image, extras, stamped):

@@ -23,6 +23,8 @@ class Sphere:
     """
 
     fills_its_bounds = False
+    # What arrives here is scattered by volumes.
+    seen_by_camera = False
 
     def __init__(self, rows: int = ROWS, images: bool = True):
         self.images = images

@@ -15,6 +15,8 @@ def environment_image(image):
     """
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
+    if image.source not in ('FILE', 'GENERATED'):
+        raise ValueError(f"an image of source {image.source}")
     width, height = image.size
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)

@@ -205,6 +205,14 @@ def _geometry(values, node, output, groups):
     return values.points.coordinates("world", node)
 
 
+def _light_path(values, node, output, groups):
+    # Of a World alone it is known what looks.
+    seen = getattr(values.points, 'seen_by_camera', None)
+    if seen is None or output.identifier != 'Is Camera Ray':
+        raise _unsupported(node, f"output {output.name}")
+    return np.full((1, 1), float(seen))
+
+
 def _mapping(values, node, output, groups):
     vector = values.colour(node, "Vector", groups)
     angles = values.colour(node, "Rotation", groups)
@@ -289,6 +297,7 @@ FUNCTIONS = {
     'ShaderNodeVolumeInfo': _volume_info,
     'ShaderNodeTexCoord': _texture_coordinate,
     'ShaderNodeNewGeometry': _geometry,
+    'ShaderNodeLightPath': _light_path,
     'ShaderNodeMapping': _mapping,
     'ShaderNodeTexNoise': _noise_texture,
     'ShaderNodeTexGradient': _gradient_texture,

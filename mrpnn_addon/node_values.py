@@ -88,11 +88,11 @@ def constant(socket, groups=()) -> np.ndarray:
 
     Raises Unsupported, naming the node, where it depends on the place or cannot be evaluated.
     """
-    value, _ = NodeValues(_Nowhere())._value(socket, groups)
+    value, _ = NodeValues(Nowhere())._value(socket, groups)
     return value[0]
 
 
-class _Nowhere:
+class Nowhere:
     """Points of which nothing is known: nodes that ask for a place cannot be evaluated."""
 
     def attribute(self, name, node):

@@ -1,12 +1,13 @@
 """Rendered shading: pictures of the viewport that get finer while nothing changes."""
 
 import bpy
-import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
 from ..inference import RenderCache
 from ..inference.scene import Camera, SceneError, Settings
+from . import world_picture
+from .backdrop import Backdrop, texture, view_key
 from .preview import Prepared, Preview
 from .scene import read_scene
 from .unrendered import unrendered
@@ -42,10 +43,11 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
 class Viewport:
     """What one viewport shows; owned by the engine that draws it.
 
-    reader: of volumes; what it has read is good until a volume's data or material changes.
+    reader: of volumes; what it has read is good until a volume's data or material changes. backdrop: the World behind them.
     """
 
     def __init__(self):
+        self.backdrop = Backdrop(_watch)
         self.reader, self._prepared = VolumeReader(), Prepared(RenderCache())
         self.description, self.message, self._unrendered = None, "", ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
@@ -65,7 +67,7 @@ class Viewport:
             if not self._loading.done:
                 # The last picture stays meanwhile, and what it was made of in use.
                 self._before = self.description or self._before
-                self.description, self.message, self._view = None, "Reading volumes", None
+                self.description, self.message, self._view = None, "", None
                 return _watch(self._loading)
         self._describe(depsgraph)
 
@@ -99,8 +101,7 @@ class Viewport:
 
     def look(self, camera: Camera, settings: Settings) -> None:
         """Start over where the view or the settings differ; the scene that was read is kept."""
-        view = (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale,
-                camera.shift, settings)
+        view = view_key(camera), settings
         if self.description is None or view == self._view:
             return
         self._stop_preview()
@@ -108,28 +109,30 @@ class Viewport:
         _watch(self._preview)
 
     def draw(self, size) -> None:
-        """Draw the latest picture over the region; the one before until there is one."""
+        """Draw the latest picture over the region, and the World behind it; the one before until there is one."""
+        self.backdrop.draw(size)
         preview = self._preview
         if preview is not None and preview.picture is not None and self._drawn != (preview, preview.number):
-            self._drawn = preview, preview.number
-            height, width = preview.picture.shape[:2]
-            pixels = gpu.types.Buffer('FLOAT', width * height * 4, preview.picture.ravel())
-            self._texture = gpu.types.GPUTexture((width, height), format='RGBA16F', data=pixels)
+            self._drawn, self._texture = (preview, preview.number), texture(preview.picture)
         if self._texture is not None:
             draw_texture_2d(self._texture, (0, 0), *size)
 
     @property
     def status(self) -> str:
         """A line for the viewport's header."""
-        if self.message or self._preview is None:
+        if self._loading is not None:
+            return self._loading.message.capitalize()
+        if self.message:
             return self.message
-        now = self._preview.message or ("" if self._preview.done else "Refining")
+        refining = "Refining" if self._preview is not None and not self._preview.done else ""
+        now = self._preview and self._preview.message or self.backdrop.status or refining
         return " | ".join(part for part in (now, self._unrendered) if part)
 
     def close(self) -> None:
         """Stop what is at work."""
         self._stop_loading()
         self._stop_preview()
+        self.backdrop.stop()
 
     def _stop_preview(self) -> None:
         if self._preview is not None:
@@ -173,5 +176,6 @@ def unregister():
     for preview in _watched:
         preview.stop()
     _watched.clear()
+    world_picture.forget()
     if bpy.app.timers.is_registered(_redraw):
         bpy.app.timers.unregister(_redraw)

@@ -1,4 +1,4 @@
-"""Volumes read and shaded on a thread, before `read_scene` asks for them on Blender's main thread."""
+"""Volumes read and shaded, and the World shown by Cycles, on a thread, before `read_scene` asks for them on Blender's main thread."""
 
 from typing import List
 
@@ -10,13 +10,14 @@ from .worker import Worker
 class VolumeLoading(Worker):
     """Reads sources one after the other for a VolumeReader, which knows them then.
 
-    number: of pictures, as of a Preview.
+    message: what it is doing. number: of pictures, as of a Preview.
     """
 
-    message, number = "reading volumes", 0
+    number = 0
 
     def __init__(self, reader, sources: List[VolumeSource]):
         self.reader, self.sources, self._process = reader, sources, None
+        self.message = sources[0].message if sources else ""
         self._start("mrpnn reading", awaited=False)
 
     def stop(self) -> None:
@@ -28,6 +29,7 @@ class VolumeLoading(Worker):
     def _work(self):
         try:
             for number, source in enumerate(self.sources):
+                self.message = source.message
                 self.reader.known[source.key] = source.read(self._started, self._check)
                 self.fraction = (number + 1) / len(self.sources)
         finally:

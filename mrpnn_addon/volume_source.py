@@ -1,7 +1,7 @@
 """A volume as it was found in the scene, to be read and shaded on any thread: nothing here asks Blender."""
 
 from dataclasses import dataclass
-from typing import List, Tuple
+from typing import ClassVar, List, Tuple
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class VolumeSource:
     where: str
     material: VolumeMaterial
     matrix: np.ndarray
+
+    message: ClassVar[str] = "reading volumes"
 
     def read(self, started=lambda process: None, check=lambda: None) -> Tuple[ShadedGrid, np.ndarray, List[str]]:
         """Its voxels, shaded; the matrix (4, 4) from their index to object space; and warnings.

@@ -9,10 +9,11 @@ from mathutils import Vector
 from ..inference.scene import Sun
 from .environment import Sphere, quadrature
 from .lights import disc_directions
-from .node_values import NodeValues
+from .node_values import Nowhere, NodeValues
 from .sockets import Unsupported, active_output, input_of, source_of
 from .visibility import evaluated_world
-from .world_picture import PictureFailed, WorldSource, is_known, world_picture
+from .world_picture import WorldSource, is_known, world_picture, world_source
+from .world_process import PictureFailed
 
 # A World hardly counts where it gives less than this share of the suns' light: half the directions do.
 HARDLY = 0.1
@@ -27,7 +28,7 @@ def wanted_world(depsgraph) -> List[WorldSource]:
     try:
         _radiance(world, active_output(world), Sphere(1, images=False))
     except Unsupported:
-        return [] if is_known(world) else [WorldSource(world, scene)]
+        return [] if is_known(world, scene) else [world_source(world, scene)]
     return []
 
 
@@ -104,14 +105,28 @@ def _lights_volumes(world) -> bool:
     return visibility is None or visibility.scatter
 
 
-def _radiance(world, output, sphere) -> np.ndarray:
-    """(n, 3) at the sphere's directions."""
+def constant_background(world) -> np.ndarray:
+    """(3,): the radiance of an evaluated World that cameras see as one colour.
+
+    Raises Unsupported, naming the node, where it is not known to be one.
+    """
+    return _radiance(world, active_output(world), _Anywhere())[0]
+
+
+class _Anywhere(Nowhere):
+    """Every direction that a camera sees."""
+
+    directions, seen_by_camera = np.zeros((1, 3)), True
+
+
+def _radiance(world, output, points) -> np.ndarray:
+    """(n, 3) at the directions of `points`."""
     if output is None:
         # Without nodes, Blender before 5.0 shows the World's own colour.
-        colour = np.zeros(3) if bpy.app.version >= (5, 0, 0) else np.array(world.color)
-        return np.broadcast_to(colour, sphere.directions.shape)
-    light = _surface(NodeValues(sphere), source_of(output.inputs['Surface']))
-    return np.broadcast_to(np.maximum(light, 0.0), sphere.directions.shape)
+        plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
+        return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
+    light = _surface(NodeValues(points), source_of(output.inputs['Surface']))
+    return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
 
 
 def _surface(values: NodeValues, source) -> np.ndarray:
@@ -124,18 +139,9 @@ def _surface(values: NodeValues, source) -> np.ndarray:
         first, second = (_surface(values, source_of(socket, groups)) for socket in node.inputs)
         return first + second
     if node.bl_idname == 'ShaderNodeMixShader':
-        if source_of(input_of(node, "Fac"), groups).node is not None:
-            if source_of(input_of(node, "Fac"), groups).node.bl_idname == 'ShaderNodeLightPath':
-                return _as_volumes_see(values, node, groups)
         factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
-        first, second = (_surface(values, source_of(input_of(node, name), groups)) for name in ("Shader", "Shader_001"))
-        return (1.0 - factor) * first + factor * second
+        # A shader that nothing is taken of need not be one that can be evaluated.
+        shares = (("Shader", 1.0 - factor), ("Shader_001", factor))
+        return sum((share * _surface(values, source_of(input_of(node, name), groups)) for name, share in shares
+                    if share.any()), np.zeros((1, 3)))
     raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated")
-
-
-def _as_volumes_see(values, node, groups):
-    """Of two shaders mixed by Is Camera Ray, the one that light in volumes comes from."""
-    path = source_of(input_of(node, "Fac"), groups)
-    if path.output.identifier != 'Is Camera Ray':
-        raise Unsupported(f"output {path.output.name} of node \"{path.node.name}\" cannot be evaluated")
-    return _surface(values, source_of(input_of(node, "Shader"), groups))

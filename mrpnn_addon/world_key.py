@@ -17,6 +17,15 @@ def world_key(world) -> str:
     return repr(_tree(world.node_tree, {}))
 
 
+def trees(world) -> list:
+    """The node trees of a World: its own and those of groups."""
+    found = [world.node_tree] if world.node_tree else []
+    for tree in found:
+        groups = (getattr(node, 'node_tree', None) for node in tree.nodes)
+        found += [group for group in groups if group is not None and group not in found]
+    return found
+
+
 def _tree(tree, seen):
     if tree.name_full in seen:
         return tree.name_full

@@ -1,28 +1,24 @@
-"""Worlds whose nodes are not evaluated here, as Cycles shows them: rendered once in a Blender process of its own."""
+"""Worlds as Cycles shows them: what volumes see of them, and what a camera does."""
 
-import shutil
-import subprocess
-import tempfile
-import time
-import weakref
 from dataclasses import dataclass
-from pathlib import Path
+from typing import List, Tuple
 
 import bpy
 import numpy as np
 
-from .cycles_process import blender_command
+from ..inference.scene import Camera
 from .environment_image import sampler
-from .world_key import world_key
+from .world_key import trees, world_key
+from .world_process import SECONDS, PictureFailed, WorldProcess
 
-WORKER = Path(__file__).with_name("world_worker.py")
-SECONDS, SECONDS_A_LOOK = 120.0, 0.05
-# Worlds that are remembered: an animated sky is another one in each frame.
+# Worlds whose light is remembered: an animated sky is another one in each frame.
 MOST = 16
-
-
-class PictureFailed(Exception):
-    """Cycles could not show the World; the message says why."""
+# Worlds whose process and views are kept, and views of each.
+MOST_SOURCES, MOST_VIEWS = 2, 2
+# Samples of a view that any machine takes in a second.
+SLOWEST = 500_000
+# Coordinates that depend on the view and not on the direction alone.
+OF_THE_VIEW = {'Window', 'Camera'}
 
 
 @dataclass
@@ -40,75 +36,113 @@ class WorldPicture:
         return sampler(self.sky)(directions)
 
 
-_known = {}
-
-
 class WorldSource:
     """A World as it was found in a scene, for a Blender of its own to show: read on any thread, as a `VolumeSource`.
 
-    key: equal where the World looks the same. Made where bpy may be asked.
+    key: equal where the World looks the same. depends_on_view: whether directions alone do not tell what it shows.
+    panorama: what a camera sees all around, kept for `backdrop` once that has asked for it. Made where bpy may be asked, by `world_source`.
     """
 
-    def __init__(self, world, scene):
-        """world: evaluated; scene: whose frame it is."""
-        self.key = "world", world_key(world)
-        folder = tempfile.mkdtemp(prefix="mrpnn-")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self._folder, frame = Path(folder), (str(scene.frame_current), f"{scene.frame_subframe:.6f}")
-        blend = str(self._folder / "world.blend")
-        bpy.data.libraries.write(blend, {world.original}, path_remap='ABSOLUTE', fake_user=True)
-        self._command = blender_command(WORKER, [blend, *frame, str(self._target)])
+    message, panorama = "rendering the sky", None
 
-    @property
-    def _target(self) -> Path:
-        return self._folder / "world.npz"
+    def __init__(self, key, world, scene):
+        """world: evaluated; scene: whose frame it is."""
+        self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
+        self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord' and link.from_socket.name in OF_THE_VIEW
+                                   for tree in trees(world) for link in tree.links)
+        self._process = WorldProcess(world, scene)
 
     def read(self, started=lambda process: None, check=lambda: None):
         """The WorldPicture, or a PictureFailed that says why there is none; `world_picture` knows it from then on.
 
-        started: called with the process. check: called often; what it raises ends the work.
+        check: called often; what it raises ends the work.
         """
-        log = self._folder / "log.txt"
-        with open(log, "w") as output:
-            process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
-        started(process)
         try:
-            found = self._answer(process, log, check)
-        finally:
-            process.kill()
-            process.wait()
+            found = WorldPicture(**self._ask({}, check))
+        except PictureFailed as failure:
+            found = failure
         while len(_known) >= MOST:
             del _known[next(iter(_known))]
         _known[self.key] = found
         return found
 
-    def _answer(self, process, log, check):
-        end = time.monotonic() + SECONDS
-        while process.poll() is None:
-            check()
-            if time.monotonic() > end:
-                return PictureFailed(f"Cycles had not shown it after {SECONDS:.0f} seconds")
-            time.sleep(SECONDS_A_LOOK)
-        # What is asked to stop kills the process.
-        check()
-        if not self._target.is_file():
-            lines = log.read_text(errors="replace").strip().splitlines()
-            return PictureFailed("Cycles could not show it: " + (lines[-1] if lines else "its process said nothing"))
-        with np.load(self._target) as found:
-            return WorldPicture(found["sky"], found["suns"])
+    def view(self, camera: Camera, samples: int, pixel_filter: Tuple[str, float], check=lambda: None) -> np.ndarray:
+        """float32 (h, w, 3): what the camera sees in its window, rows from the top. Raises PictureFailed.
+
+        pixel_filter: of Cycles, with its width in pixels. check: as of `read`.
+        """
+        job = {"matrix": camera.world_matrix.tolist(), "region": camera.region, "samples": samples, "filter": pixel_filter,
+               **{name: getattr(camera, name) for name in ("projection", "resolution", "fov", "ortho_scale", "shift",
+                                                           "longitude", "latitude")}}
+        key = repr(job)
+        if key not in self._views:
+            x0, y0, x1, y1 = camera.window
+            seconds = SECONDS + (x1 - x0) * (y1 - y0) * samples / SLOWEST
+            found = np.ascontiguousarray(self._ask({"view": job}, check, seconds)["pixels"][::-1])
+            while len(self._views) >= MOST_VIEWS:
+                del self._views[next(iter(self._views))]
+            self._views[key] = found
+        return self._views[key]
+
+    def _ask(self, job, check, seconds=SECONDS):
+        if self._unsaved:
+            raise PictureFailed(f"the changes of image \"{self._unsaved}\" are not saved; save or pack it")
+        return self._process.ask(job, check, seconds)
+
+    def stop(self) -> None:
+        """End its process."""
+        self._process.stop()
 
 
-def is_known(world) -> bool:
+_known, _sources = {}, {}
+
+
+def world_source(world, scene) -> WorldSource:
+    """The source of an evaluated World in its scene's frame: the same while the World looks the same."""
+    key = _key(world, scene)
+    source = _sources.pop(key, None) or WorldSource(key, world, scene)
+    while len(_sources) >= MOST_SOURCES:
+        del _sources[next(iter(_sources))]
+    # The last one used is dropped last.
+    _sources[key] = source
+    return source
+
+
+def is_known(world, scene) -> bool:
     """Whether `world_picture` has nothing to render."""
-    return ("world", world_key(world)) in _known
+    return _key(world, scene) in _known
 
 
 def world_picture(world, scene, check=lambda: None) -> WorldPicture:
-    """What an evaluated World shows in its scene's frame; rendered where it has not been yet, which takes some seconds.
+    """What volumes see of an evaluated World in its scene's frame; rendered where it has not been yet, which takes some
+    seconds.
 
     check: as of `WorldSource.read`. Raises PictureFailed.
     """
-    found = _known.get(("world", world_key(world))) or WorldSource(world, scene).read(check=check)
+    found = _known.get(_key(world, scene)) or world_source(world, scene).read(check=check)
     if isinstance(found, PictureFailed):
         raise found
     return found
+
+
+def forget() -> None:
+    """End all processes and drop all pictures."""
+    for source in _sources.values():
+        source.stop()
+    _sources.clear()
+    _known.clear()
+
+
+def _key(world, scene) -> tuple:
+    moves = any(image.source in ('SEQUENCE', 'MOVIE') for image in _images(world))
+    return "world", world_key(world), scene.frame_current if moves else None
+
+
+def _images(world) -> List[bpy.types.Image]:
+    nodes = (node for tree in trees(world) for node in tree.nodes)
+    return [node.image for node in nodes if isinstance(getattr(node, "image", None), bpy.types.Image)]
+
+
+def _unsaved_image(world) -> str:
+    """The name of an image that its file does not hold as it is, or ""."""
+    return next((image.name for image in _images(world) if image.is_dirty), "")

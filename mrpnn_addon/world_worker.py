@@ -1,18 +1,29 @@
-"""Runs in a Blender process of its own, without the extension: what a World looks like from its middle, by Cycles.
+"""Runs in a Blender process of its own, without the extension: shows a World by Cycles, picture after picture.
 
-Arguments, the last four: a .blend file that holds the World; a frame and its fraction; and the .npz file that answers,
-with `sky`, float32 (ROWS, 2 ROWS, 3), an equirectangular picture with rows from the bottom and without sun discs, and
-`suns`, float64 (n, 7), of each disc direction, irradiance and angle across in radians.
+Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input is a
+job as JSON, answered by the .npz file that its `target` names:
+
+`light` asks for the World as volumes see it, from its middle: `sky`, float32 (ROWS, 2 ROWS, 3), an equirectangular
+picture with rows from the bottom and without sun discs, and `suns`, float64 (n, 7), of each disc direction, irradiance
+and angle across in radians.
+
+`view` asks for the World as a camera sees it: `pixels`, float32 (h, w, 3), rows from the bottom. It holds the fields of
+`inference.Camera`, `samples`, and the `filter` of pixels with its width.
+
+The process ends with its input, or when nothing was asked for IDLE seconds.
 """
 
+import json
 import math
 import os
 import sys
+import threading
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
+IDLE = 30.0
 ROWS, SAMPLES = 128, 16
 # A disc is looked for at no smaller size, in radians, and then seen at its own through a lens so many times as wide.
 LOCATED, AROUND = math.radians(3.0), 4.0
@@ -20,37 +31,79 @@ DISC_PIXELS, DISC_SAMPLES = 96, 32
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 # Kinds of sky that have no disc.
 WITHOUT_DISC = {'PREETHAM', 'HOSEK_WILKIE'}
+# Focal lengths over sensor widths that Blender's lenses reach: one of 1 mm before 100 mm, one of 5000 mm before 1 mm.
+WIDEST, LONGEST = 0.01, 5000.0
 
 
-def main(blend, frame, fraction, target):
+def main(blend, frame, fraction):
+    shown = {}
+    for line in _jobs():
+        job = json.loads(line)
+        light = "view" not in job
+        if light not in shown:
+            shown[light] = _loaded(blend, frame, fraction)
+        scene, trees = shown[light]
+        bpy.context.window.scene = scene
+        target = job["target"]
+        answer = _light(scene, trees, target) if light else {"pixels": _view(scene, job["view"], target)}
+        with open(target + ".part", "wb") as file:
+            np.savez(file, **answer)
+        os.replace(target + ".part", target)
+
+
+def _jobs():
+    """Lines of the standard input, until it has been silent for too long."""
+    while True:
+        idle = threading.Timer(IDLE, os._exit, [0])
+        idle.daemon = True
+        idle.start()
+        line = sys.stdin.readline()
+        idle.cancel()
+        if not line:
+            return
+        yield line
+
+
+def _loaded(blend, frame, fraction):
+    """A scene with a World of its own, and the World's node trees."""
+    groups = set(bpy.data.node_groups)
     with bpy.data.libraries.load(blend) as (found, wanted):
         wanted.worlds = found.worlds[:1]
     scene = bpy.data.scenes.new("World")
     bpy.context.window.scene = scene
     scene.world = wanted.worlds[0]
-    trees = [scene.world.node_tree, *bpy.data.node_groups]
+    trees = [scene.world.node_tree, *(set(bpy.data.node_groups) - groups)]
+    for tree in trees:
+        _without_fog(tree)
+    _set_up(scene)
+    scene.frame_set(int(frame), subframe=float(fraction))
+    return scene, trees
+
+
+def _without_fog(tree):
+    for link in list(tree.links):
+        if link.to_node.bl_idname == 'ShaderNodeOutputWorld' and link.to_socket.identifier == 'Volume':
+            tree.links.remove(link)
+
+
+def _light(scene, trees, target):
     discs = [node for tree in trees for node in tree.nodes if node.bl_idname == 'ShaderNodeTexSky'
              and node.sky_type not in WITHOUT_DISC and node.sun_disc]
     for tree in trees:
         _as_volumes_see(tree)
-    _set_up(scene)
-    scene.frame_set(int(frame), subframe=float(fraction))
+    scene.world.cycles_visibility.camera = True
     for node in discs:
         node.sun_disc = False
     sky = _rendered(scene, _panorama(scene), 2 * ROWS, ROWS, SAMPLES, target)
     suns = [sun for node in discs for sun in _disc(scene, node, sky, target)]
-    with open(target + ".part", "wb") as file:
-        np.savez(file, sky=sky, suns=np.array(suns).reshape(-1, 7))
-    os.replace(target + ".part", target)
+    return {"sky": sky, "suns": np.array(suns).reshape(-1, 7)}
 
 
 def _as_volumes_see(tree):
-    """Take out the World's fog, and what light paths tell apart: light here is what volumes scatter."""
+    """Take out what light paths tell apart: light here is what volumes scatter."""
     for link in list(tree.links):
         node, socket = link.from_node, link.to_socket
-        if link.to_node.bl_idname == 'ShaderNodeOutputWorld' and socket.identifier == 'Volume':
-            tree.links.remove(link)
-        elif node.bl_idname == 'ShaderNodeLightPath' and hasattr(socket, 'default_value'):
+        if node.bl_idname == 'ShaderNodeLightPath' and hasattr(socket, 'default_value'):
             value = float(link.from_socket.identifier == 'Is Volume Scatter Ray')
             tree.links.remove(link)
             try:
@@ -64,45 +117,81 @@ def _set_up(scene):
     scene.render.film_transparent = False
     scene.render.use_compositing = scene.render.use_sequencer = False
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
-    scene.render.image_settings.color_mode = 'RGB'
+    scene.render.image_settings.color_mode, scene.render.image_settings.exr_codec = 'RGB', 'NONE'
     scene.render.resolution_percentage = 100
     settings = {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0, "seed": 0,
                 "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX'}
     for name, value in settings.items():
         setattr(scene.cycles, name, value)
-    scene.world.cycles_visibility.camera = True
+    # Cameras see the World without its importance map, which takes a while to build.
+    scene.world.cycles.sampling_method = 'NONE'
+
+
+def _view(scene, view, target):
+    """Radiance (h, w, 3) in a camera's window, rows from the bottom."""
+    width, height = view["resolution"]
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
+    return _rendered(scene, _aimed(scene, view), width, height, view["samples"], target, view["region"])
+
+
+def _aimed(scene, view):
+    """The scene's camera, with the fields of an `inference.Camera`."""
+    camera = _camera(scene)
+    lens = camera.data
+    camera.matrix_world = Matrix(view["matrix"])
+    lens.type = {"perspective": 'PERSP', "orthographic": 'ORTHO', "equirectangular": 'PANO'}[view["projection"]]
+    lens.sensor_fit = 'HORIZONTAL'
+    focal = min(max(0.5 / math.tan(0.5 * view["fov"]), WIDEST), LONGEST)
+    lens.sensor_width = min(max(50.0 / focal, 1.0), 100.0)
+    lens.lens = focal * lens.sensor_width
+    lens.ortho_scale = view["ortho_scale"]
+    lens.shift_x, lens.shift_y = view["shift"]
+    if lens.type == 'PANO':
+        # These properties moved in 5.0.
+        panorama = lens if hasattr(lens, 'panorama_type') else lens.cycles
+        panorama.panorama_type = 'EQUIRECTANGULAR'
+        for name in ("longitude", "latitude"):
+            for end, value in zip(("min", "max"), view[name]):
+                setattr(panorama, f"{name}_{end}", value)
+    scene.view_layers[0].update()
+    return camera
 
 
 def _panorama(scene):
-    """A camera whose picture has +X in its middle and +Z above."""
-    camera = _camera(scene)
-    camera.rotation_euler = math.pi / 2.0, 0.0, -math.pi / 2.0
-    camera.data.type = 'PANO'
-    # The property moved in 5.0.
-    lens = camera.data if hasattr(camera.data, 'panorama_type') else camera.data.cycles
-    lens.panorama_type = 'EQUIRECTANGULAR'
-    return camera
+    """The scene's camera, whose picture has +X in its middle and +Z above."""
+    turn = Matrix.Rotation(-math.pi / 2.0, 4, 'Z') @ Matrix.Rotation(math.pi / 2.0, 4, 'X')
+    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0, "shift": (0.0, 0.0),
+                          "longitude": (-math.pi, math.pi), "latitude": (-math.pi / 2.0, math.pi / 2.0)})
 
 
 def _camera(scene):
-    camera = bpy.data.objects.new("World", bpy.data.cameras.new("World"))
-    scene.collection.objects.link(camera)
-    return camera
+    if scene.camera is None:
+        scene.camera = bpy.data.objects.new("World", bpy.data.cameras.new("World"))
+        scene.collection.objects.link(scene.camera)
+    return scene.camera
 
 
-def _rendered(scene, camera, width, height, samples, target):
-    """Radiance (height, width, 3), rows from the bottom."""
+def _rendered(scene, camera, width, height, samples, target, region=None):
+    """Radiance (h, w, 3), rows from the bottom, of the whole image or of a region (x0, y0, x1, y1), rows from the top."""
     scene.camera, scene.cycles.samples = camera, samples
-    scene.render.resolution_x, scene.render.resolution_y = width, height
-    scene.render.filepath = target + ".exr"
+    render = scene.render
+    render.resolution_x, render.resolution_y = width, height
+    render.use_border = render.use_crop_to_border = region is not None
+    if region is not None:
+        x0, y0, x1, y1 = region
+        # Blender cuts to whole pixels: a quarter keeps rounding away from them.
+        render.border_min_x, render.border_max_x = (x0 + 0.25) / width, (x1 + 0.25) / width
+        render.border_min_y, render.border_max_y = (height - y1 + 0.25) / height, (height - y0 + 0.25) / height
+        width, height = x1 - x0, y1 - y0
+    render.filepath = target + ".exr"
     bpy.ops.render.render(scene=scene.name, write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
+    image = bpy.data.images.load(render.filepath)
     image.colorspace_settings.is_data = True
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)[..., :3].copy()
     bpy.data.images.remove(image)
-    os.unlink(scene.render.filepath)
+    os.unlink(render.filepath)
     return np.nan_to_num(pixels)
 
 
@@ -121,11 +210,10 @@ def _disc(scene, node, sky, target):
         return []
     middle = np.einsum("ij,ijk->k", np.where(light > 0.2 * light.max(), light, 0.0), directions)
     node.sun_size = size
-    camera = _camera(scene)
-    camera.rotation_euler = Vector(-middle).to_track_quat('Z', 'Y').to_euler()
     extent = min(max(AROUND * size, AROUND * LOCATED / 2.0), 2.0)
-    camera.data.angle = extent
-    scene.view_layers[0].update()
+    turn = Vector(-middle).to_track_quat('Z', 'Y').to_matrix()
+    camera = _aimed(scene, {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0,
+                            "shift": (0.0, 0.0)})
     bright = _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
     node.sun_disc = False
     light = bright - _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
@@ -135,7 +223,7 @@ def _disc(scene, node, sky, target):
     irradiance, power = light.sum(axis=(0, 1)), light @ LUMA
     if not power.sum() > 0.0:
         return []
-    seen = _directions(x, y, -np.ones_like(x)) @ np.array(camera.matrix_world.to_3x3()).T
+    seen = _directions(x, y, -np.ones_like(x)) @ np.array(turn).T
     middle = np.einsum("ij,ijk->k", power, seen)
     middle /= np.linalg.norm(middle)
     # The mean square distance from the middle of a disc is half its radius squared.
@@ -149,4 +237,4 @@ def _directions(x, y, z):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[-4:])
+    main(*sys.argv[-3:])

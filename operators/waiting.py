@@ -39,7 +39,7 @@ class WaitsForVolumes:
             return False
         self._loading = loading
         self._reading_timer = context.window_manager.event_timer_add(SECONDS_A_TICK, window=context.window)
-        context.workspace.status_text_set("Reading volumes  (Esc stops)")
+        self._say(context)
         context.window_manager.modal_handler_add(self)
         return True
 
@@ -50,6 +50,7 @@ class WaitsForVolumes:
             worker.stop()
             return {'RUNNING_MODAL'}
         if event.type != 'TIMER' or worker is not None and not worker.done:
+            self._say(context)
             return {'PASS_THROUGH'}
         error = worker and worker.error
         if error is None and self._loading.outdated(context):
@@ -61,6 +62,10 @@ class WaitsForVolumes:
             return None
         self.report({'INFO'} if worker.cancelled else {'ERROR'}, "stopped" if worker.cancelled else str(error))
         return {'CANCELLED'}
+
+    def _say(self, context):
+        if self._loading.worker is not None:
+            context.workspace.status_text_set(f"{self._loading.worker.message.capitalize()}  (Esc stops)")
 
     def stop_waiting(self, context) -> None:
         """End it."""

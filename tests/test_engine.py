@@ -153,15 +153,6 @@ def test_an_opaque_film_shows_the_world_behind(addon, scene, cloud, tmp_path):
     assert np.all(found[..., 3] == 1.0)
 
 
-def test_a_world_that_cannot_be_shown_is_named(addon, scene, cloud):
-    scene.world.node_tree.links.new(
-        scene.world.node_tree.nodes.new("ShaderNodeTexEnvironment").outputs["Color"],
-        scene.world.node_tree.nodes["Background"].inputs["Color"])
-    colour, warnings = addon.mrpnn_addon.film.background(blender_scenes.depsgraph())
-    assert np.all(colour == 0.0) and len(warnings) == 1
-    assert "World \"World\"" in warnings[0] and "Environment Texture" in warnings[0]
-
-
 def test_an_animation_writes_each_frame_as_alone(addon, scene, cloud, tmp_path):
     cloud.keyframe_insert("rotation_euler", frame=1)
     cloud.rotation_euler = (0.0, 1.5, 0.0)

@@ -137,7 +137,7 @@ def test_a_world_that_cannot_be_shown_is_named(addon, scene, tmp_path, monkeypat
     # A process that cannot do what it is asked for.
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
-    monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world_picture"), "WORKER", broken)
+    monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world_process"), "WORKER", broken)
     (warning,) = read(addon).warnings
     assert "World" in warning and "Voronoi Texture" in warning and "no Cycles here" in warning
     assert "its light is not rendered" in warning and not world_lights(addon)
