@@ -58,8 +58,9 @@ def render_tiles(
         with report.stage("total"):
             shared = cache is not None and "unchanged" in settings.leave_out
             plan = make_plan(volumes, lights, camera, settings)
-            context = RenderContext(settings, cache if shared else RenderCache(), tasks, Progress(report, progress), report,
-                                    whole_volumes=shared or len(plan.tiles) > 1)
+            cache = cache if shared else RenderCache(any_view=False)
+            context = RenderContext(settings, cache, tasks, Progress(report, progress), report,
+                                    whole_volumes=cache.any_view or len(plan.tiles) > 1)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))

@@ -26,10 +26,12 @@ class RenderCache:
     """Networks, grids, predictors and scattered emission of the last render, found again by what they were made from.
 
     It is never out of date, and its memory is held until it is dropped. Renders on several threads may share one. Every
-    method raises Cancelled.
+    method raises Cancelled. any_view: whether lookup lattices are built for all of a volume, to serve other views too,
+    rather than for what one view shows of it.
     """
 
-    def __init__(self):
+    def __init__(self, any_view: bool = True):
+        self.any_view = any_view
         self._lock = threading.Lock()
         self._networks, self._grids, self._merged, self._predictors, self._emission = {}, [], {}, {}, {}
 

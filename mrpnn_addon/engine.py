@@ -5,17 +5,17 @@ import traceback
 
 import bpy
 import gpu
-import numpy as np
 
+from ..inference.image.layer import empty_layer
 from ..inference.scene import Cancelled, SceneError
 from . import builtin_panels, viewport
 from .camera import read_camera
-from .film import over, read_background
+from .film import read_background
 from .last_render import remember_finished
-from .layer_frame import rgba
 from .material import shows_volume
 from .passes import extra_passes
 from .render_job import render_scene, stamp
+from .render_result import RenderResult
 from .scene import read_scene
 from .unrendered import unrendered
 from .viewport import Viewport, viewport_camera
@@ -24,7 +24,7 @@ from .volume_loading import VolumeLoading
 from .volumes import VolumeReader
 
 
-SECONDS_A_LOOK = 0.05
+POLL_INTERVAL = 0.05
 
 
 class MRPNNRenderEngine(bpy.types.RenderEngine):
@@ -106,19 +106,22 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         # With a render region, Blender hands out a result of the region's size.
         scene.crop = True
         transparent = depsgraph.scene.render.film_transparent
-        behind = None if transparent else self._behind(depsgraph, scene.camera)
         settings = depsgraph.scene.mrpnn.settings()
-        finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break)
+        background = None if transparent else self._background(depsgraph, scene.camera)
+        result = RenderResult(self, view_layer, scene.camera, background)
+        # Nobody looks at a render in background before it is finished.
+        parts = None if bpy.app.background else result
+        try:
+            finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
+        except Cancelled:
+            result.end()
+            raise
         remember_finished(finished)
-        image = rgba(finished.layer)
-        if behind is not None:
-            image = over(image, behind.pixels())
         # Blender's window shows the last report.
         missing = unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
             self.report({'WARNING'}, warning)
-        extras = [(extra, extra.pixels(finished.layer)) for extra in extra_passes(view_layer)]
-        self._write(view_layer, image, extras, stamp(settings, finished.layer.report))
+        result.finish(finished.layer, stamp(settings, finished.layer.report))
 
     def _read(self, depsgraph):
         """The scene, its volumes read on a thread first, which Esc ends."""
@@ -126,14 +129,14 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         loading = VolumeLoading(reader, reader.wanted(depsgraph))
         while not loading.done:
             self.update_stats("", loading.message.capitalize())
-            loading.wait(SECONDS_A_LOOK)
+            loading.wait(POLL_INTERVAL)
             if self.test_break():
                 loading.stop()
         if loading.error is not None:
             raise loading.error
         return read_scene(depsgraph, reader, self._check)
 
-    def _behind(self, depsgraph, camera):
+    def _background(self, depsgraph, camera):
         """The Background of a camera's pixels, whose warnings are reported."""
         self.update_stats("", "Rendering the sky")
         found = read_background(depsgraph, camera, self._check)
@@ -146,28 +149,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             raise Cancelled()
 
     def _write_empty(self, depsgraph):
-        x, y = self.resolution_x, self.resolution_y
-        image = np.zeros((y, x, 4), np.float32)
-        if not depsgraph.scene.render.film_transparent:
-            image = over(image, self._behind(depsgraph, read_camera(depsgraph)[0]).pixels())
-        self._write(depsgraph.view_layer, image, [], {})
-
-    def _write(self, view_layer, image, extras, stamped):
-        """Hand over Combined (H, W, 4) and further passes, pairs of RenderPass and pixels."""
-        height, width = image.shape[:2]
-        for extra, _ in extras:
-            self.add_pass(extra.name, len(extra.channels), extra.channels, layer=view_layer.name)
-        result = self.begin_result(0, 0, width, height, layer=view_layer.name)
-        passes = result.layers[0].passes
-        # Blender's rows start at the bottom.
-        passes["Combined"].rect.foreach_set(np.ascontiguousarray(image[::-1]).ravel())
-        for extra, pixels in extras:
-            passes[extra.name].rect.foreach_set(np.ascontiguousarray(pixels[::-1]).ravel())
-        self.end_result(result)
-        # What is stamped on the part that was handed over gets lost; the whole keeps it.
-        whole = self.get_result()
-        for name, value in stamped.items():
-            whole.stamp_data_add_field(f"mrpnn.{view_layer.name}.{name}", value)
+        camera = read_camera(depsgraph)[0]
+        background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
+        RenderResult(self, depsgraph.view_layer, camera, background).finish(empty_layer(camera), {})
 
 
 class _Progress:

@@ -1,17 +1,23 @@
 """One render of a scene that has been read: on a worker thread, or at once."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List, Optional
+
+import numpy as np
 
 from .. import inference
 from ..inference.image.layer import Layer, empty_layer
-from ..inference.scene import Cancelled, SceneError, Settings
+from ..inference.scene import Camera, Cancelled, SceneError, Settings
 from .layer_exr import write_layer
 from .layer_frame import in_frame
 from .runtime import check_runtime
 from .scene import SceneDescription
 from .worker import Worker
+
+
+# Of the first picture, which appears within a second or so.
+COARSE_PIXELS = 8000
 
 
 @dataclass
@@ -26,10 +32,11 @@ class Finished:
 
 
 def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
-                 progress=None, cancelled=None) -> Finished:
+                 progress=None, cancelled=None, parts=None) -> Finished:
     """Render; no bpy, so any thread may.
 
-    exr_path: absolute path of a multi-layer EXR to write, or None.
+    exr_path: absolute path of a multi-layer EXR to write, or None. parts: whose methods `show_coarse(layer)` and
+    `show_part(window, layer)`, as RenderResult has them, are called with a coarse picture and with finished parts.
 
     Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` turned true, and
     OSError where the file cannot be written.
@@ -42,9 +49,7 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
 
     try:
         # A frame in which smoke has not begun is as good as any other.
-        layer = empty_layer(scene.camera) if not scene.volumes else inference.render(
-            scene.volumes, scene.suns, scene.camera, settings, progress=progress, cancelled=cancelled,
-            surfaces=scene.surfaces)
+        layer = _render(scene, settings, progress, cancelled, parts) if scene.volumes else empty_layer(scene.camera)
         layer = in_frame(layer, scene.camera, scene.crop)
         if exr_path:
             if progress:
@@ -55,6 +60,30 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
                          "or smaller grids, or close other programs") from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
     return Finished(layer, layer.report.seconds["total"], warnings)
+
+
+def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:
+    # What the coarse picture needs, the other one needs as well; lookup lattices need only reach as far as it shows.
+    cache = inference.RenderCache(any_view=False)
+    if parts is not None:
+        coarse = replace(settings, depth_samples=1)
+        parts.show_coarse(inference.render(
+            scene.volumes, scene.suns, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces))
+    for window, layer in inference.render_tiles(
+            scene.volumes, scene.suns, scene.camera, settings, progress, cancelled, cache, scene.surfaces):
+        if parts is not None and layer.report is None:
+            parts.show_part(window, layer)
+    return layer
+
+
+def coarse_camera(camera: Camera) -> Camera:
+    """A camera that sees the same window in about COARSE_PIXELS."""
+    x0, y0, x1, y1 = camera.window
+    divisor = max(int(np.ceil(((x1 - x0) * (y1 - y0) / COARSE_PIXELS) ** 0.5)), 1)
+    width, height = (max(-(-n // divisor), 1) for n in camera.resolution)
+    left, top = min(x0 // divisor, width - 1), min(y0 // divisor, height - 1)
+    right, bottom = max(x1 // divisor, left + 1), max(y1 // divisor, top + 1)
+    return replace(camera, resolution=(width, height), region=(left, top, right, bottom))
 
 
 def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
