@@ -59,8 +59,7 @@ def render_tiles(
             shared = cache is not None and "unchanged" in settings.leave_out
             plan = make_plan(volumes, lights, camera, settings)
             cache = cache if shared else RenderCache(any_view=False)
-            context = RenderContext(settings, cache, tasks, Progress(report, progress), report,
-                                    whole_volumes=cache.any_view or len(plan.tiles) > 1)
+            context = RenderContext(settings, cache, tasks, Progress(report, progress), report)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
@@ -96,6 +95,8 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
 def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
+    if network is not None and network.needs_ray_features:
+        plan = plan.in_small_tiles(camera)
     report, cancel, cache = context.report, context.cancel, context.cache
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))

@@ -22,17 +22,13 @@ from .framebuffer import Framebuffer
 
 @dataclass(frozen=True)
 class RenderContext:
-    """How a render works, whatever the scene.
-
-    whole_volumes: whether lookup lattices are built for all of a volume rather than for what the tile shows of it.
-    """
+    """How a render works, whatever the scene."""
 
     settings: Settings
     cache: RenderCache
     tasks: Tasks
     progress: Progress
     report: Report
-    whole_volumes: bool
 
     @property
     def cancel(self):

@@ -54,7 +54,7 @@ def _add_one(context, scene, channel_pass, tile, samples, group_and_sun):
         return
     context.progress.message(f"multiple scattering of {plan.group_name(g)}")
     with report.stage("fields"):
-        bounds = _bounds(context, group.predictor, samples, inside)
+        bounds = _bounds(context, scene, group.predictor, samples, inside)
         prepared = group.predictor.prepare(
             float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
         report.count("cells of lookup fields", prepared.lattice_cells)
@@ -73,11 +73,11 @@ def _add_one(context, scene, channel_pass, tile, samples, group_and_sun):
     tile.framebuffer.uncertainty += estimate.error
 
 
-def _bounds(context, predictor, samples, inside):
+def _bounds(context, scene, predictor, samples, inside):
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
     if "unread_fields" not in context.settings.leave_out:
         return np.full(3, -0.5), np.full(3, 0.5)
-    if context.whole_volumes:
+    if context.cache.any_view or len(scene.plan.tiles) > 1:
         return predictor.extent()
     bounds = [predictor.bounds(samples.positions(points)) for points in _batches(inside)]
     return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)

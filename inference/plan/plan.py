@@ -77,6 +77,12 @@ class Plan:
             channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.leave_out)
             for v in self.groups[group])
 
+    def in_small_tiles(self, camera: Camera) -> "Plan":
+        """The plan where lookup lattices serve every sun: small tiles show finished parts soon, at no cost."""
+        x0, y0, x1, y1 = camera.window
+        tiles = make_tiles(y0, y1, small_tile_rows(x1 - x0, y1 - y0))
+        return self if len(tiles) <= len(self.tiles) else replace(self, tiles=tiles)
+
     def with_suns(self, numbers: Sequence[int]) -> "Plan":
         """The plan where no other suns reach the volumes; surfaces keep the rest from them."""
         # One stays where all are dark: its single scattering is 0.
@@ -148,6 +154,11 @@ def make_tiles(y0: int, y1: int, rows: int) -> List[Tuple[int, int]]:
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
     return list(zip(starts, [*starts[1:], y1]))
+
+
+def small_tile_rows(width: int, height: int) -> int:
+    """Rows of tiles for one sun, about; width, height: of the image in pixels."""
+    return -(-min(max(width * height // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // width)
 
 
 def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
@@ -246,9 +257,9 @@ def _plan_tiles(camera: Camera, settings: Settings, volumes: int, suns: int, mem
     pixels = (x1 - x0) * (y1 - y0)
     memory += pixels * IMAGE_BYTES
     row = row_bytes(x1 - x0, settings.depth_samples, volumes, suns)
-    rows = -(-min(max(pixels // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // (x1 - x0))
+    rows = small_tile_rows(x1 - x0, y1 - y0)
     if suns > 1:
-        # The fields of each sun are made for every tile: as few tiles as memory allows.
+        # Lookup lattices of each sun are built for every tile: as few tiles as memory allows.
         rows = max(rows, int((settings.memory_limit - memory) // row))
     tiles = make_tiles(y0, y1, rows)
     return tiles, memory + row * max(end - start for start, end in tiles)
