@@ -27,8 +27,8 @@ class SceneDescription:
     environment: whether `suns` hold the World's light.
     warnings: what is left out or approximated, naming each object.
     left_out: names of the volumes and lights that are not in the description although the scene shows them.
-    unseen: which volumes, and why; empty: those of them that hold nothing in this frame. A scene all of whose volumes do is
-    described without volumes.
+    unseen: which volumes, and why; empty: those of them that hold nothing in this frame. Where no other volume is left, a
+    scene with some of these is described without volumes.
     refused: why objects, or the World, cannot be rendered and are left out: mistakes, naming each.
     """
 
@@ -68,7 +68,7 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     description = _described(depsgraph, reader, check)
     description.camera, description.warnings = camera, warnings + description.warnings
     description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
-    if not description.volumes and description.unseen == description.empty != []:
+    if not description.volumes and description.empty:
         return description
     require_volumes(description)
     if not description.volumes:
