@@ -87,6 +87,7 @@ def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription
     description = _described(depsgraph, reader, space=space)
     if description.volumes and not _lit(description):
         description.suns.append(Sun((0.0, 0.0, 1.0), 0.0, name="no light"))
+        description.refused.append(NO_LIGHT)
         description.warnings.append(NO_LIGHT)
     return description
 

@@ -388,6 +388,19 @@ def test_the_command_line_is_as_strict_as_it_is_asked_to_be(addon, scene, cloud,
     assert "has scale 0" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("load", [
+    lambda path: bpy.ops.wm.open_mainfile(filepath=path), lambda path: bpy.ops.wm.read_homefile(use_empty=True)])
+def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_path, load):
+    missing_file(scene, tmp_path)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.mrpnn.render()
+    bpy.ops.mrpnn.check()
+    said = addon.mrpnn_addon
+    said.last_comparison.remember("a comparison", tmp_path)
+    load(str(tmp_path / "scene.blend"))
+    assert said.last_render.last_render() is said.scene_check.last_check() is said.last_comparison.last_comparison() is None
+
+
 PROCESS = """
 import importlib.util, sys
 import bpy
