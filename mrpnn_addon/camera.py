@@ -17,8 +17,8 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     The window comes from Blender's own projection matrix, which holds lens, sensor fit, shift and
     resolution by Blender's rules.
 
-    Raises SceneError without a camera, for a panoramic one that is not equirectangular, for one that looks nowhere, and for
-    pixels that are not square.
+    Raises SceneError without a camera, for a panoramic one that is not equirectangular, for one that looks nowhere,
+    and for pixels that are not square.
     """
     scene = depsgraph.scene
     if scene.camera is None:

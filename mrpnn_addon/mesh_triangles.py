@@ -53,7 +53,8 @@ class Mesh:
 def require_finite(mesh: Mesh, where: str) -> None:
     """Raises SceneError, beginning with `where`, unless all places are numbers that can be computed with."""
     if not mesh.is_finite:
-        raise SceneError(f"{where}: some of its vertices are not numbers, or lie above {LARGEST:g}; look at its modifiers")
+        raise SceneError(f"{where}: some of its vertices are not numbers, or lie above {LARGEST:g}; look at its "
+                         "modifiers")
 
 
 def read_mesh(mesh_object) -> Mesh:

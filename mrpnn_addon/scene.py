@@ -27,8 +27,8 @@ class SceneDescription:
     environment: whether `suns` hold the World's light.
     warnings: what is left out or approximated, naming each object.
     left_out: names of the volumes and lights that are not in the description although the scene shows them.
-    unseen: which volumes, and why; empty: those of them that hold nothing in this frame. Where no other volume is left, a
-    scene with some of these is described without volumes.
+    unseen: which volumes, and why; empty: those of them that hold nothing in this frame. Where no other volume is
+    left, a scene with some of these is described without volumes.
     refused: why objects, or the World, cannot be rendered and are left out: mistakes, naming each.
     """
 
@@ -60,8 +60,8 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     reader: that has read volumes of this scene before, none of which has changed since. check: called before each object;
     what it raises ends the reading.
 
-    Raises SceneError, saying what to add or change, where the scene cannot be rendered: where its camera cannot, or where no
-    volume or no light is left.
+    Raises SceneError, saying what to add or change, where the scene cannot be rendered: where its camera cannot, or
+    where no volume or no light is left.
     """
     require_evaluated(depsgraph)
     camera, warnings = read_camera(depsgraph)

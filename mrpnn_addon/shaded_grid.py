@@ -46,8 +46,8 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     a shader shines that does so where all grids are 0. check: called often; what it raises ends the work.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
-    absorbs where every grid is 0, or has colours that vary from voxel to voxel; EmptyMaterial where it does neither anywhere
-    and does not shine either.
+    absorbs where every grid is 0, or has colours that vary from voxel to voxel; EmptyMaterial where it does neither
+    anywhere and does not shine either.
     """
     shape = next(iter(grids.values())).shape if inside is None else inside.shape
     index = index or (lambda voxels: np.stack(np.unravel_index(voxels, shape), axis=1))

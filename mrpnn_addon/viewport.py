@@ -70,7 +70,10 @@ class Viewport:
         return self.description is not None and self._shown == _state(depsgraph, space)
 
     def read(self, depsgraph, space) -> None:
-        """The scene, or what a SpaceView3D shows of it, has changed: describe it, or first let a thread read its volumes."""
+        """The scene, or what a SpaceView3D shows of it, has changed: describe it.
+
+        First a thread reads its volumes, where that takes a while.
+        """
         self._shown = _state(depsgraph, space)
         sources, loading = self.reader.wanted(depsgraph, space), self._loading
         if loading is not None and not loading.done and loading.reader is self.reader and (

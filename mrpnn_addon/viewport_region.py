@@ -39,7 +39,7 @@ def render_region(context, scene) -> Optional[Part]:
 
 
 def _camera_frame(context, scene):
-    """Lower left and upper right corner of the image in the camera's view, in shares of the region; None without one."""
+    """Lower left and upper right corner of the camera's image, in shares of the region; None without one."""
     space = context.space_data
     camera = space.camera if space.use_local_camera else scene.camera
     if camera is None or camera.type != 'CAMERA':

@@ -30,8 +30,8 @@ class Shown:
 def shown_objects(depsgraph, space=None) -> Iterator[Shown]:
     """All objects and instances of the depsgraph's view layer that renders show, or that a viewport shows.
 
-    space: the viewport's SpaceView3D, or None for renders. As in Cycles, a viewport goes by what is hidden in it: by the
-    eye, local view, collections and its own filter of object types, but not by what is hidden in renders.
+    space: the viewport's SpaceView3D, or None for renders. As in Cycles, a viewport goes by what is hidden in it: by
+    the eye, local view, collections and its own filter of object types, but not by what is hidden in renders.
     """
     in_render = None if space or depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:

@@ -29,8 +29,9 @@ class EmptyVolume(Exception):
 
 @dataclass
 class VolumeReader:
-    """Reads volumes; what instances share is read once. known: what sources have read, or why they cannot be, by their key.
-    meshes: of surfaces, for `read_surface`.
+    """Reads volumes; what instances share is read once.
+
+    known: what sources hold, or why they cannot be read, by their key. meshes: of surfaces, for `read_surface`.
     """
 
     known: Dict[tuple, Union[SceneError, Tuple[ShadedGrid, np.ndarray, List[str]]]] = field(default_factory=dict)

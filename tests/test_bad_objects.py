@@ -141,8 +141,8 @@ def vertices_of_no_number(scene, folder):
 MISTAKES = [
     (missing_file, "file not found"), (no_file, "loads no file"), (no_volume_file, "as OpenVDB"),
     (empty_grid, "is empty"), (missing_grid, "no grid \"heat\""), (background_grid, "background 0.5"),
-    (unsupported_node, "not supported"), (no_density, "neither scatters"), (several_materials, "several volume materials"),
-    (open_mesh, "not closed"), (not_a_number, "not a number"), (far_away, "above 1e+09"),
+    (unsupported_node, "not supported"), (no_density, "neither scatters"),
+    (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not a number"), (far_away, "above 1e+09"),
     (vertices_of_no_number, "not numbers")]
 
 
@@ -174,7 +174,8 @@ def test_of_several_bad_volumes_each_is_said_why(addon, scene, cloud, tmp_path):
     blender_scenes.add_fog(scene.objects["Hidden"].data, "Hidden", "ShaderNodeVolumeScatter")
     scene.objects["Hidden"].visible_camera = False
     message = refusal(addon)
-    for said in ("\"Cloud\": file not found", "\"Second\": the mesh is not closed", "\"Hidden\" is hidden from the camera"):
+    for said in ("\"Cloud\": file not found", "\"Second\": the mesh is not closed",
+                 "\"Hidden\" is hidden from the camera"):
         assert said in message
 
 
@@ -245,7 +246,7 @@ def test_a_bad_surface_is_named_and_left_out(addon, scene, cloud, mistake):
     np.testing.assert_array_equal(alpha_of(addon, scene)[0], alone)
 
 
-@pytest.mark.parametrize("scale", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 1), (0, 0, 0), (1e-7, 1e-7, 1e-7), (1e6, 1, 1)])
+@pytest.mark.parametrize("scale", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 1), (0, 0, 0), (1e-7,) * 3, (1e6, 1, 1)])
 def test_a_surface_may_be_flat(addon, scene, cloud, scale):
     """Squashed on an axis it is a wall, as to Cycles; on all, it is nothing."""
     cube(scene, "Wall").scale = scale
@@ -309,7 +310,7 @@ def keyed(owner, path, values):
         owner.keyframe_insert(path, frame=frame)
 
 
-def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_its_first_frame(addon, scene, cloud, tmp_path):
+def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_the_start(addon, scene, cloud, tmp_path):
     """By F12's engine, each alone in its scene; the frames are there, the first ones empty."""
     node = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
     keyed(cloud, "scale", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
@@ -333,7 +334,8 @@ def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_its_f
 def test_a_sequence_that_begins_with_an_empty_grid_begins_with_empty_pictures(addon, scene, cloud, tmp_path):
     """As simulations write them; a still file without a voxel is a mistake."""
     for number, density in ((1, np.zeros((16, 16, 16))), (2, blender_scenes.blob())):
-        shutil.move(blender_scenes.write_vdb(tmp_path, density, blender_scenes.centred(16, 2.0)), tmp_path / f"smoke_{number}.vdb")
+        path = blender_scenes.write_vdb(tmp_path, density, blender_scenes.centred(16, 2.0))
+        shutil.move(path, tmp_path / f"smoke_{number}.vdb")
     cloud.data.filepath = str(tmp_path / "smoke_1.vdb")
     cloud.data.is_sequence, cloud.data.frame_start, cloud.data.frame_duration = True, 1, 2
     scene.frame_set(1)
@@ -398,7 +400,8 @@ def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_pat
     said = addon.mrpnn_addon
     said.last_comparison.remember("a comparison", tmp_path)
     load(str(tmp_path / "scene.blend"))
-    assert said.last_render.last_render() is said.scene_check.last_check() is said.last_comparison.last_comparison() is None
+    assert said.last_render.last_render() is None and said.scene_check.last_check() is None
+    assert said.last_comparison.last_comparison() is None
 
 
 PROCESS = """
