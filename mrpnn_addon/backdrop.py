@@ -3,6 +3,7 @@
 import traceback
 import types
 from dataclasses import replace
+from typing import Optional
 
 import gpu
 import numpy as np
@@ -12,6 +13,7 @@ from ..inference.scene.camera_rays import camera_rays
 from ..inference.scene import Camera, Cancelled
 from .environment_image import sampler
 from .film import pixel_filter, world_behind
+from .viewport_region import WHOLE, Part, part_pixels
 from .world_picture import WorldSource
 from .world_process import PictureFailed
 from .worker import Worker
@@ -36,6 +38,7 @@ class Backdrop:
     def __init__(self, watch):
         self._watch, self._behind, self._filter = watch, None, None
         self._shown, self._view, self._drawn, self._texture = None, None, None, None
+        self._part = WHOLE
 
     def read(self, depsgraph) -> None:
         """The scene has changed: see what is behind its volumes now; nothing is, on a transparent film."""
@@ -43,11 +46,11 @@ class Backdrop:
         self._behind = None if transparent else world_behind(depsgraph)
         self._filter = pixel_filter(depsgraph.scene)
 
-    def look(self, camera: Camera) -> None:
-        """Start over where the view or the World differ."""
-        behind = self._behind
+    def look(self, camera: Optional[Camera], part: Part = WHOLE) -> None:
+        """Start over where the view or the World differ; camera: of a part of the region, None where there is no view."""
+        self._part, behind = part, self._behind if camera is not None else None
         key = behind.key if isinstance(behind, WorldSource) else behind is not None and behind.tobytes()
-        view = key, view_key(camera), self._filter
+        view = key, camera and view_key(camera), part, self._filter
         if view == self._view:
             return
         self.stop()
@@ -61,12 +64,13 @@ class Backdrop:
             self._shown = self._texture = None
 
     def draw(self, size) -> None:
-        """Draw the latest picture over the region; the one before until there is one."""
+        """Draw the latest picture over its part of the region; the one before until there is one."""
         shown = self._shown
         if shown is not None and shown.picture is not None and self._drawn != (shown, shown.number):
             self._drawn, self._texture = (shown, shown.number), texture(shown.picture)
         if self._texture is not None:
-            draw_texture_2d(self._texture, (0, 0), *size)
+            corner = self._part[0] * size[0], self._part[1] * size[1]
+            draw_texture_2d(self._texture, corner, *part_pixels(self._part, size))
 
     @property
     def status(self) -> str:

@@ -6,6 +6,7 @@ from typing import List, Optional, Tuple
 import numpy as np
 
 from ..inference.scene import Camera, SceneError
+from .placement import why_unplaced
 
 PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
 
@@ -16,8 +17,8 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     The window comes from Blender's own projection matrix, which holds lens, sensor fit, shift and
     resolution by Blender's rules.
 
-    Raises SceneError without a camera, for a panoramic one that is not equirectangular, and for pixels that
-    are not square.
+    Raises SceneError without a camera, for a panoramic one that is not equirectangular, for one that looks nowhere,
+    and for pixels that are not square.
     """
     scene = depsgraph.scene
     if scene.camera is None:
@@ -28,6 +29,12 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     if lens.type not in PROJECTIONS or panorama not in (None, 'EQUIRECTANGULAR'):
         raise SceneError(f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
                          "equirectangular are supported")
+    matrix = np.array(camera.matrix_world, dtype=np.float64)
+    problem = why_unplaced(matrix)
+    if problem:
+        raise SceneError(f"{where}: {problem}")
+    if not np.linalg.norm(matrix[:3, :3], axis=0).all():
+        raise SceneError(f"{where}: it has scale 0; set it to 1")
     render = scene.render
     if render.pixel_aspect_x != render.pixel_aspect_y:
         raise SceneError(f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
@@ -38,7 +45,7 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
 
     if panorama:
         return Camera(
-            _orthonormal(np.array(camera.matrix_world)), projection="equirectangular", resolution=(width, height),
+            _orthonormal(matrix), projection="equirectangular", resolution=(width, height),
             longitude=_ends(lens, "longitude"), latitude=_ends(lens, "latitude"),
             clip=(lens.clip_start, lens.clip_end), region=_region(render, width, height),
         ), _warnings(where, lens, render)
@@ -48,7 +55,7 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
     half_width = 1.0 / window[0, 0]
     centre = window[:2, 2] if perspective else -window[:2, 3]
     return Camera(
-        _orthonormal(np.array(camera.matrix_world)),
+        _orthonormal(matrix),
         projection=PROJECTIONS[lens.type],
         resolution=(width, height),
         fov=2.0 * math.atan(half_width),
@@ -76,7 +83,7 @@ def _ends(lens, name: str) -> Tuple[float, float]:
 
 def _orthonormal(matrix: np.ndarray) -> np.ndarray:
     """Blender ignores the scale of a camera object: each axis has length 1."""
-    matrix = matrix.astype(np.float64)
+    matrix = matrix.copy()
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return matrix
 

@@ -67,7 +67,7 @@ class ComparisonRun:
             self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
             require_volumes(self.description)
             process = CyclesProcess(
-                context.scene, volumes_and_suns(depsgraph), options.bounces,
+                context.scene, volumes_and_suns(depsgraph, self.description.left_out), options.bounces,
                 context.scene.world if self.description.environment else None)
         self.request = Request(layers, options.samples, options.ladder if self.given is None else 0, options.denoised,
                                options.seconds, self.given is not None)

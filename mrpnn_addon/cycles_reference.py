@@ -64,8 +64,10 @@ def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=
     return Reference(*halves, time.perf_counter() - start, samples, bounces, bpy.app.version_string)
 
 
-def volumes_and_suns(depsgraph) -> list:
+def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
     """The objects that the layer shows, or that instance what it shows: what a reference has to hold.
+
+    left_out: as of `SceneDescription`.
 
     Raises SceneError where one object instances surfaces or other lights together with volumes,
     since the reference would show those too.
@@ -74,9 +76,9 @@ def volumes_and_suns(depsgraph) -> list:
     for shown in shown_objects(depsgraph):
         volume = shows_volume(shown.object) and shown.object.visible_camera
         sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
-        if volume or sun:
+        if (volume or sun) and shown.name not in left_out:
             sources[shown.source.name] = shown.source
-        elif shown.object.type in SURFACES or shown.object.type == 'LIGHT':
+        elif shown.object.type in SURFACES or shown.object.type == 'LIGHT' or shown.name in left_out:
             others[shown.source.name] = shown.source
     for name in sources.keys() & others.keys():
         raise SceneError(f"object \"{name}\" instances a volume or sun together with something that is not "

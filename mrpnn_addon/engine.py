@@ -19,6 +19,7 @@ from .render_result import RenderResult
 from .scene import read_scene
 from .unrendered import unrendered
 from .viewport import Viewport, viewport_camera
+from .viewport_region import WHOLE, render_region
 from .visibility import shown_objects
 from .volume_loading import VolumeLoading
 from .volumes import VolumeReader
@@ -68,24 +69,28 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if self._viewport is None:
             self._viewport = Viewport()
         self._viewport.backdrop.read(depsgraph)
-        if self._viewport.description is not None and all(
-                isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
+        if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
+                self._viewport.shows(depsgraph, context.space_data)):
             # Selecting, and settings, which view_draw compares: the volumes are as they were.
             return
         if not all(_leaves_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
-        self._viewport.read(depsgraph)
+        self._viewport.read(depsgraph, context.space_data)
 
     def view_draw(self, context, depsgraph):
         """Blender calls this for each redraw of the viewport, also when only the view has changed."""
         view, size = context.region_data, (context.region.width, context.region.height)
         if self._viewport is None:
             return
-        self._viewport.read_on(depsgraph)
-        camera = viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
-                                 context.space_data.clip_end)
-        self._viewport.look(camera, depsgraph.scene.mrpnn.settings())
-        self._viewport.backdrop.look(camera)
+        self._viewport.read_on(depsgraph, context.space_data)
+        part = render_region(context, depsgraph.scene)
+        try:
+            camera = part and viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
+                                              context.space_data.clip_end, part)
+        except SceneError:
+            # Through a camera of scale 0 there is nothing to see.
+            camera = None
+        self._viewport.look(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
         gpu.state.blend_set('ALPHA_PREMULT')
         self.bind_display_space_shader(depsgraph.scene)
         self._viewport.draw(size)

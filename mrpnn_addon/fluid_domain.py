@@ -6,7 +6,7 @@ from typing import Dict
 
 import numpy as np
 
-from .shaded_grid import shade
+from .shaded_grid import refuse_nothing, shade
 from .volume_source import VolumeSource
 from .voxel_points import Probe
 
@@ -68,11 +68,13 @@ def probe_grids(material, grids) -> Probe:
     Raises SceneError where the material reads a grid that is not there, or none.
     """
     probe = Probe(list(grids), fills_its_bounds=False)
-    material.at(probe)
+    at_zero = material.at(probe)
     for name in probe.names:
         if name not in grids:
             material.refuse(f"the fluid domain holds no grid \"{name}\"; there are: {', '.join(grids)}")
     if not probe.names:
+        if not at_zero.closures and not at_zero.emission.any():
+            refuse_nothing(material)
         material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute or "
                         f"link an Attribute node (grids of the domain: {', '.join(grids)})")
     return probe

@@ -11,6 +11,7 @@ from .camera import read_camera
 from .last_render import last_render
 from .lights import read_suns
 from .material import shows_volume
+from .placement import scaled_to_nothing, why_unplaced
 from .visibility import shown_objects, why_unseen
 from .world import expected_lights
 
@@ -43,12 +44,17 @@ def forecast(depsgraph) -> Forecast:
         camera, warnings = read_camera(depsgraph)
         covered, volumes, lamps, lights = np.zeros(camera.resolution[::-1], bool), 0, 0, []
         for shown in shown_objects(depsgraph):
-            if shows_volume(shown.object) and not why_unseen(shown, depsgraph.view_layer):
-                volumes += 1
-                _cover(covered, camera, shown)
+            if shows_volume(shown.object):
+                if not (why_unseen(shown, depsgraph.view_layer) or why_unplaced(shown.matrix)
+                        or scaled_to_nothing(shown.matrix)):
+                    volumes += 1
+                    _cover(covered, camera, shown)
             elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
-                suns, said = read_suns(shown)
                 lamps += 1
+                try:
+                    suns, said = read_suns(shown)
+                except SceneError as problem:
+                    suns, said = [], [f"{problem} (left out)"]
                 lights += suns
                 warnings += said
         directions = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)

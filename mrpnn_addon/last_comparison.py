@@ -1,4 +1,4 @@
-"""What the panel says about the last comparison of this session."""
+"""What the panel says about the last comparison of this file."""
 
 _last = None
 
@@ -7,6 +7,12 @@ def remember(comparison, page) -> None:
     """Keep a Comparison and the path of its report."""
     global _last
     _last = comparison, page
+
+
+def forget() -> None:
+    """Another file is loaded."""
+    global _last
+    _last = None
 
 
 def last_comparison():

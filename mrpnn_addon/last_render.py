@@ -1,4 +1,4 @@
-"""What the panel says about the last render of this session."""
+"""What the panel says about the last render of this file."""
 
 from dataclasses import dataclass, field
 from typing import List
@@ -22,7 +22,7 @@ _last = None
 
 
 def remember(last: LastRender) -> None:
-    """Keep it until the next render or the end of the session."""
+    """Keep it until the next render or another file."""
     global _last
     _last = last
 
@@ -32,6 +32,12 @@ def remember_finished(finished) -> None:
     report = finished.layer.report
     remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
                         network_seconds=report.seconds.get("network", 0.0), saved=sum(report.saved.values())))
+
+
+def forget() -> None:
+    """Another file is loaded."""
+    global _last
+    _last = None
 
 
 def last_render():

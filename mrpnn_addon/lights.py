@@ -4,9 +4,11 @@ import math
 from typing import List, Tuple
 
 import numpy as np
+from mathutils import Vector
 
 from ..inference.scene import SceneError, Sun
 from .node_values import constant
+from .placement import why_unplaced
 from .sockets import Unsupported, active_output, linked_node
 from .visibility import Shown
 
@@ -23,9 +25,14 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
     this version of Blender has them. That is what falls on a surface which faces the sun; a sun of some angle, shared among
     directions in its disc, gives a volume more, since nothing in it lies aslant.
 
-    Raises SceneError for light nodes that cannot be evaluated.
+    Raises SceneError, naming the lamp, for nodes that cannot be evaluated, and where it points nowhere.
     """
-    lamp = shown.object.data
+    lamp, name = shown.object.data, f"sun \"{shown.name}\""
+    problem = why_unplaced(shown.matrix)
+    if problem:
+        raise SceneError(f"{name}: {problem}")
+    if not shown.matrix[:3, 2].any():
+        raise SceneError(f"{name}: it has scale 0 and shines in no direction")
     irradiance = lamp.energy * np.array(lamp.color, dtype=np.float64)
     irradiance *= 2.0 ** getattr(lamp, 'exposure', 0.0)
     if getattr(lamp, 'use_temperature', False):
@@ -35,9 +42,8 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
     # What falls on a surface is even radiance times pi sin^2 of half the angle; on a volume, times the solid angle.
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
-    irradiance *= _node_factor(lamp, shown.name)
+    irradiance *= _node_factor(lamp, name)
 
-    name = f"sun \"{shown.name}\""
     suns = [Sun(direction, share * irradiance, name=name)
             for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)]
     return suns, _warnings(shown, name)
@@ -57,7 +63,9 @@ def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, f
         rings = [(0.0, 1, 1.0 / 4.0), (math.sqrt(2.0 / 3.0), 6, 3.0 / 4.0)]
     else:
         rings = [(0.0, 1, 1.0 / 19.0), (0.47, 6, 6.0 / 19.0), (0.8253, 12, 12.0 / 19.0)]
-    axes = frame / np.linalg.norm(frame, axis=0)
+    lengths = np.linalg.norm(frame, axis=0)
+    # An axis may have scale 0.
+    axes = frame / lengths if lengths.all() else np.array(Vector(frame[:, 2]).to_track_quat('Z', 'Y').to_matrix())
     found = []
     for radius, count, share in rings:
         for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
@@ -91,4 +99,4 @@ def _node_factor(lamp, name: str) -> np.ndarray:
             raise Unsupported(f"node \"{node.name}\" is not supported; use one Emission node")
         return constant(node.inputs['Strength']) * constant(node.inputs['Color'])
     except Unsupported as problem:
-        raise SceneError(f"sun \"{name}\": {problem}") from None
+        raise SceneError(f"{name}: {problem}") from None

@@ -49,6 +49,10 @@ class Shading:
     hot: bool = False
 
 
+class EmptyMaterial(SceneError):
+    """A material that neither scatters, absorbs nor emits."""
+
+
 class VolumeMaterial:
     """The volume shader of one object, to be evaluated at points.
 
@@ -72,9 +76,9 @@ class VolumeMaterial:
             self.refuse("displacement of volumes is not supported; unlink it")
         self.output = copied(material.node_tree, self.output)
 
-    def refuse(self, problem):
-        """Raise SceneError naming object and material."""
-        raise SceneError(f"{self.where}: {problem}") from None
+    def refuse(self, problem, kind=SceneError):
+        """Raise SceneError, or a kind of it, naming object and material."""
+        raise kind(f"{self.where}: {problem}") from None
 
     def at(self, points) -> Shading:
         """The shading at `points`, an instance of one of `voxel_points`' classes."""
@@ -97,6 +101,17 @@ def first_material(shown):
     if len(slots):
         return slots[0].material
     return next(iter(shown.data.materials), None)
+
+
+def is_animated(material) -> bool:
+    """Whether keyframes or drivers change a material's nodes, or those of a group."""
+    trees = [material and material.node_tree]
+    for tree in filter(None, trees):
+        found = tree.animation_data
+        if found is not None and (found.action is not None or len(found.drivers) or len(found.nla_tracks)):
+            return True
+        trees += [node.node_tree for node in tree.nodes if node.type == 'GROUP' and node.node_tree not in trees]
+    return False
 
 
 def shows_volume(shown) -> bool:

@@ -1,9 +1,13 @@
 """A mesh's triangles: what Blender has of them is read at once, and what takes time made of it on any thread."""
 
+import functools
 from dataclasses import dataclass
 from typing import Optional
 
 import numpy as np
+
+from ..inference.scene import SceneError
+from .placement import LARGEST
 
 
 @dataclass
@@ -17,6 +21,11 @@ class Mesh:
     corners: np.ndarray
     first: np.ndarray
     chosen: Optional[np.ndarray] = None
+
+    @functools.cached_property
+    def is_finite(self) -> bool:
+        """Whether all places are numbers that can be computed with."""
+        return bool(np.abs(self.places).max(initial=0.0) <= LARGEST)
 
     def triangles(self, matrix=np.eye(4)) -> np.ndarray:
         """float64 (T, 3, 3): corners, moved by a matrix (4, 4)."""
@@ -39,6 +48,13 @@ class Mesh:
         found[start[quad][outside]] = corners[outside][:, [0, 1, 3]]
         found[start[quad][outside] + 1] = corners[outside][:, [1, 2, 3]]
         return found
+
+
+def require_finite(mesh: Mesh, where: str) -> None:
+    """Raises SceneError, beginning with `where`, unless all places are numbers that can be computed with."""
+    if not mesh.is_finite:
+        raise SceneError(f"{where}: some of its vertices are not numbers, or lie above {LARGEST:g}; look at its "
+                         "modifiers")
 
 
 def read_mesh(mesh_object) -> Mesh:

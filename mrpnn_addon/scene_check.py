@@ -50,6 +50,12 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
     return _last
 
 
+def forget() -> None:
+    """Another file is loaded."""
+    global _last
+    _last = None
+
+
 def last_check():
     """The SceneCheck, or None before the first."""
     return _last

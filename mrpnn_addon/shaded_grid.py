@@ -9,7 +9,7 @@ import numpy as np
 from ..inference.scene.phase_function import PhaseFunction
 from ..inference.scene import ANISOTROPY_MOST
 from ..inference.scene.sparse_grid import SparseGrid
-from .material import VolumeMaterial
+from .material import EmptyMaterial, VolumeMaterial
 from .phase_functions import phase_function
 from .voxel_points import VoxelPoints
 
@@ -46,7 +46,8 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     a shader shines that does so where all grids are 0. check: called often; what it raises ends the work.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
-    absorbs where every grid is 0, or has colours that vary from voxel to voxel.
+    absorbs where every grid is 0, or has colours that vary from voxel to voxel; EmptyMaterial where it does neither
+    anywhere and does not shine either.
     """
     shape = next(iter(grids.values())).shape if inside is None else inside.shape
     index = index or (lambda voxels: np.stack(np.unravel_index(voxels, shape), axis=1))
@@ -60,7 +61,7 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
     plain, placed = _plain(shading), points.placed
     shines = len(shading.emission) > 1 or shading.emission.any()
     if not shading.closures and not shines:
-        material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render")
+        refuse_nothing(material)
     if plain and inside is None and shading.closures[0].grid:
         # The shader colours one grid and changes none of its voxels, of which some hold something.
         closure = shading.closures[0]
@@ -221,8 +222,13 @@ def _require_empty_background(material, points: VoxelPoints, density) -> None:
         _refuse_background(material)
 
 
+def refuse_nothing(material):
+    """Raise EmptyMaterial for a shader that is nothing at all."""
+    material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render", EmptyMaterial)
+
+
 def _refuse_emptiness(material):
-    material.refuse("its density is 0 everywhere, so the volume is invisible")
+    material.refuse("its density is 0 everywhere, so the volume is invisible", EmptyMaterial)
 
 
 def _refuse_background(material):

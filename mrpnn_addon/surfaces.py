@@ -5,8 +5,9 @@ from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..inference.scene import Surface
-from .mesh_triangles import Mesh, read_mesh
+from ..inference.scene import SceneError, Surface
+from .mesh_triangles import Mesh, read_mesh, require_finite
+from .placement import why_unplaced
 from .sockets import Unsupported, active_output, input_of, source_of
 from .visibility import Shown
 
@@ -35,6 +36,8 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Op
     """A visible object's surface where it is opaque and volumes meet it, and warnings.
 
     known: meshes read before; instances share them.
+
+    Raises SceneError, naming the object, where its transform or its vertices are not numbers to compute with.
     """
     where = f"{shown.object.type.lower()} object \"{shown.name}\""
     if shown.object.type not in MESHES:
@@ -48,7 +51,10 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Op
     key = (shown.object.data.name_full, shown.object.as_pointer())
     if key not in known:
         known[key] = read_mesh(shown.object)
-    mesh = known[key]
+    mesh, problem = known[key], why_unplaced(shown.matrix)
+    if len(mesh.corners) and problem:
+        raise SceneError(f"{where}: {problem}")
+    require_finite(mesh, where)
     return (OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops) if len(mesh.corners) else None), []
 
 

@@ -1,4 +1,4 @@
-"""Which objects a render shows, instances included."""
+"""Which objects a render or a viewport shows, instances included."""
 
 from dataclasses import dataclass
 from typing import Iterator, List, Optional
@@ -27,11 +27,18 @@ class Shown:
     source: "bpy.types.Object"
 
 
-def shown_objects(depsgraph) -> Iterator[Shown]:
-    """All objects and instances that the depsgraph's view layer shows in renders."""
-    in_render = None if depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
+def shown_objects(depsgraph, space=None) -> Iterator[Shown]:
+    """All objects and instances of the depsgraph's view layer that renders show, or that a viewport shows.
+
+    space: the viewport's SpaceView3D, or None for renders. As in Cycles, a viewport goes by what is hidden in it: by
+    the eye, local view, collections and its own filter of object types, but not by what is hidden in renders.
+    """
+    in_render = None if space or depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:
         instanced = instance.object
+        # Instances carry the visibility of what makes them.
+        if space is not None and not instanced.visible_in_viewport_get(space):
+            continue
         # An instance is there because the object that makes it is.
         source = instance.parent if instance.is_instance else instanced
         name = source.original.name
@@ -50,6 +57,18 @@ def _used_up(shown_object) -> bool:
     """Whether geometry nodes have left nothing of a mesh: what else they make is shown as objects of their own."""
     return shown_object.type == 'MESH' and not shown_object.data.polygons and any(
         modifier.type == 'NODES' for modifier in shown_object.modifiers)
+
+
+def visibility_state(depsgraph, space) -> tuple:
+    """What differs where a viewport comes to show other objects, or shows them otherwise, although none has changed.
+
+    Blender tells engines of hiding, local view and collections as it does of selecting: the scene has changed.
+    """
+    view_layer = depsgraph.view_layer
+    return view_layer.name, frozenset(
+        (shown.name_full, shown.original.holdout_get(view_layer=view_layer),
+         shown.original.indirect_only_get(view_layer=view_layer))
+        for shown in depsgraph.objects if shown.visible_in_viewport_get(space))
 
 
 def why_unseen(shown: Shown, view_layer) -> str:

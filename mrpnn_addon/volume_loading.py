@@ -8,7 +8,7 @@ from .worker import Worker
 
 
 class VolumeLoading(Worker):
-    """Reads sources one after the other for a VolumeReader, which knows them then.
+    """Reads sources one after the other for a VolumeReader, which knows then what they hold or why they cannot be read.
 
     message: what it is doing. number: of pictures, as of a Preview.
     """
@@ -30,7 +30,7 @@ class VolumeLoading(Worker):
         try:
             for number, source in enumerate(self.sources):
                 self.message = source.message
-                self.reader.known[source.key] = source.read(self._started, self._check)
+                self.reader.learn(source, self._started, self._check)
                 self.fraction = (number + 1) / len(self.sources)
         finally:
             self._check()

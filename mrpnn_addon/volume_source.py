@@ -13,7 +13,7 @@ from .leaf_boxes import boxes, leaves_around
 from .material import VolumeMaterial
 from .mesh_triangles import Mesh
 from .mesh_volume import fill
-from .shaded_grid import VOXELS_ARE_HOT, ShadedGrid, is_linear, refine, require_empty_background, shade
+from .shaded_grid import VOXELS_ARE_HOT, ShadedGrid, is_linear, refine, refuse_nothing, require_empty_background, shade
 from .voxel_points import Probe
 
 # Voxels of a grid up to which it is made finer for shaders that are not linear in it.
@@ -71,6 +71,8 @@ class FileSource(VolumeSource):
     def _read(self, started, check):
         material, probe, at_zero = self.material, self.probe, self.material.at(self.probe)
         if not probe.names:
+            if not at_zero.closures and not at_zero.emission.any():
+                refuse_nothing(material)
             material.refuse("the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
                             f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")
         if not probe.placed:

@@ -5,16 +5,17 @@ import tempfile
 import weakref
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple, Union
 
 import bpy
 import numpy as np
 
 from ..inference.scene import Medium, SceneError, Volume
-from .density_grid import unreadable
+from .density_grid import EmptyGrid, unreadable
 from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, probe_grids, read_grids
-from .material import VolumeMaterial, first_material, shows_volume
-from .mesh_triangles import Mesh, read_mesh
+from .material import EmptyMaterial, VolumeMaterial, first_material, is_animated, shows_volume
+from .mesh_triangles import Mesh, read_mesh, require_finite
+from .placement import scaled_to_nothing, why_unplaced
 from .shaded_grid import ShadedGrid
 from .visibility import Shown, shown_objects, why_unseen
 from .volume_source import FileSource, MeshSource, VolumeSource
@@ -22,50 +23,81 @@ from .voxel_points import Probe
 from .world import wanted_world
 
 
+class EmptyVolume(Exception):
+    """A volume holds nothing now but may in other frames. Its words are ended by the frame's number."""
+
+
 @dataclass
 class VolumeReader:
-    """Reads volumes; what instances share is read once. known: what sources have read, by their key. meshes: of
-    surfaces, for `read_surface`.
+    """Reads volumes; what instances share is read once.
+
+    known: what sources hold, or why they cannot be read, by their key. meshes: of surfaces, for `read_surface`.
     """
 
-    known: Dict[tuple, Tuple[ShadedGrid, np.ndarray, List[str]]] = field(default_factory=dict)
+    known: Dict[tuple, Union[SceneError, Tuple[ShadedGrid, np.ndarray, List[str]]]] = field(default_factory=dict)
     meshes: Dict[tuple, Mesh] = field(default_factory=dict)
 
     def read(self, shown: Shown) -> Tuple[Volume, Medium, List[str]]:
         """The density, placement and shading of one visible volume, and warnings.
 
-        Raises SceneError, naming the object, where the file, the grid, the mesh or the material cannot
-        be used.
+        Raises SceneError, naming the object, where its transform, the file, the grid, the mesh or the material cannot
+        be used; EmptyVolume where it holds nothing in this frame.
         """
+        where, problem, empty = _where(shown), why_unplaced(shown.matrix), why_empty(shown)
+        if problem:
+            raise SceneError(f"{where}: {problem}")
+        if empty:
+            raise EmptyVolume(empty)
+        if self._known_key(shown) is None:
+            for source in self._source(shown):
+                self.learn(source)
         key = self._known_key(shown)
-        if key is None:
-            source = volume_source(shown)
-            key, self.known[source.key] = source.key, source.read()
-        shaded, object_from_index, warnings = self.known[key]
+        known = self.known[key]
+        if isinstance(known, (EmptyGrid, EmptyMaterial)) and _may_fill(shown.object):
+            raise EmptyVolume("holds nothing in")
+        if isinstance(known, SceneError):
+            raise type(known)(*known.args)
+        shaded, object_from_index, warnings = known
         # Once, for all instances.
         self.known[key] = shaded, object_from_index, []
-        where, scale = _where(shown), 1.0
+        scale = 1.0
         if shown.object.type == 'VOLUME':
             scale = density_scale(shown.object.data.render.space, shown.matrix)
         volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission, shaded.emission_power)
         medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
-    def wanted(self, depsgraph) -> List[VolumeSource]:
+    def wanted(self, depsgraph, space=None) -> List[VolumeSource]:
         """What this would have to read for the scene, and the World where Cycles has to show it: for a `VolumeLoading`.
 
-        Up to where something keeps the scene from being read; reading it says what.
+        space: as of `shown_objects`.
         """
         found = {}
-        try:
-            for shown in shown_objects(depsgraph):
-                unseen = not shows_volume(shown.object) or why_unseen(shown, depsgraph.view_layer)
-                if not unseen and not why_empty(shown.object) and self._known_key(shown) is None:
-                    source = volume_source(shown)
-                    found[source.key] = source
-        except SceneError:
-            pass
+        for shown in shown_objects(depsgraph, space):
+            if self._is_wanted(shown, depsgraph.view_layer):
+                found.update((source.key, source) for source in self._source(shown))
         return [*found.values(), *wanted_world(depsgraph)]
+
+    def learn(self, source: VolumeSource, *arguments) -> None:
+        """Read a source, or find out why it cannot be. arguments: of `VolumeSource.read`. Any thread may."""
+        try:
+            self.known[source.key] = source.read(*arguments)
+        except SceneError as problem:
+            # Without its traceback, which holds what it was raised in.
+            self.known[source.key] = type(problem)(*problem.args)
+
+    def _is_wanted(self, shown: Shown, view_layer) -> bool:
+        return shows_volume(shown.object) and not (
+            why_unseen(shown, view_layer) or why_unplaced(shown.matrix) or why_empty(shown)) and (
+            self._known_key(shown) is None)
+
+    def _source(self, shown: Shown) -> List[VolumeSource]:
+        """What a volume is to be read from; nothing where it cannot be, which is known from then on."""
+        try:
+            return [_volume_source(shown)]
+        except SceneError as problem:
+            self.known[_key(shown, False)] = type(problem)(*problem.args)
+            return []
 
     def _known_key(self, shown: Shown) -> Optional[tuple]:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)
@@ -86,19 +118,27 @@ def _where(shown: Shown) -> str:
     return f"Volume object \"{shown.name}\"" if shown.object.type == 'VOLUME' else f"object \"{shown.name}\""
 
 
-def volume_source(shown: Shown) -> VolumeSource:
+def _volume_source(shown: Shown) -> VolumeSource:
     """What a visible volume is to be read from. Raises SceneError, naming the object."""
     if shown.object.type == 'VOLUME':
         return _file_source(shown, _where(shown))
     return (_fluid_source if gas_domain(shown.object) else _mesh_source)(shown, _where(shown))
 
 
-def why_empty(shown_object) -> str:
+def why_empty(shown: Shown) -> str:
     """Why an object that shows a volume shows none in this frame, so that it is invisible; "" where it does."""
-    data, domain = shown_object.data, gas_domain(shown_object)
-    if shown_object.type == 'VOLUME' and data.is_sequence and data.grids.load() and not len(data.grids):
+    data, domain = shown.object.data, gas_domain(shown.object)
+    if not why_unplaced(shown.matrix) and scaled_to_nothing(shown.matrix):
+        return "has scale 0 in"
+    if shown.object.type == 'VOLUME' and data.is_sequence and data.grids.load() and not len(data.grids):
         return "has no file for"
     return "holds no smoke in" if domain and holds_nothing(domain) else ""
+
+
+def _may_fill(volume_object) -> bool:
+    """Whether what an object shows changes in time: its file, what modifiers make of it, or its material."""
+    sequence = volume_object.type == 'VOLUME' and volume_object.data.is_sequence
+    return sequence or bool(len(volume_object.modifiers)) or is_animated(first_material(volume_object))
 
 
 def _file_source(shown: Shown, where: str) -> FileSource:
@@ -159,6 +199,7 @@ def _mesh_source(shown: Shown, where: str) -> MeshSource:
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
     mesh, generated = read_mesh(shown.object), _generated(shown.object.original)
+    require_finite(mesh, where)
     return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon import engine, passes, properties, scene_watch
+from ..mrpnn_addon import engine, file_watch, passes, properties, scene_watch
 from . import check, command, compare, composite, documentation, render
 
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
@@ -12,6 +12,7 @@ def register():
     properties.register()
     passes.register()
     scene_watch.register()
+    file_watch.register()
     engine.register()
     for operator in CLASSES:
         bpy.utils.register_class(operator)
@@ -23,6 +24,7 @@ def unregister():
     for operator in reversed(CLASSES):
         bpy.utils.unregister_class(operator)
     engine.unregister()
+    file_watch.unregister()
     scene_watch.unregister()
     passes.unregister()
     properties.unregister()

@@ -58,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
 
     report = actions.add_parser("report", help="say what a render would do, without rendering")
+    for action in (render, report):
+        action.add_argument("--strict", action="store_true",
+                            help="fail where an object cannot be rendered, instead of leaving it out with a warning")
     for action in (compare, report):
         action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
 

@@ -12,7 +12,7 @@ from ..mrpnn_addon.comparison_run import ComparisonRun, Options
 from ..mrpnn_addon.frames import frame_path, parse_frames
 from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.render_job import render_scene
-from ..mrpnn_addon.scene import read_scene, require_volumes
+from ..mrpnn_addon.scene import read_scene, require_all, require_volumes
 
 ENDINGS = (".exr", ".png")
 
@@ -31,15 +31,17 @@ def render(options, console, found: dict) -> None:
                 found["frames"].append({"frame": frame, "file": path, "skipped": True})
                 console.event("skipped", f"frame {frame}: {path} is there already", frame=frame, file=path)
                 continue
-            found["frames"].append(_render_frame(frame, path, settings, console))
+            found["frames"].append(_render_frame(frame, path, settings, console, options.strict))
 
 
-def _render_frame(frame: int, path: str, settings, console) -> dict:
+def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dict:
     """Render one frame to `path`; the facts about it."""
     scene = bpy.context.scene
     # Also for the current frame: an override may have changed what is evaluated.
     scene.frame_set(frame)
     description = read_scene(bpy.context.evaluated_depsgraph_get())
+    if strict:
+        require_all(description)
     # As Blender's own output does, once it is clear that there is something to write.
     os.makedirs(os.path.dirname(path), exist_ok=True)
     exr = path.lower().endswith(".exr")
@@ -85,6 +87,8 @@ def report(options, console, found: dict) -> None:
     with _overridden(options) as settings:
         description = read_scene(bpy.context.evaluated_depsgraph_get())
         require_volumes(description)
+        if options.strict:
+            require_all(description)
         plan = make_plan(description.volumes, description.suns, description.camera, settings)
     width, height = description.camera.resolution
     found["plan"] = {

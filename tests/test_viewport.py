@@ -38,6 +38,24 @@ def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, ki
     assert expected.max() > 0.3
 
 
+@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
+    """As with a render region, of any place and shape."""
+    camera = scene.camera
+    camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
+    description = described(addon)
+    view = (camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
+            kind == 'PERSP', (64, 48))
+    make = addon.mrpnn_addon.viewport.viewport_camera
+    # Pixels at the rim of the part have no neighbours outside it that could speak for them.
+    settings = addon.inference.Settings(depth_samples=1, leave_out=addon.inference.scene.optimizations.ALL - {"shared_pixels"})
+    whole, part = (addon.inference.render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
+                                          settings).alpha
+                   for part in ((0.0, 0.0, 1.0, 1.0), (16 / 64, 6 / 48, 48 / 64, 40 / 48)))
+    np.testing.assert_allclose(part, whole[48 - 40:48 - 6, 16:48], atol=2e-4)
+    assert part.max() > 0.3
+
+
 def prepared(addon):
     return addon.mrpnn_addon.preview.Prepared(addon.inference.RenderCache())
 

@@ -26,6 +26,10 @@ const JOB_TYPE = {
             key: "skip_existing", type: "bool", default: true, visible: "submission",
             description: "Leave frames whose file is there, so that a task that is started again goes on where it was",
         },
+        {
+            key: "strict", type: "bool", default: true, visible: "submission",
+            description: "Fail where an object cannot be rendered, instead of leaving it out with a warning",
+        },
         { key: "blendfile", type: "string", required: true, visible: "web", description: "File to render" },
     ],
 };
@@ -40,7 +44,7 @@ function compileJob(job) {
             argsBefore: [],
             blendfile: settings.blendfile,
             args: ["--command", "mrpnn", "render", "--output", settings.output, "--frames", chunk]
-                .concat(settings.skip_existing ? ["--skip-existing"] : []),
+                .concat(settings.skip_existing ? ["--skip-existing"] : [], settings.strict ? ["--strict"] : []),
         }));
         job.addTask(task);
     }
