@@ -35,7 +35,7 @@ class Progress:
     def __init__(self, report: Report, callback: Optional[Callable[[float, str], None]] = None):
         self._report, self._callback = report, callback
         self._start, self._fraction, self._message = time.perf_counter(), 0.0, ""
-        self._expected = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
+        self._expected: Dict[str, float] = {}
         self._done = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
 
     def expect(self, stage: str, amount: float) -> None:
@@ -68,14 +68,16 @@ class Progress:
         for stage, usual in SECONDS_PER_UNIT.items():
             done, spent = self._done[stage], self._report.elapsed(stage)
             rate = spent / done if done > 0.0 and spent > ENOUGH else _measured.get(stage, usual)
-            seconds += max(self._expected[stage] - done, 0.0) * rate
+            seconds += max(self._expected.get(stage, 0.0) - done, 0.0) * rate
         return seconds
 
     def _tell(self):
         if self._callback is None:
             return
-        elapsed = time.perf_counter() - self._start
-        fraction = elapsed / max(elapsed + self._remaining(), 1e-9)
+        elapsed, fraction = time.perf_counter() - self._start, 0.0
+        # Until every stage is known, nothing can be said.
+        if len(self._expected) == len(SECONDS_PER_UNIT):
+            fraction = elapsed / max(elapsed + self._remaining(), 1e-9)
         # Estimates are revised; what is shown never goes back.
         self._fraction = max(self._fraction, min(fraction, 1.0))
         self._callback(self._fraction, self._message)
