@@ -2,9 +2,10 @@
 
 import bpy
 
-from . import object_panel, preferences_panel, render_panel, view_layer_panel
+from . import composite_panel, object_panel, preferences_panel, render_panel, view_layer_panel
 
-CLASSES = (*preferences_panel.classes, *render_panel.classes, *view_layer_panel.classes, *object_panel.classes)
+CLASSES = (*preferences_panel.classes, *render_panel.classes, *composite_panel.classes, *view_layer_panel.classes,
+           *object_panel.classes)
 
 
 def register():

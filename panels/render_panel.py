@@ -181,7 +181,9 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
         # Cycles' properties are there while Cycles is enabled.
         column.enabled = hasattr(context.scene, "cycles")
         column.operator(MRPNN_OT_compare.bl_idname)
-        column.operator(MRPNN_OT_composite.bl_idname)
+        # The panel below tells of a composite that is there.
+        if not (context.scene.mrpnn_composite.active or context.scene.mrpnn_composite.surfaces):
+            column.operator(MRPNN_OT_composite.bl_idname)
         _draw_comparison(context, self.layout, last_comparison())
 
 
