@@ -1,8 +1,8 @@
 """A scene by Cycles whose volumes a second scene renders with MRPNN; its compositor lays them over it.
 
-The first scene keeps all that it holds. Only in its renders volumes are invisible to the camera: a handler says so to the
-evaluated copies of objects that Blender makes for a render and drops after it, so that instances, linked libraries and the
-viewport are as before. The second scene shows the same collections and takes its settings from the first one.
+The first scene keeps all that it holds. Volumes are invisible to the camera in its renders only: a handler hides the
+evaluated copies of objects that Blender makes for a render and drops after it, so that instances, linked libraries and
+the viewport stay as they are. The second scene shows the same collections and takes its settings from the first one.
 """
 
 import threading

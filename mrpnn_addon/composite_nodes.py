@@ -154,9 +154,10 @@ def _tree(scene):
 
 
 def _output(tree):
-    if FIVE:
-        return next((node for node in tree.nodes if node.bl_idname == 'NodeGroupOutput' and node.is_active_output), None)
-    return next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeComposite'), None)
+    if not FIVE:
+        return next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeComposite'), None)
+    outputs = [node for node in tree.nodes if node.bl_idname == 'NodeGroupOutput']
+    return next((node for node in outputs if node.is_active_output), None)
 
 
 def _compositor(scene):

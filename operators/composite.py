@@ -8,8 +8,8 @@ from ..mrpnn_addon.material import shows_volume
 
 
 class MRPNN_OT_composite(bpy.types.Operator):
-    """Render this scene in Cycles, its volumes in a second scene with MRPNN, and put
-    them together in the compositor. Volumes end at surfaces"""
+    """Render this scene in Cycles, its volumes in a second scene with MRPNN, and put them together in the compositor.
+    Volumes end at surfaces"""
 
     bl_idname = "mrpnn.composite"
     bl_label = "Composite over Cycles"
@@ -65,7 +65,7 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
     """Show this scene in the window"""
 
     bl_idname = "mrpnn.show_scene"
-    bl_label = "Show Scene"
+    bl_label = "Go to Scene"
     bl_options = {'REGISTER', 'UNDO'}
 
     scene: StringProperty(name="Scene")

@@ -13,6 +13,7 @@ class MRPNN_PT_composite(bpy.types.Panel):
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
     bl_context = "render"
+    bl_order = -1
 
     @classmethod
     def poll(cls, context):
@@ -39,8 +40,8 @@ def _draw_composited(context, layout, composite):
         layout.operator(MRPNN_OT_composite.bl_idname, text="Update Composite",
                         icon='FILE_REFRESH').shadows = composite.shadows
     else:
-        draw_text(context, layout, "Cycles renders this scene; F12 lays its volumes over it, rendered with MRPNN in "
-                                   f"scene \"{volumes.name}\"", 'CHECKMARK')
+        draw_text(context, layout, f"F12 lays the volumes, rendered in scene \"{volumes.name}\", over what Cycles "
+                                   "renders", 'CHECKMARK')
     layout.prop(composite, "shadows")
     if volumes is not None:
         _show(layout, volumes)

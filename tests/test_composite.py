@@ -72,7 +72,8 @@ def state(scene):
         "scenes": sorted(one.name for one in bpy.data.scenes),
         "collections": {one.name: sorted(o.name for o in one.objects) for one in bpy.data.collections},
         "objects": {one.name: (one.visible_camera, one.visible_shadow, one.hide_render) for one in bpy.data.objects},
-        "layers": [(one.name, one.use, one.use_pass_z, one.layer_collection.indirect_only) for one in scene.view_layers],
+        "layers": [(one.name, one.use, one.use_pass_z, one.layer_collection.indirect_only)
+                   for one in scene.view_layers],
         "engine": scene.render.engine, "film": scene.render.film_transparent,
         "compositing": scene.render.use_compositing,
         "nodes": bool(scene.use_nodes) if bpy.app.version < (5, 0, 0) else tree is not None,
