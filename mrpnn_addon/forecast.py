@@ -1,29 +1,29 @@
 """What a render will cost, from what can be known at once, for a panel that is drawn many times a second."""
 
+import os
 from dataclasses import dataclass
 from typing import List
 
 import numpy as np
 
-from ..inference.rays import window_around
-from ..inference.scene import Camera, SceneError
+from ..inference.plan import merge_parallel
+from ..inference.scene import SceneError
 from .camera import read_camera
-from .last_render import last_render
+from .cost_model import is_rough, seconds_of, work
+from .experience import experience
 from .lights import read_suns
 from .material import shows_volume
 from .visibility import shown_objects, why_unseen
+from .volume_boxes import box_around
 from .world import expected_lights
-
-# Two cores of a desktop of 2020: a point that the network predicts, a pixel's ray, the fields of a
-# volume and sun. A render of this session puts its own figure for points in their place.
-SECONDS_A_POINT, SECONDS_A_PIXEL, SECONDS_A_FIELD = 8e-6, 1.3e-5, 0.8
 
 
 @dataclass
 class Forecast:
     """volumes, suns: how many. pixels: inside the bounds of volumes. points: that the network
-    predicts, at most. seconds: of the render, roughly. warnings: of camera and suns.
-    problem: what keeps the scene from rendering, or "".
+    predicts, at most. seconds: of the render. warnings: of camera and suns.
+    problem: what keeps the scene from rendering, or "". rough: whether how dense the volumes are is a guess, since they have
+    not been read.
     """
 
     volumes: int
@@ -33,41 +33,30 @@ class Forecast:
     seconds: float
     warnings: List[str]
     problem: str = ""
+    rough: bool = False
 
 
 def forecast(depsgraph) -> Forecast:
     """Look at the scene without reading its volumes."""
+    settings = depsgraph.scene.mrpnn.settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        covered, volumes, lights = np.zeros(camera.resolution[::-1], bool), 0, []
+        boxes, channels, lights = [], 1, []
         for shown in shown_objects(depsgraph):
             if shows_volume(shown.object) and not why_unseen(shown, depsgraph.view_layer):
-                volumes += 1
-                _cover(covered, camera, shown)
+                box, different = box_around(shown)
+                boxes.append(box)
+                channels = max(channels, different)
             elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
                 suns, said = read_suns(shown)
-                lights += suns
-                warnings += said
-        suns = len(lights) + expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
+                if shown.object.visible_volume_scatter:
+                    lights += [sun for sun in suns if np.any(sun.irradiance > 0.0)]
+                    warnings += said
+        world = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    x0, y0, x1, y1 = camera.window
-    pixels = int(covered[y0:y1, x0:x1].sum())
-    points = pixels * depsgraph.scene.mrpnn.depth_samples * suns
-    seconds = pixels * SECONDS_A_PIXEL + points * _seconds_a_point() + volumes * suns * SECONDS_A_FIELD
-    return Forecast(volumes, suns, pixels, points, seconds, warnings)
-
-
-def _seconds_a_point() -> float:
-    last = last_render()
-    # Small renders measure something else.
-    if last is None or last.points < 10_000:
-        return SECONDS_A_POINT
-    return last.network_seconds / last.points
-
-
-def _cover(covered: np.ndarray, camera: Camera, shown) -> None:
-    """Mark the pixels around a volume's bounds."""
-    corners = np.array([(*corner, 1.0) for corner in shown.object.bound_box]) @ shown.matrix.T
-    left, top, right, bottom = window_around(camera, corners[:, :3])
-    covered[top:bottom, left:right] = True
+    suns = len(merge_parallel(lights)) + world
+    asked = work(boxes, camera, suns, settings.depth_samples, channels)
+    points = asked.window * settings.depth_samples * suns
+    seconds = seconds_of(asked, settings.threads or os.cpu_count() or 1, experience())
+    return Forecast(len(boxes), suns, asked.window, points, seconds, warnings, rough=is_rough(asked, experience()))

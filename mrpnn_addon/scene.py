@@ -7,11 +7,13 @@ from typing import List, Tuple
 from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
 from ..inference.surfaces import Surface
 from .camera import read_camera
+from .cost_model import Box, Work, work
 from .lights import read_suns
 from .material import SURFACES, shows_volume
 from .overlap_warnings import overlap_warnings
 from .surfaces import OpaqueMesh, read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
+from .volume_boxes import box_around, remember_density
 from .volumes import VolumeReader, why_empty
 from .world import read_world
 
@@ -24,7 +26,8 @@ class SceneDescription:
     frame: the scene's frame number.
     environment: whether `suns` hold the World's light.
     warnings: what is left out or approximated, naming each object. unseen: which volumes, and why; empty: those of them that
-    hold nothing in this frame. A scene all of whose volumes do is described without volumes.
+    hold nothing in this frame. A scene all of whose volumes do is described without volumes. boxes: around the volumes, and
+    how many colours differ in extinction: what a render's seconds are told by.
     """
 
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
@@ -38,6 +41,12 @@ class SceneDescription:
     warnings: List[str] = field(default_factory=list)
     unseen: List[str] = field(default_factory=list)
     empty: List[str] = field(default_factory=list)
+    boxes: List[Tuple[Box, int]] = field(default_factory=list)
+
+    def work(self, depth_samples: int) -> Work:
+        """What a render has to do."""
+        boxes, channels = zip(*self.boxes)
+        return work(boxes, self.camera, len(self.suns), depth_samples, max(channels))
 
     @functools.cached_property
     def surfaces(self) -> List[Surface]:
@@ -121,6 +130,8 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
         return
     volume, medium, warnings = reader.read(shown)
     description.volumes.append((volume, medium))
+    remember_density(shown, volume, medium)
+    description.boxes.append(box_around(shown))
     description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
 
 

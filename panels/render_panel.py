@@ -79,7 +79,8 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
             column = layout.column(align=True)
             column.label(text=f"{_number(expected.volumes, 'volume')}, {_number(expected.suns, 'sun')}, "
                               f"{expected.pixels:,} pixels", icon='OUTLINER_DATA_VOLUME')
-            column.label(text=f"About {_duration(expected.seconds)}, at most {expected.points:,} points", icon='TIME')
+            about = "Roughly" if expected.rough else "About"
+            column.label(text=f"{about} {_duration(expected.seconds)}, at most {expected.points:,} points", icon='TIME')
         row = layout.row(align=True)
         row.operator(MRPNN_OT_check.bl_idname, icon='VIEWZOOM')
         row.operator(MRPNN_OT_documentation.bl_idname, icon='HELP', text="")
@@ -109,11 +110,11 @@ _forecasts = {}
 
 
 def _forecast(context):
-    key = (context.view_layer.name, last_render(), *scene_state(context.scene))
+    key = (context.view_layer.name, last_render(), last_check(), *scene_state(context.scene))
     if _forecasts.get("key") != key:
         value = forecast(context.evaluated_depsgraph_get())
         # Asking for the scene may have evaluated it, which counts as a change.
-        _forecasts.update(key=(*key[:2], *scene_state(context.scene)), value=value)
+        _forecasts.update(key=(*key[:3], *scene_state(context.scene)), value=value)
     return _forecasts["value"]
 
 
