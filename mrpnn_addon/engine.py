@@ -17,7 +17,7 @@ from .passes import extra_passes
 from .render_job import render_scene, stamp
 from .render_result import RenderResult
 from .scene import read_scene
-from .unrendered import unrendered
+from .unrendered import composited, unrendered
 from .viewport import Viewport, viewport_camera
 from .viewport_region import WHOLE, render_region
 from .visibility import shown_objects
@@ -123,7 +123,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             raise
         remember_finished(finished)
         # Blender's window shows the last report.
-        missing = unrendered(depsgraph).message
+        missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
             self.report({'WARNING'}, warning)
         result.finish(finished.layer, stamp(settings, finished.layer.report))

@@ -1,30 +1,30 @@
 """What a render will cost, from what can be known at once, for a panel that is drawn many times a second."""
 
+import os
 from dataclasses import dataclass
 from typing import List
 
 import numpy as np
 
-from ..inference.scene.camera_rays import window_around
-from ..inference.scene import Camera, SceneError
+from ..inference.plan.plan import merge_parallel
+from ..inference.scene import SceneError
 from .camera import read_camera
-from .last_render import last_render
+from .cost_model import is_rough, seconds_of, work
+from .experience import experience
 from .lights import read_suns
 from .material import shows_volume
 from .placement import scaled_to_nothing, why_unplaced
 from .visibility import shown_objects, why_unseen
+from .volume_boxes import box_around
 from .world import expected_lights
-
-# Two cores of a desktop of 2020: a point that the network predicts, a pixel's ray, the fields of a
-# volume and sun. A render of this session puts its own figure for points in their place.
-SECONDS_A_POINT, SECONDS_A_PIXEL, SECONDS_A_FIELD = 8e-6, 1.3e-5, 0.8
 
 
 @dataclass
 class Forecast:
     """volumes, suns: how many, a soft sun and the World counting as several. pixels: inside the bounds of volumes.
-    points: that the network predicts, at most. seconds: of the render, roughly. warnings: of camera and suns.
-    problem: what keeps the scene from rendering, or "". lamps: sun lamps. world: whether the World lights the volumes.
+    points: that the network predicts, at most. seconds: of the render. warnings: of camera and suns. problem: what keeps
+    the scene from rendering, or "". lamps: sun lamps. world: whether the World lights the volumes. rough: whether the
+    density of the volumes is a guess, since they have not been read.
     """
 
     volumes: int
@@ -36,48 +36,38 @@ class Forecast:
     problem: str = ""
     lamps: int = 0
     world: bool = False
+    rough: bool = False
 
 
 def forecast(depsgraph) -> Forecast:
     """Look at the scene without reading its volumes."""
+    settings = depsgraph.scene.mrpnn.settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        covered, volumes, lamps, lights = np.zeros(camera.resolution[::-1], bool), 0, 0, []
+        boxes, channels, lamps, lights = [], 1, 0, []
         for shown in shown_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (why_unseen(shown, depsgraph.view_layer) or why_unplaced(shown.matrix)
                         or scaled_to_nothing(shown.matrix)):
-                    volumes += 1
-                    _cover(covered, camera, shown)
+                    box, different = box_around(shown)
+                    boxes.append(box)
+                    channels = max(channels, different)
             elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
-                lamps += 1
                 try:
                     suns, said = read_suns(shown)
                 except SceneError as problem:
                     suns, said = [], [f"{problem} (left out)"]
-                lights += suns
-                warnings += said
-        directions = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
-        suns = len(lights) + directions
+                if shown.object.visible_volume_scatter:
+                    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
+                    lamps += bool(bright)
+                    lights += bright
+                    warnings += said
+        world = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    x0, y0, x1, y1 = camera.window
-    pixels = int(covered[y0:y1, x0:x1].sum())
-    points = pixels * depsgraph.scene.mrpnn.depth_samples * suns
-    seconds = pixels * SECONDS_A_PIXEL + points * _seconds_a_point() + volumes * suns * SECONDS_A_FIELD
-    return Forecast(volumes, suns, pixels, points, seconds, warnings, lamps=lamps, world=directions > 0)
-
-
-def _seconds_a_point() -> float:
-    last = last_render()
-    # Small renders measure something else.
-    if last is None or last.points < 10_000:
-        return SECONDS_A_POINT
-    return last.network_seconds / last.points
-
-
-def _cover(covered: np.ndarray, camera: Camera, shown) -> None:
-    """Mark the pixels around a volume's bounds."""
-    corners = np.array([(*corner, 1.0) for corner in shown.object.bound_box]) @ shown.matrix.T
-    left, top, right, bottom = window_around(camera, corners[:, :3])
-    covered[top:bottom, left:right] = True
+    suns = len(merge_parallel(lights)) + world
+    asked = work(boxes, camera, suns, settings.depth_samples, channels)
+    points = asked.window * settings.depth_samples * suns
+    seconds = seconds_of(asked, settings.threads or os.cpu_count() or 1, experience())
+    return Forecast(len(boxes), suns, asked.window, points, seconds, warnings, lamps=lamps, world=world > 0,
+                    rough=is_rough(asked, experience()))

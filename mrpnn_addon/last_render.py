@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import List
 
+from .experience import learn_from
+
 
 @dataclass
 class LastRender:
@@ -32,6 +34,7 @@ def remember_finished(finished) -> None:
     report = finished.layer.report
     remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
                         network_seconds=report.seconds.get("network", 0.0), saved=sum(report.saved.values())))
+    learn_from(finished.asked, finished.layer)
 
 
 def forget() -> None:

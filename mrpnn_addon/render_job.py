@@ -9,6 +9,7 @@ import numpy as np
 from .. import inference
 from ..inference.image.layer import Layer, empty_layer
 from ..inference.scene import Camera, Cancelled, SceneError, Settings
+from .cost_model import Work
 from .layer_exr import write_layer
 from .layer_frame import in_frame
 from .runtime import check_runtime
@@ -23,12 +24,13 @@ COARSE_PIXELS = 8000
 @dataclass
 class Finished:
     """layer: in the frame of Blender's image. seconds: of the whole render.
-    warnings: of reading and of rendering.
+    warnings: of reading and of rendering. asked: what there was to do, None where the scene holds nothing.
     """
 
     layer: Layer
     seconds: float
     warnings: List[str]
+    asked: Optional[Work] = None
 
 
 def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
@@ -59,7 +61,8 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
         raise SceneError("the machine has not enough memory for this render; use fewer depth samples, a smaller image "
                          "or smaller grids, or close other programs") from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
-    return Finished(layer, layer.report.seconds["total"], warnings)
+    asked = scene.work(settings.depth_samples) if scene.volumes else None
+    return Finished(layer, layer.report.seconds["total"], warnings, asked)
 
 
 def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:

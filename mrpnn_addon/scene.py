@@ -4,14 +4,15 @@ import functools
 from dataclasses import dataclass, field
 from typing import List, Set, Tuple
 
-from ..inference.scene import Camera, Medium, SceneError, Sun, Volume
-from ..inference.scene import Surface
+from ..inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
 from .camera import read_camera
+from .cost_model import Box, Work, work
 from .lights import read_suns
 from .material import SURFACES, shows_volume
 from .overlap_warnings import overlap_warnings
 from .surfaces import OpaqueMesh, read_surface, surface_warnings
 from .visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
+from .volume_boxes import box_around, remember_density
 from .volumes import EmptyVolume, VolumeReader
 from .world import read_world
 
@@ -30,6 +31,7 @@ class SceneDescription:
     unseen: which volumes, and why; empty: those of them that hold nothing in this frame. Where no other volume is
     left, a scene with some of these is described without volumes.
     refused: why objects, or the World, cannot be rendered and are left out: mistakes, naming each.
+    boxes: around the volumes, and how many colours differ in extinction: what a render's seconds are told by.
     """
 
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
@@ -45,6 +47,12 @@ class SceneDescription:
     unseen: List[str] = field(default_factory=list)
     empty: List[str] = field(default_factory=list)
     refused: List[str] = field(default_factory=list)
+    boxes: List[Tuple[Box, int]] = field(default_factory=list)
+
+    def work(self, depth_samples: int) -> Work:
+        """What a render has to do."""
+        boxes, channels = zip(*self.boxes)
+        return work(boxes, self.camera, len(self.suns), depth_samples, max(channels))
 
     @functools.cached_property
     def surfaces(self) -> List[Surface]:
@@ -175,6 +183,8 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
         try:
             volume, medium, warnings = reader.read(shown)
             description.volumes.append((volume, medium))
+            remember_density(shown, volume, medium)
+            description.boxes.append(box_around(shown))
             description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
             return
         except EmptyVolume as nothing:

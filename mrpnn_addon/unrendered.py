@@ -44,6 +44,11 @@ class Unrendered:
         return any(f"\"{name}\"" in text for name in (*self.lights, *self.surfaces))
 
 
+def composited(scene) -> bool:
+    """Whether Cycles renders the scene's surfaces: it is the one that Composite over Cycles has made for the volumes."""
+    return scene.mrpnn_composite.surfaces is not None
+
+
 def unrendered(depsgraph) -> Unrendered:
     """Look through the objects that renders show; reads no volume and no mesh."""
     found = Unrendered()

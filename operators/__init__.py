@@ -2,7 +2,8 @@
 
 import bpy
 
-from ..mrpnn_addon import engine, file_watch, passes, properties, scene_watch
+from ..mrpnn_addon import composite as composited_scenes
+from ..mrpnn_addon import engine, experience, file_watch, passes, properties, scene_watch
 from . import check, command, compare, composite, documentation, render
 
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
@@ -14,6 +15,8 @@ def register():
     scene_watch.register()
     file_watch.register()
     engine.register()
+    composited_scenes.register()
+    experience.register()
     for operator in CLASSES:
         bpy.utils.register_class(operator)
     command.register()
@@ -23,6 +26,8 @@ def unregister():
     command.unregister()
     for operator in reversed(CLASSES):
         bpy.utils.unregister_class(operator)
+    experience.unregister()
+    composited_scenes.unregister()
     engine.unregister()
     file_watch.unregister()
     scene_watch.unregister()

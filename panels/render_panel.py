@@ -9,7 +9,7 @@ from ..mrpnn_addon.last_render import last_render
 from ..mrpnn_addon.preferences import machine
 from ..mrpnn_addon.scene_check import last_check
 from ..mrpnn_addon.scene_watch import scene_state
-from ..mrpnn_addon.unrendered import unrendered
+from ..mrpnn_addon.unrendered import composited, unrendered
 from ..operators.check import MRPNN_OT_check
 from ..operators.compare import MRPNN_OT_compare
 from ..operators.composite import MRPNN_OT_composite
@@ -85,10 +85,11 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
             if not lights:
                 draw_text(context, layout, "Only what volumes emit is seen; add a sun with Add > Light > Sun", 'INFO')
             else:
-                draw_text(context, layout, f"About {_duration(expected.seconds)}", 'TIME')
-        for line in missing.lines:
+                about = "Roughly" if expected.rough else "About"
+                draw_text(context, layout, f"{about} {_duration(expected.seconds)}", 'TIME')
+        for line in [] if composited(scene) else missing.lines:
             draw_text(context, layout, line, 'INFO')
-        if missing.surfaces:
+        if missing.surfaces and not composited(scene):
             layout.operator(MRPNN_OT_composite.bl_idname)
         row = layout.row(align=True)
         row.operator(MRPNN_OT_check.bl_idname, icon='VIEWZOOM')
@@ -138,12 +139,12 @@ _forecasts = {}
 
 
 def _expected(context):
-    key = (context.view_layer.name, last_render(), *scene_state(context.scene))
+    key = (context.view_layer.name, last_render(), last_check(), *scene_state(context.scene))
     if _forecasts.get("key") != key:
         depsgraph = context.evaluated_depsgraph_get()
         value = forecast(depsgraph), unrendered(depsgraph)
         # Asking for the scene may have evaluated it, which counts as a change.
-        _forecasts.update(key=(*key[:2], *scene_state(context.scene)), value=value)
+        _forecasts.update(key=(*key[:3], *scene_state(context.scene)), value=value)
     return _forecasts["value"]
 
 
@@ -220,7 +221,9 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
         # Cycles' properties are there while Cycles is enabled.
         column.enabled = hasattr(context.scene, "cycles")
         column.operator(MRPNN_OT_compare.bl_idname)
-        column.operator(MRPNN_OT_composite.bl_idname)
+        # The panel below tells of a composite that is there.
+        if not (context.scene.mrpnn_composite.active or context.scene.mrpnn_composite.surfaces):
+            column.operator(MRPNN_OT_composite.bl_idname)
         _draw_comparison(context, self.layout, last_comparison())
 
 

@@ -1,0 +1,54 @@
+"""What the render properties say of a composited scene and of the scene of its volumes."""
+
+import bpy
+
+from ..mrpnn_addon.composite import out_of_date, volume_scene
+from ..operators.composite import MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene
+from .text import draw_text
+
+
+class MRPNN_PT_composite(bpy.types.Panel):
+    bl_label = "Composite over Cycles"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "render"
+    bl_order = -1
+
+    @classmethod
+    def poll(cls, context):
+        composite = context.scene.mrpnn_composite
+        return composite.active or composite.surfaces is not None
+
+    def draw(self, context):
+        layout, composite = self.layout, context.scene.mrpnn_composite
+        if composite.active:
+            _draw_composited(context, layout, composite)
+        else:
+            draw_text(context, layout, f"Renders the volumes of scene \"{composite.surfaces.name}\", whose settings "
+                                       "it follows; change them there", 'INFO')
+            _show(layout, composite.surfaces)
+        layout.operator(MRPNN_OT_composite_remove.bl_idname, icon='X')
+
+
+def _draw_composited(context, layout, composite):
+    scene, volumes = context.scene, volume_scene(context.scene)
+    problems = out_of_date(scene)
+    if problems:
+        for problem in problems:
+            draw_text(context, layout, problem, 'ERROR')
+        layout.operator(MRPNN_OT_composite.bl_idname, text="Update Composite",
+                        icon='FILE_REFRESH').shadows = composite.shadows
+    else:
+        draw_text(context, layout, f"F12 lays the volumes, rendered in scene \"{volumes.name}\", over what Cycles "
+                                   "renders", 'CHECKMARK')
+    layout.prop(composite, "shadows")
+    if volumes is not None:
+        _show(layout, volumes)
+
+
+def _show(layout, scene):
+    layout.operator(MRPNN_OT_show_scene.bl_idname, text=f"Go to \"{scene.name}\"", icon='SCENE_DATA').scene = scene.name
+
+
+classes = (MRPNN_PT_composite,)
