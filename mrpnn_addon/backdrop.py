@@ -21,7 +21,7 @@ from .worker import Worker
 # The World from its middle, +X in the middle of the picture and +Z above, as `sampler` takes it.
 PANORAMA = Camera(np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
                   projection="equirectangular", resolution=(2048, 1024))
-PANORAMA_SAMPLES, SAMPLES = 4, 8
+PANORAMA_SAMPLES, SAMPLES = 1, 4
 # Pixels of a picture that is looked up in the panorama, within a redraw.
 ROUGH = 60_000
 # Seconds for which a view must have rested before Cycles shows it.
@@ -109,7 +109,7 @@ class _Showing(Worker):
                 return
             if source.panorama is None and not source.depends_on_view:
                 around = source.view(PANORAMA, PANORAMA_SAMPLES, ('BOX', 1.0), self._check)
-                source.panorama = np.minimum(around, BRIGHTEST).astype(np.float16)
+                source.panorama = np.clip(around, 0.0, BRIGHTEST).astype(np.float16)
                 self._show(self._rough())
             self._show(source.view(self._camera, SAMPLES, self._filter, self._check))
         except Cancelled:
@@ -150,7 +150,7 @@ def texture(picture: np.ndarray) -> gpu.types.GPUTexture:
 
 
 def _opaque(rgb):
-    """float32 (h, w, 4), rows from the bottom, as a texture of half floats can hold it; rgb: rows from the top."""
+    """float32 (h, w, 4), rows from the bottom, clamped as Cycles does what it shows; rgb: rows from the top."""
     picture = np.ones((*rgb.shape[:2], 4), np.float32)
-    picture[..., :3] = np.minimum(rgb[::-1], BRIGHTEST)
+    picture[..., :3] = np.clip(rgb[::-1], 0.0, BRIGHTEST)
     return picture

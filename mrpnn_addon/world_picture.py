@@ -71,9 +71,10 @@ class WorldSource:
 
         pixel_filter: of Cycles, with its width in pixels. check: as of `read`.
         """
-        job = {"matrix": camera.world_matrix.tolist(), "region": camera.region, "samples": samples, "filter": pixel_filter,
-               **{name: getattr(camera, name) for name in ("projection", "resolution", "fov", "ortho_scale", "shift",
-                                                           "longitude", "latitude")}}
+        numbers = {name: np.array(getattr(camera, name)).tolist()
+                   for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")}
+        job = {"matrix": camera.world_matrix.tolist(), "projection": camera.projection, "region": camera.region,
+               "samples": samples, "filter": pixel_filter, **numbers}
         key = repr(job)
         if key not in self._views:
             x0, y0, x1, y1 = camera.window

@@ -2,6 +2,8 @@
 
 import importlib
 import math
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +77,16 @@ def sky(scene):
     texture = feed(scene, "ShaderNodeTexSky")
     texture.sun_elevation, texture.sun_rotation, texture.sun_size = 0.1, 0.2, math.radians(4.0)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
+    return texture
+
+
+def sky_without_disc(scene):
+    sky(scene).sun_disc = False
+
+
+def sunwards(scene):
+    """A lens through which the disc of `sky` is ten pixels across."""
+    scene.camera.rotation_euler, scene.camera.data.angle = (math.pi / 2.0 + 0.1, 0.0, -0.2), math.radians(20.0)
 
 
 def perspective(scene):
@@ -124,7 +136,7 @@ def shown(scene, path):
 @pytest.mark.parametrize("world, view", [
     (colour, perspective), (around, perspective), (around, portrait), (around, equirectangular), (around, orthographic),
     (around, region), (gradient, perspective), (gradient, orthographic), (window, perspective), (window, region),
-    (sky, equirectangular)])
+    (sky, sunwards), (sky_without_disc, equirectangular)])
 def test_it_is_what_cycles_shows(veil, scene, tmp_path, world, view):
     world(scene)
     view(scene)
@@ -213,7 +225,7 @@ def test_parts_of_it_are_those_of_the_image(addon, veil, scene):
 
 
 def test_it_is_shown_again_only_where_it_has_changed(addon, veil, scene):
-    gradient(scene)
+    around(scene)
     first = background(addon, scene)[0].radiance
     scene.world.node_tree.nodes["Background"].location = 10.0, 20.0
     assert background(addon, scene)[0].radiance is first
@@ -242,9 +254,41 @@ def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp
     assert not found.pixels().any() and "image \"Around\"" in warning and "save or pack" in warning
 
 
+@pytest.mark.parametrize("view", [perspective, orthographic])
+def test_a_viewport_looks_it_up_from_all_around_before_it_is_sharp(addon, veil, scene, view):
+    """Within a redraw."""
+    backdrop = importlib.import_module("mrpnn.mrpnn_addon.backdrop")
+    around(scene)
+    view(scene)
+    depsgraph = blender_scenes.depsgraph()
+    camera, _ = addon.mrpnn_addon.camera.read_camera(depsgraph)
+    camera = replace(camera, resolution=(1600, 900))
+    shown, watched = backdrop.Backdrop(lambda worker: watched.append(worker)), []
+    shown.read(depsgraph)
+    shown.look(camera)
+    (first,) = watched
+    first.wait()
+    assert first.error is None and first.number >= 2 and not shown.status
+    # What is known is there at once.
+    shown.look(camera)
+    assert watched == [first]
+    start = time.process_time()
+    shown.look(replace(camera, fov=camera.fov * 1.0001))
+    assert time.process_time() - start < 0.1
+    rough, sharp = watched[1].picture, first.picture
+    shown.stop()
+    assert rough.shape[1] == 320 and sharp.shape == (900, 1600, 4) and np.all(sharp[..., 3] == 1.0)
+    # A pixel of the coarse picture against the mean of those that it stands for.
+    blocks = sharp.reshape(180, 5, 320, 5, 4).mean(axis=(1, 3))
+    assert np.abs(rough - blocks).mean() < 0.01 * sharp[..., :3].mean()
+    scene.render.film_transparent = True
+    shown.read(blender_scenes.depsgraph())
+    shown.look(camera)
+    assert len(watched) == 2 and not shown.status
+
+
 def test_what_is_asked_to_stop_ends_the_process(addon, veil, scene):
     """Within a second, however many pixels there are."""
-    import time
     gradient(scene)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.55
     depsgraph = blender_scenes.depsgraph()
