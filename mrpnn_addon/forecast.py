@@ -22,8 +22,8 @@ from .world import expected_lights
 class Forecast:
     """volumes, suns: how many. pixels: inside the bounds of volumes. points: that the network
     predicts, at most. seconds: of the render. warnings: of camera and suns.
-    problem: what keeps the scene from rendering, or "". rough: whether how dense the volumes are is a guess, since they have
-    not been read.
+    problem: what keeps the scene from rendering, or "". rough: whether the volumes' density is a guess, since
+    they have not been read.
     """
 
     volumes: int

@@ -26,8 +26,8 @@ class SceneDescription:
     frame: the scene's frame number.
     environment: whether `suns` hold the World's light.
     warnings: what is left out or approximated, naming each object. unseen: which volumes, and why; empty: those of them that
-    hold nothing in this frame. A scene all of whose volumes do is described without volumes. boxes: around the volumes, and
-    how many colours differ in extinction: what a render's seconds are told by.
+    hold nothing in this frame. A scene all of whose volumes do is described without volumes.
+    boxes: around the volumes, each with how many colours differ in extinction; they tell the seconds of a render.
     """
 
     volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
