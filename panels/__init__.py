@@ -4,7 +4,9 @@ import bpy
 
 from . import composite_panel, object_panel, preferences_panel, render_panel, view_layer_panel
 
-CLASSES = (*preferences_panel.classes, *render_panel.classes, *composite_panel.classes, *view_layer_panel.classes,
+# Panels are drawn in the order of their registration, the parent first.
+_parent, *_children = render_panel.classes
+CLASSES = (*preferences_panel.classes, _parent, *composite_panel.classes, *_children, *view_layer_panel.classes,
            *object_panel.classes)
 
 
