@@ -1,9 +1,9 @@
 """Seconds that a render takes, by what it has to do and by what renders before took; no bpy.
 
 A render marches camera rays, asks the network at points along them and prepares the fields of each volume and light.
-`Work` counts that from boxes around the volumes; constants tell the seconds. What a box does not tell (how much of
-it is empty, how much of the image is opaque) is learned from the last render of the same volumes, the speed of the machine
-from the last render of any.
+`Work` counts that from boxes around the volumes; constants tell the seconds. What a box does not tell (how much of it
+is empty, how much of the image is opaque) is learned from the last render of the same volumes, and the speed of the
+machine from the last render of any.
 """
 
 import math
@@ -66,9 +66,9 @@ class Work:
     """What a render has to do, as its boxes tell.
 
     names: of the volumes. window: pixels around their boxes; pixels: in the boxes. steps: that their rays are cut into.
-    opacity: mean square root of the pixels' opacity, a guess. thickness: of a voxel; stiff: whether steps are cut again.
-    volumes, lights, samples: how many. channels: colours that are marched by themselves. filled: share of voxels that hold
-    density, None where some volume has not been read.
+    opacity: mean square root of the pixels' opacity, a guess. thickness: of a voxel; stiff: whether steps are cut
+    again. volumes, lights, samples: how many. channels: colours that are marched by themselves. filled: share of voxels
+    that hold density, None where some volume has not been read.
     """
 
     names: FrozenSet[str] = frozenset()
@@ -98,8 +98,11 @@ class Shares:
 
 @dataclass
 class Experience:
-    """What renders have told. shares: by the names of the volumes. rates: seconds by stage over what the constants say;
-    empty before the first render. threads: of the render that told them."""
+    """What renders have told.
+
+    shares: by the names of the volumes. rates: seconds by stage over what the constants say; empty before the first
+    render. threads: of the render that told them.
+    """
 
     shares: Dict[FrozenSet[str], Shares] = field(default_factory=dict)
     rates: Dict[str, float] = field(default_factory=dict)
@@ -154,7 +157,7 @@ def _corners(box: Box) -> np.ndarray:
 
 
 def _intervals(boxes, origins, directions, clip_near, clip_far):
-    """Distances (N,) at which rays enter the first box and leave the last, and the optical depth (N,) if all were full."""
+    """Distances (N,) at which rays enter the first box and leave the last, and optical depths (N,) if all were full."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     thickness = np.zeros(len(origins))
     for box in boxes:

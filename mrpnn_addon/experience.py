@@ -1,4 +1,4 @@
-"""What renders of this session, and the last one of this machine before it, have told about the seconds that one takes."""
+"""What renders of this session, and those of this machine before it, have told about the seconds that one takes."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""What Blender tells at once of a visible volume, without reading it: its box, its voxels, and about how dense it is."""
+"""What Blender tells of a visible volume without reading it: its box, its voxels, and about how dense it is."""
 
 import weakref
 from dataclasses import dataclass

@@ -13,7 +13,6 @@ class MRPNN_PT_composite(bpy.types.Panel):
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
     bl_context = "render"
-    bl_order = -1
 
     @classmethod
     def poll(cls, context):

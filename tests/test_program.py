@@ -141,12 +141,14 @@ COMPOSITE = """
     scene.view_layers[0].update()
     assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
     scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    # The scene of the volumes follows, though nothing updates in between.
+    scene.render.resolution_x, scene.render.resolution_y = 20, 12
 
     def rendered(scene, name):
         scene.render.filepath = f"{folder}/{name}.exr"
         bpy.ops.render.render(scene=scene.name, write_still=True)
         image = bpy.data.images.load(scene.render.filepath)
-        pixels = numpy.empty(16 * 16 * 4, numpy.float32)
+        pixels = numpy.empty(20 * 12 * 4, numpy.float32)
         image.pixels.foreach_get(pixels)
         return pixels.reshape(-1, 4)[:, :3]
 
