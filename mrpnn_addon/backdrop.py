@@ -143,7 +143,8 @@ class _Showing(Worker):
 
 def view_key(camera: Camera) -> tuple:
     """Equal for cameras of viewports that see the same."""
-    return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale, camera.shift)
+    return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale,
+            camera.shift)
 
 
 def texture(picture: np.ndarray) -> gpu.types.GPUTexture:

@@ -20,8 +20,8 @@ SAMPLES = 16
 class Background:
     """The World behind a camera's pixels.
 
-    camera: whose window it fills. radiance: float32, (3,) where it is the same everywhere, else (h, w, 3) of the window,
-    rows from the top. warnings: why it is not the World's own.
+    camera: whose window it fills. radiance: float32, (3,) where it is the same everywhere, else (h, w, 3) of the
+    window, rows from the top. warnings: why it is not the World's own.
     """
 
     camera: Camera

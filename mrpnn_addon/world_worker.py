@@ -1,7 +1,7 @@
 """Runs in a Blender process of its own, without the extension: shows a World by Cycles, picture after picture.
 
-Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input is a
-job as JSON, answered by the .npz file that its `target` names:
+Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input
+is a job as JSON, answered by the .npz file that its `target` names:
 
 `light` asks for the World as volumes see it, from its middle: `sky`, float32 (ROWS, 2 ROWS, 3), an equirectangular
 picture with rows from the bottom and without sun discs, and `suns`, float64 (n, 7), of each disc direction, irradiance
@@ -160,8 +160,9 @@ def _aimed(scene, view):
 def _panorama(scene):
     """The scene's camera, whose picture has +X in its middle and +Z above."""
     turn = Matrix.Rotation(-math.pi / 2.0, 4, 'Z') @ Matrix.Rotation(math.pi / 2.0, 4, 'X')
-    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0, "shift": (0.0, 0.0),
-                          "longitude": (-math.pi, math.pi), "latitude": (-math.pi / 2.0, math.pi / 2.0)})
+    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0,
+                          "shift": (0.0, 0.0), "longitude": (-math.pi, math.pi),
+                          "latitude": (-math.pi / 2.0, math.pi / 2.0)})
 
 
 def _camera(scene):
@@ -172,7 +173,10 @@ def _camera(scene):
 
 
 def _rendered(scene, camera, width, height, samples, target, region=None):
-    """Radiance (h, w, 3), rows from the bottom, of the whole image or of a region (x0, y0, x1, y1), rows from the top."""
+    """Radiance (h, w, 3), rows from the bottom.
+
+    region: (x0, y0, x1, y1) in pixels from the upper left, as of `inference.Camera`; None for the whole image.
+    """
     scene.camera, scene.cycles.samples = camera, samples
     render = scene.render
     render.resolution_x, render.resolution_y = width, height

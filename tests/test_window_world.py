@@ -62,8 +62,9 @@ def still(window, name):
     return now
 
 
-@pytest.mark.parametrize("world, view", [("colour", "camera"), ("directions", "perspective"), ("directions", "orthographic"),
-                                         ("directions", "camera"), ("sky", "perspective")])
+@pytest.mark.parametrize("world, view", [
+    ("colour", "camera"), ("directions", "perspective"), ("directions", "orthographic"), ("directions", "camera"),
+    ("sky", "perspective")])
 def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):  # noqa: F811
     window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
     window.do(SETTINGS + WORLDS[world] + "\n" + VIEWS[view])
