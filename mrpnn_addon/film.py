@@ -12,7 +12,7 @@ from .world import constant_background
 from .world_picture import WorldSource, world_source
 from .world_process import PictureFailed
 
-# Of Cycles, for each pixel.
+# Of Cycles, for each pixel that differs from its neighbours.
 SAMPLES = 16
 
 
