@@ -1,7 +1,6 @@
 """The World behind a viewport's volumes: at once where it is known from all around, then as sharp as the view."""
 
 import traceback
-import types
 from dataclasses import replace
 from typing import Optional
 
@@ -59,7 +58,7 @@ class Backdrop:
             self._shown = _Showing(behind, camera, self._filter, first=self._texture is None)
             self._watch(self._shown)
         elif behind is not None:
-            self._shown = types.SimpleNamespace(picture=_opaque(behind[None, None]), number=1, done=True, message="")
+            self._shown = _Plain(behind)
         else:
             self._shown = self._texture = None
 
@@ -83,6 +82,15 @@ class Backdrop:
         """Stop what is at work."""
         if isinstance(self._shown, Worker):
             self._shown.stop()
+
+
+class _Plain:
+    """A World of one colour (3,), as a `_Showing` that is done."""
+
+    number, message, done = 1, "", True
+
+    def __init__(self, colour):
+        self.picture = _opaque(colour[None, None])
 
 
 class _Showing(Worker):
@@ -139,7 +147,8 @@ class _Showing(Worker):
 
 def view_key(camera: Camera) -> tuple:
     """Equal for cameras of viewports that see the same."""
-    return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale, camera.shift)
+    return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale,
+            camera.shift)
 
 
 def texture(picture: np.ndarray) -> gpu.types.GPUTexture:

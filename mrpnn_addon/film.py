@@ -12,7 +12,7 @@ from .world import constant_background
 from .world_picture import WorldSource, world_source
 from .world_process import PictureFailed
 
-# Of Cycles, for each pixel.
+# Of Cycles, for each pixel that differs from its neighbours.
 SAMPLES = 16
 
 
@@ -20,8 +20,8 @@ SAMPLES = 16
 class Background:
     """The World behind a camera's pixels.
 
-    camera: whose window it fills. radiance: float32, (3,) where it is the same everywhere, else (h, w, 3) of the window,
-    rows from the top. warnings: why it is not the World's own.
+    camera: whose window it fills. radiance: float32, (3,) where it is the same everywhere, else (h, w, 3) of the
+    window, rows from the top. warnings: why it is not the World's own.
     """
 
     camera: Camera

@@ -56,7 +56,8 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
 class Viewport:
     """What one viewport shows; owned by the engine that draws it.
 
-    reader: of volumes; what it has read is good until a volume's data or material changes. backdrop: the World behind them.
+    reader: of volumes; what it has read is good until a volume's data or material changes.
+    backdrop: the World behind them.
     """
 
     def __init__(self):

@@ -1,4 +1,7 @@
-"""Volumes read and shaded, and the World shown by Cycles, on a thread, before `read_scene` asks for them on Blender's main thread."""
+"""Volumes read and shaded, and the World shown by Cycles, on a thread.
+
+`read_scene` then finds them on Blender's main thread.
+"""
 
 from typing import List
 

@@ -1,5 +1,7 @@
 """What a World holds, as text: equal where it looks the same."""
 
+import os
+
 import bpy
 
 # Of the editor, or of how a node came to be; not of what it gives.
@@ -57,6 +59,18 @@ def _values(struct, seen, depth):
 
 def _block(block):
     """A block that a node names: an image, or an object whose coordinates it reads."""
-    more = getattr(block, 'filepath', None), getattr(block, 'is_dirty', None)
+    more = _image(block) if isinstance(block, bpy.types.Image) else getattr(block, 'filepath', None)
     matrix = getattr(block, 'matrix_world', None)
     return block.name_full, more, [tuple(row) for row in matrix] if matrix is not None else None
+
+
+def _image(image):
+    """Where an image comes from and how it is read; painted or written again it is another one."""
+    path = bpy.path.abspath(image.filepath, library=image.library)
+    try:
+        status = os.stat(path)
+        written = status.st_size, status.st_mtime_ns
+    except OSError:
+        written = None
+    packed = [item.packed_file.size for item in image.packed_files]
+    return path, written, packed, image.is_dirty, image.source, image.colorspace_settings.name, image.alpha_mode

@@ -40,7 +40,8 @@ class WorldSource:
     """A World as it was found in a scene, for a Blender of its own to show: read on any thread, as a `VolumeSource`.
 
     key: equal where the World looks the same. depends_on_view: whether directions alone do not tell what it shows.
-    panorama: what a camera sees all around, kept for `backdrop` once that has asked for it. Made where bpy may be asked, by `world_source`.
+    panorama: what a camera sees all around, kept for `backdrop` once that has asked for it.
+    Made where bpy may be asked, by `world_source`.
     """
 
     message, panorama = "rendering the sky", None
@@ -48,8 +49,9 @@ class WorldSource:
     def __init__(self, key, world, scene):
         """world: evaluated; scene: whose frame it is."""
         self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
-        self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord' and link.from_socket.name in OF_THE_VIEW
-                                   for tree in trees(world) for link in tree.links)
+        links = [link for tree in trees(world) for link in tree.links]
+        self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord'
+                                   and link.from_socket.name in OF_THE_VIEW for link in links)
         self._process = WorldProcess(world, scene)
 
     def read(self, started=lambda process: None, check=lambda: None):

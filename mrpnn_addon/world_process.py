@@ -1,4 +1,7 @@
-"""A Blender process of its own that holds one World and shows it by Cycles, picture after picture; no bpy after it is made."""
+"""A Blender process of its own that holds one World and shows it by Cycles, picture after picture.
+
+bpy is asked only where a process is made.
+"""
 
 import json
 import shutil
@@ -69,7 +72,8 @@ class WorldProcess:
         if not self._running or self._running[0].poll() is not None:
             _end(self._running)
             with open(self._folder / "log.txt", "w") as log:
-                self._running.append(subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True))
+                self._running.append(
+                    subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True))
         process = self._running[0]
         try:
             process.stdin.write(json.dumps(job) + "\n")

@@ -1,7 +1,7 @@
 """Runs in a Blender process of its own, without the extension: shows a World by Cycles, picture after picture.
 
-Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input is a
-job as JSON, answered by the .npz file that its `target` names:
+Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input
+is a job as JSON, answered by the .npz file that its `target` names:
 
 `light` asks for the World as volumes see it, from its middle: `sky`, float32 (ROWS, 2 ROWS, 3), an equirectangular
 picture with rows from the bottom and without sun discs, and `suns`, float64 (n, 7), of each disc direction, irradiance
@@ -29,6 +29,9 @@ ROWS, SAMPLES = 128, 16
 LOCATED, AROUND = math.radians(3.0), 4.0
 DISC_PIXELS, DISC_SAMPLES = 96, 32
 LUMA = np.array([0.2126, 0.7152, 0.0722])
+# Samples of a view where neighbouring pixels differ by no more than a share of UNEVEN. Bands of others lie so many rows
+# apart, have a rim as wide as the filter of pixels, and are no more than MOST_BANDS: each is an image that begins anew.
+FEW, UNEVEN, APART, RIM, MOST_BANDS = 4, 0.02, 32, 2, 4
 # Kinds of sky that have no disc.
 WITHOUT_DISC = {'PREETHAM', 'HOSEK_WILKIE'}
 # Focal lengths over sensor widths that Blender's lenses reach: one of 1 mm before 100 mm, one of 5000 mm before 1 mm.
@@ -131,7 +134,35 @@ def _view(scene, view, target):
     """Radiance (h, w, 3) in a camera's window, rows from the bottom."""
     width, height = view["resolution"]
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
-    return _rendered(scene, _aimed(scene, view), width, height, view["samples"], target, view["region"])
+    camera = _aimed(scene, view)
+    x0, y0, x1, y1 = view["region"] or (0, 0, width, height)
+    pixels = _rendered(scene, camera, width, height, min(view["samples"], FEW), target, (x0, y0, x1, y1))
+    if view["samples"] > FEW:
+        # Most of a sky is so even that few samples do.
+        for low, high, left, right in _uneven(pixels):
+            part = x0 + left, y1 - high, x0 + right, y1 - low
+            pixels[low:high, left:right] = _rendered(scene, camera, width, height, view["samples"], target, part)
+    return pixels
+
+
+def _uneven(pixels):
+    """Bands of an image (h, w, 3) in which pixels differ from their neighbours: ends of rows, then of columns."""
+    level = np.maximum(np.abs(pixels).max(axis=2), 1e-3 * np.abs(pixels).mean())
+    uneven = np.zeros(level.shape, bool)
+    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        steps = np.abs(pixels[one] - pixels[other]).max(axis=2) > UNEVEN * np.minimum(level[one], level[other])
+        uneven[one] |= steps
+        uneven[other] |= steps
+    rows = np.flatnonzero(uneven.any(axis=1))
+    if not len(rows):
+        return []
+    height, width = level.shape
+    bands = []
+    for band in np.split(rows, np.flatnonzero(np.diff(rows) > APART) + 1):
+        columns = np.flatnonzero(uneven[band].any(axis=0))
+        bands.append((max(band[0] - RIM, 0), min(band[-1] + 1 + RIM, height),
+                      max(columns[0] - RIM, 0), min(columns[-1] + 1 + RIM, width)))
+    return np.array(bands if len(bands) <= MOST_BANDS else [(0, height, 0, width)]).tolist()
 
 
 def _aimed(scene, view):
@@ -160,8 +191,9 @@ def _aimed(scene, view):
 def _panorama(scene):
     """The scene's camera, whose picture has +X in its middle and +Z above."""
     turn = Matrix.Rotation(-math.pi / 2.0, 4, 'Z') @ Matrix.Rotation(math.pi / 2.0, 4, 'X')
-    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0, "shift": (0.0, 0.0),
-                          "longitude": (-math.pi, math.pi), "latitude": (-math.pi / 2.0, math.pi / 2.0)})
+    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0,
+                          "shift": (0.0, 0.0), "longitude": (-math.pi, math.pi),
+                          "latitude": (-math.pi / 2.0, math.pi / 2.0)})
 
 
 def _camera(scene):
@@ -172,7 +204,10 @@ def _camera(scene):
 
 
 def _rendered(scene, camera, width, height, samples, target, region=None):
-    """Radiance (h, w, 3), rows from the bottom, of the whole image or of a region (x0, y0, x1, y1), rows from the top."""
+    """Radiance (h, w, 3), rows from the bottom.
+
+    region: (x0, y0, x1, y1) in pixels from the upper left, as of `inference.Camera`; None for the whole image.
+    """
     scene.camera, scene.cycles.samples = camera, samples
     render = scene.render
     render.resolution_x, render.resolution_y = width, height

@@ -236,6 +236,14 @@ def test_it_is_shown_again_only_where_it_has_changed(addon, veil, scene):
     np.testing.assert_allclose(background(addon, scene)[0].radiance, 2.0 * turned, rtol=1e-5)
 
 
+def test_an_image_read_in_another_colour_space_is_another_world(addon, veil, scene):
+    image = around(scene)
+    image.colorspace_settings.name = "Non-Color"
+    first = background(addon, scene)[0].radiance
+    image.colorspace_settings.name = "sRGB"
+    assert np.abs(background(addon, scene)[0].radiance - first).max() > 0.05
+
+
 def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp_path, monkeypatch):
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
