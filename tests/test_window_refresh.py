@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from .test_window import LONG, SUITES, THREADS, window  # noqa: F401
+from .test_window import CLOSE, LONG, SUITES, THREADS, window  # noqa: F401
 
 pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
 
@@ -55,8 +55,9 @@ def shown(window, places=None):  # noqa: F811
     # Two answers from the main loop lie two drawings apart.
     window.do("area('VIEW_3D').tag_redraw()")
     window.do("pass")
-    window._tool("gui", "shot", window.suite, "refresh.png")
-    with Image.open(window.work / "refresh.png") as picture:
+    name = f"refresh-{window.suite}.png"
+    window._tool("gui", "shot", window.suite, name)
+    with Image.open(window.work / name) as picture:
         picture = np.array(picture.convert("RGB")).astype(int)
     found = [picture[y - 4:y + 5, x - 4:x + 5].mean(axis=(0, 1)) for x, y in places or window.places]
     return tuple(bool(red > blue + 10) for red, _, blue in found)
@@ -217,7 +218,7 @@ def test_a_linked_library_that_is_reloaded(two, how):
         two.do("made = link().override_hierarchy_create(scene, layer)\n"
                "next(o for o in scene.objects if o.override_library).location.x = 2")
     until_shown(two, (True, True))
-    two.do(CHANGE % "0.01")
+    two.do(CHANGE % "0.0")
     until_shown(two, (True, False))
     two.do(CHANGE % "1.0")
     until_shown(two, (True, True))
@@ -230,10 +231,14 @@ def test_another_file_says_nothing_of_the_former_one(two, interface):
            "bpy.ops.mrpnn.render(); bpy.ops.mrpnn.check()\n"
            "import sys; said = lambda name: getattr(next(m for n, m in sys.modules.items() "
            "if n.endswith('mrpnn_addon.' + name)), name.replace('scene', 'last'))()")
+    # The picture's window lies over the viewport.
+    two.until("len(bpy.context.window_manager.windows) > 1")
+    two.do(CLOSE)
     until_shown(two, (True, False))
     assert two.do("print(bool(said('last_render').warnings), bool(said('scene_check').warnings))") == "True True"
     two.do(f"bpy.ops.wm.open_mainfile(filepath=WORK + '/good.blend', load_ui={interface})\n"
-           "space = area('VIEW_3D').spaces.active")
+           # Files are loaded in Solid shading.
+           "space = area('VIEW_3D').spaces.active; space.shading.type = 'RENDERED'")
     until_shown(two, (True, True))
     assert two.do("print(said('last_render'), said('scene_check'))") == "None None"
     two.do("gc.collect()")
