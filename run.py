@@ -19,8 +19,8 @@ PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 COMMANDS = {
     "demo": ("requirements.txt", ["-m", "benchmarks.demo"]),
-    # Two processes, each with whole files: those in Blender's windows share one screen.
-    "test": ("requirements-dev.txt", ["-m", "pytest", "-n", "2", "--dist", "loadfile"]),
+    # Two processes, each with whole files; those in Blender's windows share one screen and stay together.
+    "test": ("requirements-dev.txt", ["-m", "pytest", "-n", "2", "--dist", "loadgroup"]),
 }
 
 

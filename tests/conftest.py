@@ -31,6 +31,14 @@ def pytest_unconfigure():
         os._exit(_status)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Keep each file in one process, and all that use Blender's windows, which share a screen, in the same one."""
+    for item in items:
+        uses_window = "window" in getattr(item, "fixturenames", ())
+        item.add_marker(pytest.mark.xdist_group("windows" if uses_window else item.path.name))
+
+
 @pytest.fixture(scope="session")
 def addon():
     """The extension's package, imported from the repository and registered in this process.

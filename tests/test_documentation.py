@@ -54,7 +54,7 @@ def test_every_option_of_the_command_is_listed_and_no_other(addon):
 
 def test_messages_that_the_troubleshooting_page_quotes_are_said(addon):
     code = " ".join(path.read_text() for folder in ("inference", "mrpnn_addon", "operators")
-                    for path in (ROOT / folder).glob("*.py"))
+                    for path in (ROOT / folder).rglob("*.py"))
     # Literals that go on in the next line are one.
     code = re.sub(r'"\s*\n?\s*f?"', "", code)
     quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/troubleshooting.md"))))

@@ -48,7 +48,7 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     described = read(addon)
     assert len(described.surfaces) == 1
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "cover volumes" in warning
+    assert "\"Ball\"" in warning and "hides and shades volumes" in warning
     settings = addon.inference.Settings(multiple=False)
     layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
@@ -133,7 +133,7 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
     for shown in balls:
         shown.visible_shadow, shown.visible_camera = True, False
     described = read(addon)
-    assert any("keep suns" in warning for warning in described.warnings)
+    assert any("shades volumes" in warning for warning in described.warnings)
     settings = addon.inference.Settings(multiple=False)
     layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from .test_window import CLOSE, LONG, SUITES, THREADS, window  # noqa: F401
+from .test_window import CLOSE
+from .window import LONG, SUITES, THREADS
 
 pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
 

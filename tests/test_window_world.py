@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from .test_window import LONG, SUITES, THREADS, WORK, window  # noqa: F401 (a fixture)
+from .window import LONG, SUITES, THREADS, WORK
 
 pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
 
