@@ -133,7 +133,7 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
     for shown in balls:
         shown.visible_shadow, shown.visible_camera = True, False
     described = read(addon)
-    assert any("shades volumes" in warning for warning in described.warnings)
+    assert any("shade" in warning for warning in described.warnings)
     settings = addon.inference.Settings(multiple=False)
     layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
