@@ -39,7 +39,7 @@ def worlds(directions):
 
 def rows(view, size: int):
     """Lines of the table."""
-    environment = extension().mrpnn_addon.environment
+    environment = extension().mrpnn_addon.world.quadrature
     sphere = environment.Sphere()
     camera = Camera(look_at(view.position, view.up), resolution=(size, size), fov=np.radians(view.fov))
     scene = [(cube_volume(view.density(), view.volume), Medium(view.sigma_hat, view.albedo, view.anisotropy))]
