@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mathutils import Vector
 
-from training.volumes import HELD_BACK, make_volume
+from training.data.volumes import HELD_BACK, make_volume
 
 from . import demo_scene
 from .extension import ROOT

@@ -37,7 +37,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
     """A trilinearly finer cloud above the threshold that leaves `share`, with a puff in either corner of its box."""
     from inference.grids.dense_grid import DenseGrid
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
-    from training.volumes import make_volume
+    from training.data.volumes import make_volume
 
     density = make_volume(SEED, cells // SPLIT).density
     density[:2, :2, :2] = density[-2:, -2:, -2:] = density.max()

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import bpy
 
-from training.volumes import make_volume
+from training.data.volumes import make_volume
 
 from .demo_scene import CLOUD_SEED, fit, make_scene, write_grid
 from .extension import load_extension

@@ -6,9 +6,9 @@ import pytest
 from benchmarks import view_pictures, views
 from inference import Camera, Medium, Settings, Sun, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from training.path_tracer import trace_pixels
-from training.seeded_volume import cube_volume
-from training.volumes import HELD_BACK, make_volume
+from training.tracer.path_tracer import trace_pixels
+from training.data.seeded_volume import cube_volume
+from training.data.volumes import HELD_BACK, make_volume
 
 BIAS, RMSE = 0.10, 0.30
 

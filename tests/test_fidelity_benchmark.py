@@ -11,7 +11,7 @@ from benchmarks.references import relative_variance
 from inference.network import network
 from training.export import export, save
 from training.networks import MRPNN, RPNN
-from training.volumes import HELD_BACK
+from training.data.volumes import HELD_BACK
 
 RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 

@@ -1,6 +1,6 @@
 """The points of the stencil of A.2: how they were found, and those that all data and weights were made with.
 
-    python -m training.stencil FILE.npz    # makes others
+    python -m training.data.stencil FILE.npz    # makes others
 """
 
 import functools

@@ -1,8 +1,8 @@
 """RPNN's inputs for the rows of training data that it can learn from.
 
-    python -m training.lattice_rows --data data/train --out data/rpnn
+    python -m training.data.lattice_rows --data data/train --out data/rpnn
 
-Reads the files of training.targets and writes one of the same name for each, with the rows of RPNN's one
+Reads the files of training.data.targets and writes one of the same name for each, with the rows of RPNN's one
 anisotropy and, of their albedos, exactly 1: the arrays `lattice` float16 (rows, 10, 225), `gamma`,
 `anisotropy`, `sigma_hat`, `albedo` (rows, 1) and `radiance` (rows, halves, 1), so that the trainer reads
 them as it reads the others. Each volume is made anew from its seed. Files that are there already are skipped.
@@ -20,7 +20,7 @@ from inference.features.mip_lattices import density_pyramid
 from inference.network.lattice_predictor import density_feature
 from inference.features.rpnn_lattice import make_sun_lattice, read_lattices, refined_levels
 from training.networks import RPNN
-from training.seeded_volume import seeded_volume
+from training.data.seeded_volume import seeded_volume
 
 ANISOTROPY = np.float32(RPNN.ranges["anisotropy_range"][0])
 #: Half precision keeps 11 bits.
@@ -28,7 +28,7 @@ HALF_STEP = 2.0**-10
 
 
 def lattice_rows(seed: int, data) -> dict:
-    """Arrays of the rows in `data`, a file of training.targets, that hold RPNN's anisotropy.
+    """Arrays of the rows in `data`, a file of training.data.targets, that hold RPNN's anisotropy.
 
     Raises ValueError where the volume of the seed is not the one that the rows are about.
     """

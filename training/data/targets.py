@@ -1,6 +1,6 @@
 """Training data: descriptors and path-traced radiance at points where camera rays scatter.
 
-    nice python -m training.targets --out data/train --volumes 0-399
+    nice python -m training.data.targets --out data/train --volumes 0-399
 
 One file a volume, written through a temporary name and left alone when it exists: the
 command can be stopped and started again. Everything follows from the volume's seed.
@@ -28,11 +28,11 @@ from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.grids.optical_depth_sweep import sun_optical_depth
-from training.descriptors import describe_points
-from training.path_tracer import sample_scattering_points, trace_points
-from training.seeded_volume import seeded_volume
-from training.stencil import load_stencil
-from training.transport import prepare
+from training.data.descriptors import describe_points
+from training.tracer.path_tracer import sample_scattering_points, trace_points
+from training.data.seeded_volume import seeded_volume
+from training.data.stencil import load_stencil
+from training.tracer.transport import prepare
 
 SIGMA_HAT_RANGE = (1.0, 2000.0)
 ANISOTROPY_RANGE = (-0.3, 0.95)

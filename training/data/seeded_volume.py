@@ -3,7 +3,7 @@
 import numpy as np
 
 from inference.scene import Volume
-from training.volumes import make_volume
+from training.data.volumes import make_volume
 
 # Cells along the cube's edge: real grids are coarse and fine.
 RESOLUTIONS = (96, 208)
