@@ -125,7 +125,7 @@ def test_a_volume_objects_light_equals_cycles(addon, scene, fire, tmp_path, setu
 
 @pytest.mark.parametrize("density", [0.0, 0.8])
 def test_light_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
-    from benchmarks.scene_features import cube_mesh
+    from benchmarks.cycles.scene_features.stage import cube_mesh
     scene.render.resolution_x = scene.render.resolution_y = 48
     shown = blender_scenes.add_object(scene, "Lamp", cube_mesh(0.8))
     shown.rotation_euler = (0.3, 0.2, 0.5)

@@ -1,6 +1,6 @@
 """How soon the viewport's preview shows something: seconds to its first and to its last picture.
 
-    python -m benchmarks.viewport [--size 480 270] [--voxels 128] [--depth-samples 8]
+    python -m benchmarks.cost.viewport [--size 480 270] [--voxels 128] [--depth-samples 8]
 
 A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with what is
 kept from before. "Wall" is seconds; "processor" is seconds of all threads together, which a busy machine
@@ -19,8 +19,8 @@ import bpy
 
 from training.data.volumes import make_volume
 
-from .demo_scene import CLOUD_SEED, fit, make_scene, write_grid
-from .extension import load_extension
+from ..demo.scene import CLOUD_SEED, fit, make_scene, write_grid
+from ..support.extension import load_extension
 
 OPTICAL_DEPTH = 40.0
 

@@ -1,6 +1,6 @@
 """A film of a volume sequence, and how far its frames are from Cycles: makes docs/film.md.
 
-    python -m benchmarks.film [--files ../shared/volumes/plume] [--out build/film] [--compare 3]
+    python -m benchmarks.cycles.film [--files ../shared/volumes/plume] [--out build/film] [--compare 3]
 
 Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
 OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures what a frame changes by
@@ -17,10 +17,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import demo_scene, pictures
-from .demo import pixels
-from .extension import ROOT, extension
-from .page import replace
+from ..demo import scene as demo_scene
+from ..demo.__main__ import pixels
+from ..support import pictures
+from ..support.extension import ROOT, extension
+from ..support.page import replace
 
 PLUME = ROOT.parent / "shared" / "volumes" / "plume"
 PAGE = ROOT / "docs" / "film.md"
@@ -118,7 +119,7 @@ def page(found, options) -> str:
     width, height = options.size
     lines = [
         "# A film", "",
-        "Made by `python -m benchmarks.film`, which renders a sequence of `.vdb` files by the extension in Blender and",
+        "Made by `python -m benchmarks.cycles.film`, which renders a sequence of `.vdb` files by the extension in Blender and",
         f"compares frames of it with Cycles {bpy.app.version_string}, at {options.scale} % of the size and "
         f"{options.samples} samples a pixel in each of",
         "two renders, without Cycles' own noise. Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
@@ -137,7 +138,7 @@ def page(found, options) -> str:
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.film", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles.film", description=__doc__.split("\n\n")[0])
     parser.add_argument("--files", type=Path, default=PLUME, help="folder of numbered .vdb files")
     parser.add_argument("--grid", default="density", help="name of the density grid (density)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "film")

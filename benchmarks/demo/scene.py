@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from .shaders import add_shader
+from ..support.shaders import add_shader
 
 EDGE = 2.0
 MARGIN = 0.97

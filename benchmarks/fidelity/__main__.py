@@ -24,7 +24,7 @@ from inference.network.network import load_network, register_system
 from inference.scene.optimizations import ALL
 from training.reference import PATHS, PathTracer
 
-from . import fidelity_tables, view_pictures
+from . import pictures, tables
 from .real_volumes import real_views
 from .references import relative_variance, seconds_a_sample
 from .views import MASK_ALPHA, SHARED, View, procedural_views, shared_views
@@ -87,7 +87,7 @@ def measure(view: View, systems, depth_samples: int):
             rmse.value, rmse.low, rmse.high, bias.value, bias.low, bias.high, paper_metric(rgb, a, b),
             layer.report.seconds["total"], needed * sample,
         ))
-    return measured, view_pictures.picture(images, a, b)
+    return measured, pictures.picture(images, a, b)
 
 
 def published_network() -> dict:
@@ -143,8 +143,8 @@ def main(options=None):
         measured += found
         # After each view, so that a run that is stopped leaves what it has.
         write_csv(arguments.out / "fidelity.csv", measured)
-        tables = fidelity_tables.document(measured, published_network(), arguments.depth_samples)
-        (arguments.out / "fidelity.md").write_text(tables)
+        text = tables.document(measured, published_network(), arguments.depth_samples)
+        (arguments.out / "fidelity.md").write_text(text)
 
 
 if __name__ == "__main__":

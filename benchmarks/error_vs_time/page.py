@@ -5,8 +5,8 @@ import math
 from inference.evaluation.error import Estimate
 from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
-from .error_vs_time_cases import ENLARGED
-from .fidelity_tables import table
+from ..fidelity.tables import table
+from .cases import ENLARGED
 
 CYCLES, DENOISED = "cycles", "cycles denoised"
 NOISY = "too noisy"

@@ -16,7 +16,7 @@ from training.data.volumes import HELD_BACK, make_volume
 
 from .references import traced_halves
 
-SHARED = pathlib.Path(__file__).resolve().parents[2] / "shared" / "fidelity"
+SHARED = pathlib.Path(__file__).resolve().parents[3] / "shared" / "fidelity"
 # The references leave out some faint pixels; those count that show the medium.
 MASK_ALPHA = 0.02
 LIGHTS = ("side", "front", "back")

@@ -1,8 +1,8 @@
 """How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
 
-    python -m benchmarks.scaling [--size 256] [--tables threads suns]
+    python -m benchmarks.cost.scaling [--size 256] [--tables threads suns]
 
-Renders the cloud of benchmarks.speed with one thing changed at a time. Cost is processor seconds of all threads, which
+Renders the cloud of benchmarks.cost.speed with one thing changed at a time. Cost is processor seconds of all threads, which
 other work on the machine changes little, by stage and as a ratio to the first row of its table; for threads, seconds by
 the clock. The error of depth samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02;
 that of sharing, beside 32.
@@ -19,10 +19,10 @@ import numpy as np
 from inference import Camera, Medium, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
-from .extension import ROOT
-from .page import replace
+from ..fidelity.views import MASK_ALPHA, shared_views
+from ..support.extension import ROOT
+from ..support.page import replace
 from .speed import camera_covering, cloud
-from .views import MASK_ALPHA, shared_views
 
 PAGE = ROOT / "docs" / "performance.md"
 STAGES = ("shadows", "fields", "march", "network")

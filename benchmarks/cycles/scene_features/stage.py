@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
-from ..shaders import add_shader
+from ...support.shaders import add_shader
 
 SEED = 1_000_003
 CELLS = 64

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..shaders import add_shader
+from ...support.shaders import add_shader
 from .stage import cube_mesh
 
 

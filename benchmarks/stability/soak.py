@@ -1,6 +1,6 @@
 """Many renders in one Blender process: does memory grow?
 
-    python -m benchmarks.soak [--renders 200] [--figures docs/soak.csv]
+    python -m benchmarks.stability.soak [--renders 200] [--figures docs/soak.csv]
 
 Renders a small cloud by the operator, its sun, density, size and number of depth samples changing, and an animation
 frame by the engine now and then. Prints the process's resident memory after each tenth and writes the figures.
@@ -20,9 +20,9 @@ import bpy
 
 from tests import blender_scenes
 
-from .extension import load_extension
+from ..support.extension import load_extension
 
-DOCS = pathlib.Path(__file__).resolve().parents[1] / "docs"
+DOCS = pathlib.Path(__file__).resolve().parents[2] / "docs"
 GROWTH = 1.05
 
 

@@ -1,4 +1,4 @@
-"""Small scenes, one a feature, for `benchmarks.scenes`.
+"""Small scenes, one a feature, for `benchmarks.cycles.scenes`.
 
 A builder takes a `Stage` and changes it. MEASURED are compared with Cycles; NAMED must give a message.
 """

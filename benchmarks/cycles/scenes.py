@@ -1,6 +1,6 @@
 """Scenes as artists build them, against Cycles: makes docs/scenes.md.
 
-    python -m benchmarks.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
+    python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
 
 One small scene a feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run
 that was stopped goes on where it was; --table only writes the page anew.
@@ -17,9 +17,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import demo_scene, pictures, scene_features
-from .extension import ROOT, extension
-from .page import replace
+from ..demo import scene as demo_scene
+from ..support import pictures
+from ..support.extension import ROOT, extension
+from ..support.page import replace
+from . import scene_features
 
 PAGE = ROOT / "docs" / "scenes.md"
 IMAGES = ROOT / "docs" / "images" / "scenes"
@@ -125,7 +127,7 @@ def page(results) -> str:
     """The page's text."""
     lines = [
         "# Scenes against Cycles", "",
-        "Made by `python -m benchmarks.scenes`. Each scene is rendered by the extension and, twice and independently,",
+        "Made by `python -m benchmarks.cycles.scenes`. Each scene is rendered by the extension and, twice and independently,",
         f"by Cycles {bpy.app.version_string} with 1024 bounces, no clamping and no denoising; errors do not count Cycles'",
         "noise (`inference/error.py`), over the pixels of alpha above 0.02 or that shine. *Alpha* and *single*, emission",
         "included, hold nothing that is learned: they tell whether the scene was understood. *Whole* adds the network's",
@@ -170,7 +172,7 @@ def _single(found) -> str:
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.scenes", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles.scenes", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "scenes")
     parser.add_argument("--only", default="", help="part of a scene's name; measures it again")
     parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")

@@ -16,8 +16,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import demo_scene, pictures
-from .extension import ROOT, extension
+from ..support import pictures
+from ..support.extension import ROOT, extension
+from . import scene as demo_scene
 
 # The signed error map's full colour, as a share of the reference's mean radiance.
 ERROR_LIMIT = 0.5

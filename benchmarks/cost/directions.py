@@ -1,6 +1,6 @@
 """How many directions a World needs: error and cost against their number.
 
-    python -m benchmarks.directions [--size 48]
+    python -m benchmarks.cost.directions [--size 48]
 
 Renders two of the shared views in light from all around, from few directions and from many, and writes the table of
 docs/performance.md. Errors are relative RMSE beside MANY directions, over pixels of alpha above 0.02.
@@ -15,11 +15,11 @@ import numpy as np
 
 from inference import Camera, Medium, Settings, render
 
-from .extension import extension
-from .page import replace
-from .views import cube_volume, look_at, shared_views
+from ..fidelity.views import cube_volume, look_at, shared_views
+from ..support.extension import extension
+from ..support.page import replace
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "performance.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "performance.md"
 VIEWS = ("cumulus-100-side-g0.857", "smoke-100-side-g0.857")
 COUNTS, MANY = (4, 6, 12, 24), 60
 DEPTH_SAMPLES = 4

@@ -1,6 +1,6 @@
 """What a large, mostly empty volume file costs to read and render: makes docs/performance.md's table of it.
 
-    python -m benchmarks.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
+    python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
 
 Writes a .vdb file of a cloud of which a given share of cells^3 voxels is above 0, and in a new process reads it into
 Blender's scene and renders it. Memory is the largest sum, looked at every few milliseconds, of what that process and
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .extension import ROOT, load_extension
-from .page import replace
+from ..support.extension import ROOT, load_extension
+from ..support.page import replace
 
 PAGE = ROOT / "docs" / "performance.md"
 # Of the generator's volumes; its cells are split into so many an edge.
@@ -101,7 +101,7 @@ def measure(path: Path, cells: int, size) -> dict:
     from mrpnn.inference.plan.plan import make_plan
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
-    from . import demo_scene
+    from ..demo import scene as demo_scene
 
     scene, volume, shader = demo_scene.make_scene(path, size, "density", y_up=False)
     volume.scale, volume.location = (demo_scene.EDGE / cells,) * 3, (-0.5 * demo_scene.EDGE,) * 3
@@ -170,7 +170,7 @@ def main():
         return
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/cloud.vdb"
-        command = [sys.executable, "-m", "benchmarks.sparse", "--cells", str(arguments.cells), "--share",
+        command = [sys.executable, "-m", "benchmarks.cost.sparse", "--cells", str(arguments.cells), "--share",
                    str(arguments.share), "--size", *map(str, arguments.size)]
         subprocess.run([*command, "--write", path], cwd=ROOT, check=True)
         output = subprocess.run([*command, "--measure", path], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)

@@ -6,7 +6,7 @@ import pathlib
 
 import numpy as np
 
-from .extension import extension
+from ..support.extension import extension
 from .views import ANISOTROPIES, GREY, LIGHTS, SHARED, traced_view
 
 FOLDER = SHARED.parent / "volumes"

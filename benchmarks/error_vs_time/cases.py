@@ -7,8 +7,8 @@ from mathutils import Vector
 
 from training.data.volumes import HELD_BACK, make_volume
 
-from . import demo_scene
-from .extension import ROOT
+from ..demo import scene as demo_scene
+from ..support.extension import ROOT
 
 SHARED = ROOT.parent / "shared" / "volumes"
 # Seeds of procedural volumes that no training uses, and files of ../shared/volumes with Y up.

@@ -2,7 +2,7 @@
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
 
-Runs the extension's own comparison in Blender for each case of `error_vs_time_cases`. Every image of Cycles is kept
+Runs the extension's own comparison in Blender for each case of `cases`. Every image of Cycles is kept
 under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
 --samples continue the references that are there. With other weights cases are measured anew against Cycles' images as
 they are; with --again against the references as they are, every image that is timed being made anew. --table only
@@ -20,9 +20,10 @@ from pathlib import Path
 
 import bpy
 
-from . import error_vs_time_cases, error_vs_time_page, error_vs_time_plots
-from .extension import ROOT, extension
-from .page import replace as replace_file
+from ..support.extension import ROOT, extension
+from ..support.page import replace as replace_file
+from . import page, plots
+from .cases import cases, make
 
 DOCS = ROOT / "docs"
 # Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
@@ -40,10 +41,10 @@ def main(arguments=None) -> int:
         for timed in (file, *(options.out / "images").glob("*/cycles-*.npz")):
             timed.unlink(missing_ok=True)
     results = json.loads(file.read_text()) if file.is_file() else {}
-    cases = error_vs_time_cases.cases(options.size)
+    scenes = cases(options.size)
     if not options.table:
         extension()
-        for case in cases:
+        for case in scenes:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples]
@@ -52,16 +53,16 @@ def main(arguments=None) -> int:
                 replace_file(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     # What another network was measured on says nothing of this one.
-    known = [results[case.name] for case in cases
+    known = [results[case.name] for case in scenes
              if case.name in results and results[case.name]["state"][0] == weights()]
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
     replace_file(DOCS / "error-vs-time.csv", csv_text(known))
-    error_vs_time_plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
-    error_vs_time_plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
-    error_vs_time_plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
-    replace_file(DOCS / "error-vs-time.md", error_vs_time_page.page(known, len(cases)))
+    plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
+    plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
+    plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
+    replace_file(DOCS / "error-vs-time.md", page.page(known, len(scenes)))
     return 0
 
 
@@ -79,7 +80,7 @@ def measured(case, options) -> dict:
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
-    scene = error_vs_time_cases.make(case, options.out, load_openvdb(), read_scene)
+    scene = make(case, options.out, load_openvdb(), read_scene)
     bpy.context.view_layer.update()
     wanted = Options(samples=options.samples, ladder=LADDER, scale=100, folder=str(options.out / "images"))
     if case.growth:

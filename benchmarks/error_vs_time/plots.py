@@ -8,8 +8,8 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-from .error_vs_time_cases import ENLARGED
-from .error_vs_time_page import CYCLES, at_size, label, seconds_to_error
+from .cases import ENLARGED
+from .page import CYCLES, at_size, label, seconds_to_error
 
 COLOURS = {"cycles": "#1f77b4", "cycles denoised": "#17a2a2", "single-scattering": "#7f7f7f", "multi-octave": "#b8860b"}
 LAYER_COLOUR = "#c0392b"

@@ -1,6 +1,6 @@
 """How training converged: error on held-back volumes against the rows seen.
 
-    python -m benchmarks.convergence runs/* --csv docs/convergence.csv --png docs/images/convergence.png
+    python -m benchmarks.fidelity.convergence runs/* --csv docs/convergence.csv --png docs/images/convergence.png
 
 Reads what training.train wrote to each run. The error is the root mean square relative to the
 prediction at points, without the targets' noise. What the CSV holds of other networks stays.

@@ -3,7 +3,7 @@
 import bpy
 from mathutils import Vector
 
-from ..shaders import add_shader
+from ...support.shaders import add_shader
 from .stage import smooth_cube
 
 

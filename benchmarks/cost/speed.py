@@ -1,6 +1,6 @@
 """Seconds, points and memory of one render, beside this machine's own arithmetic.
 
-    python -m benchmarks.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
+    python -m benchmarks.cost.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
 
 Renders a procedural cloud that covers a given share of a square image and prints the stages, points a
 second, the largest memory on top of what the process held before, and the share of the
@@ -21,7 +21,7 @@ from inference.runtime.report import process_peak_memory
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
 
-from .views import look_at
+from ..fidelity.views import look_at
 
 # Of runs of the network alone, and how many of its points lie on one ray.
 RUNS, SAMPLES_A_RAY = 50, 8
