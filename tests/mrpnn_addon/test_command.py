@@ -254,15 +254,12 @@ def test_help_is_status_0(command, capsys):
 
 
 SCRIPT = """
-import importlib.util, sys
+import sys
 import bpy
-spec = importlib.util.spec_from_file_location("mrpnn", sys.argv[1], submodule_search_locations=[sys.argv[2]])
-package = importlib.util.module_from_spec(spec)
-sys.modules["mrpnn"] = package
-spec.loader.exec_module(package)
-package.register()
-bpy.ops.wm.open_mainfile(filepath=sys.argv[3])
-status = package.operators.command.main(["render", "--output", sys.argv[4]])
+from benchmarks.extension import load_extension
+package = load_extension()
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+status = package.operators.command.main(["render", "--output", sys.argv[2]])
 bpy.ops.mrpnn.render(filepath="//operator.exr")
 package.unregister()
 sys.exit(status)
@@ -273,7 +270,7 @@ def test_a_process_of_its_own_ends_cleanly(blend):
     """As a script would run it: the file is there, nothing leaks and nothing hangs."""
     folder = blend.parent
     run = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(ROOT / "__init__.py"), str(ROOT), str(blend), str(folder / "command.exr")],
+        [sys.executable, "-c", SCRIPT, str(blend), str(folder / "command.exr")], cwd=ROOT,
         capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stdout + run.stderr
     assert "Not freed memory" not in run.stdout + run.stderr

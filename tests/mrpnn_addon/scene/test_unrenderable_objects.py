@@ -404,15 +404,12 @@ def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_pat
 
 
 PROCESS = """
-import importlib.util, sys
+import sys
 import bpy
-spec = importlib.util.spec_from_file_location("mrpnn", sys.argv[1], submodule_search_locations=[sys.argv[2]])
-package = importlib.util.module_from_spec(spec)
-sys.modules["mrpnn"] = package
-spec.loader.exec_module(package)
-package.register()
-bpy.ops.wm.open_mainfile(filepath=sys.argv[3])
-bpy.context.scene.render.filepath = sys.argv[4]
+from benchmarks.extension import load_extension
+package = load_extension()
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+bpy.context.scene.render.filepath = sys.argv[2]
 bpy.ops.render.render(animation=True)
 package.unregister()
 """
@@ -429,7 +426,7 @@ def test_the_console_says_nothing_of_numpy(scene, cloud, tmp_path):
     blend = tmp_path / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     run = subprocess.run(
-        [sys.executable, "-c", PROCESS, str(ROOT / "__init__.py"), str(ROOT), str(blend), str(tmp_path / "frame")],
+        [sys.executable, "-c", PROCESS, str(blend), str(tmp_path / "frame")], cwd=ROOT,
         capture_output=True, text=True, timeout=120, env={**os.environ, "PYTHONWARNINGS": "always::RuntimeWarning"})
     said = run.stdout + run.stderr
     assert run.returncode == 0 and len(list(tmp_path.glob("frame*"))) == 4, said
