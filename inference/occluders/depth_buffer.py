@@ -8,10 +8,10 @@ from typing import List
 
 import numpy as np
 
-from ..numerics.rasterization import rasterize
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
+from .rasterization import rasterize
 
 #: Places across a pixel, an axis, at which surfaces are looked for.
 PLACES = 4
