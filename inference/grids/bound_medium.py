@@ -21,7 +21,7 @@ class BoundMedium:
     grid: Grid
     medium: Medium
     sigma_t: float
-    sun_depths: List[SunOpticalDepth]
+    sun_depths: list[SunOpticalDepth]
 
     @property
     def linear(self) -> np.ndarray:

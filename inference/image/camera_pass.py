@@ -57,7 +57,7 @@ class _TileRays:
 
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
-) -> Optional[DepthSamples]:
+) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None where no ray meets a volume. Raises Cancelled, and SceneError where
@@ -170,7 +170,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(context, scene, channel_pass, tile) -> Optional[_TileRays]:
+def _tile_rays(context, scene, channel_pass, tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None where none does."""
     report, settings = context.report, context.settings
     # Rays through pixels that lie away from every volume are not even made.

@@ -14,7 +14,7 @@ from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 
 
-def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> Optional[List[Optional[ScatteredFluence]]]:
+def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted, for networks that need ray features."""
     network, plan = scene.network, scene.plan
     if network is None or not network.needs_ray_features:
@@ -94,7 +94,7 @@ class _Source:
     times irradiance of each of the group's volumes.
     """
 
-    def __init__(self, plan, g: int, l: int, indices: List[int], medium):
+    def __init__(self, plan, g: int, l: int, indices: list[int], medium):
         self.group, self.sun, self.members, self.indices = g, l, plan.groups[g], indices
         self.albedos = distinct_albedos(medium, indices, plan.leave_out)
         irradiance = plan.suns[l].irradiance

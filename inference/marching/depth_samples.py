@@ -71,7 +71,7 @@ class DepthSamples:
     distance: np.ndarray
     weight: np.ndarray
     fraction: np.ndarray
-    features: Optional[RayFeatures] = None
+    features: RayFeatures | None = None
 
     def __post_init__(self):
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))

@@ -19,9 +19,9 @@ class Conditions:
 
     sigma_hat: float
     sun: np.ndarray
-    bounds: Tuple[np.ndarray, np.ndarray]
-    shadow_map: Optional[ShadowMap] = None
-    triangles: Optional[np.ndarray] = None
+    bounds: tuple[np.ndarray, np.ndarray]
+    shadow_map: ShadowMap | None = None
+    triangles: np.ndarray | None = None
     occluders: bytes = b""
 
     @property

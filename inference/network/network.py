@@ -61,7 +61,7 @@ class Network:
     checksum: str
     name: str
     provider: str = "CPU"
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     alone: object = field(default_factory=contextlib.nullcontext)
 
     @property

@@ -31,7 +31,7 @@ class Opened:
 
     session: object
     provider: str
-    warnings: List[str]
+    warnings: list[str]
     alone: object
 
 

@@ -24,7 +24,7 @@ CLOSEST = 1e-6
 class DepthBuffer:
     """Surfaces as a perspective or orthographic camera sees them."""
 
-    def __init__(self, surfaces: List[Surface], camera: Camera, cancel: CancelToken = NEVER):
+    def __init__(self, surfaces: list[Surface], camera: Camera, cancel: CancelToken = NEVER):
         """Raises Cancelled."""
         self.camera = camera
         # Only what lies beyond the near clipping plane is seen, by every camera.

@@ -25,7 +25,7 @@ IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
-def grid_bytes(volume: Volume, emits: bool, suns: List[Sun]) -> int:
+def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
     """Bytes of a volume's grid and of its optical depths towards suns."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits

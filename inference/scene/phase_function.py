@@ -25,7 +25,7 @@ class PhaseFunction:
     lobes: (share, name, parameters) of each, name of LOBES; the shares add up to 1.
     """
 
-    lobes: Tuple[Tuple[float, str, Tuple[float, ...]], ...]
+    lobes: tuple[tuple[float, str, tuple[float, ...]], ...]
 
     def __call__(self, cosine):
         """Value, 1/sr, at cosines between the directions before and after scattering; its integral is 1."""

@@ -29,7 +29,7 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
-    leave_out: FrozenSet[str] = ALL
+    leave_out: frozenset[str] = ALL
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -92,7 +92,7 @@ class ScatteredFluence:
 
     linear: np.ndarray
     offset: np.ndarray
-    lights: List[np.ndarray]
+    lights: list[np.ndarray]
     anisotropy: float
 
     @classmethod
