@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import dataclass
-from typing import List, Optional
 
 from .grids.grid import Grid
 from .grids.merge import merge

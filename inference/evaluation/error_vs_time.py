@@ -6,7 +6,6 @@ and is marked as extrapolated.
 """
 
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 

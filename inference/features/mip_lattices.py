@@ -8,7 +8,6 @@ what A.3's redirection to the boundary would give.
 """
 
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 

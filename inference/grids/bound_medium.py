@@ -1,7 +1,6 @@
 """A medium bound to its grid and to the extinction of some colour channels: what rays march through."""
 
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 

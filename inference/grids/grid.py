@@ -1,7 +1,6 @@
 """A volume at the density's own resolution: what camera rays and single scattering read."""
 
 import threading
-from typing import List
 
 import numpy as np
 

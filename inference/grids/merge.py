@@ -1,6 +1,5 @@
 """Several overlapping volumes as one medium."""
 
-from typing import List, Tuple
 
 import numpy as np
 

@@ -1,7 +1,6 @@
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
 from dataclasses import dataclass, replace
-from typing import Optional
 
 import numpy as np
 

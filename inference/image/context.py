@@ -1,7 +1,6 @@
 """What a render holds while it runs."""
 
 from dataclasses import dataclass, replace
-from typing import List, Optional
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid

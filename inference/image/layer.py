@@ -1,7 +1,6 @@
 """The result of a render."""
 
 from dataclasses import dataclass
-from typing import Optional
 
 import numpy as np
 

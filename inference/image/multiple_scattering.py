@@ -1,6 +1,5 @@
 """Adds predicted multiple scattering: what each group of volumes makes of each sun, at the camera rays' depth samples."""
 
-from typing import List, Optional
 
 import numpy as np
 

@@ -6,7 +6,6 @@ polynomial of degree 2n - 1 has, where as many even strata give no more than a s
 
 import functools
 from dataclasses import dataclass
-from typing import Optional
 
 import numpy as np
 

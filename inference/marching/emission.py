@@ -1,6 +1,5 @@
 """Light that volumes emit, as it reaches the camera."""
 
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 

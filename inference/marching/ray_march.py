@@ -5,7 +5,6 @@ the integrals over a step are exact. Blocks of steps, (P, STEPS), are those of `
 """
 
 from dataclasses import dataclass
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 

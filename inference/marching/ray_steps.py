@@ -6,7 +6,6 @@ ray alone, so that an image does not depend on which rays are marched together.
 """
 
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 

@@ -1,7 +1,6 @@
 """The conditions under which a volume's multiple scattering is predicted."""
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
 
 import numpy as np
 

@@ -10,7 +10,6 @@ import hashlib
 import json
 import pathlib
 from dataclasses import dataclass, field
-from typing import List
 
 import numpy as np
 

@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 

@@ -3,7 +3,6 @@
 import contextlib
 import threading
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 

@@ -4,7 +4,6 @@ Triangles are drawn at several places in each pixel; the nearest wins. A pixel t
 as several rays, one for each distance at which parts of it end.
 """
 
-from typing import List
 
 import numpy as np
 

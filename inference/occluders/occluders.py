@@ -3,7 +3,6 @@
 import functools
 import hashlib
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 

@@ -1,6 +1,5 @@
 """Estimated peak memory of a render, on top of its input."""
 
-from typing import List
 
 import numpy as np
 

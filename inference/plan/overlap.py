@@ -1,6 +1,5 @@
 """Volumes that overlap: what the network sees as one medium."""
 
-from typing import List, Tuple
 
 import numpy as np
 

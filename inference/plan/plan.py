@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import FrozenSet, List, Tuple
 
 import numpy as np
 

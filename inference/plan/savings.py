@@ -1,6 +1,5 @@
 """About how long what was left out would have taken, from what the rest took."""
 
-from typing import Dict
 
 
 def estimated_savings(report, plan, settings) -> dict[str, float]:

@@ -4,7 +4,6 @@ import contextlib
 import sys
 import time
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional
 
 
 @dataclass

@@ -1,7 +1,7 @@
 """The camera."""
 
 from dataclasses import dataclass
-from typing import Literal, Optional, Tuple
+from typing import Literal
 
 import numpy as np
 

@@ -5,7 +5,6 @@ unless stated otherwise; nothing here knows Blender.
 """
 
 from dataclasses import dataclass
-from typing import Optional, Tuple, Union
 
 import numpy as np
 

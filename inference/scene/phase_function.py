@@ -1,7 +1,6 @@
 """Phase functions of single scattering: Henyey-Greenstein and others, and mixtures of them."""
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 

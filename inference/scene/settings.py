@@ -1,7 +1,6 @@
 """How to render."""
 
 from dataclasses import dataclass
-from typing import FrozenSet
 
 from .errors import SceneError
 from .optimizations import ALL

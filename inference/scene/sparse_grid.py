@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Iterator
-from typing import Tuple
 
 import numpy as np
 

@@ -12,7 +12,6 @@ fluence phi and flux J are kept, and what a point scatters towards the camera, a
     albedo / (4 pi) (phi - 3 G J . omega).
 """
 
-from typing import List
 
 import numpy as np
 
