@@ -9,7 +9,7 @@ import numpy as np
 
 from inference import SceneError, Volume
 
-from ..extension import extension
+from ..support.extension import extension
 from .case import refused
 from .scenes import blob, placed
 from .shots import shot

@@ -1,7 +1,7 @@
 """Nodes that give numbers, colours and vectors, by Cycles' definitions.
 
 Each function takes (values, node, output, groups) with `values` a NodeValues and gives the array of one
-output. Measured against Cycles in tests/test_nodes.py.
+output. Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
 """
 
 import numpy as np
