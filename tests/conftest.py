@@ -103,7 +103,7 @@ def addon():
     The repository's root is the package; Blender gives it its name, and so does this.
     """
     pytest.importorskip("bpy")
-    from benchmarks.extension import extension
+    from benchmarks.support.extension import extension
 
     return extension()
 

@@ -7,10 +7,10 @@ import pytest
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
-from benchmarks.error_vs_time import csv_text
-from benchmarks.error_vs_time_cases import Case, cases
-from benchmarks.error_vs_time_page import filtered, headline, page, scenes, times_as_long
-from benchmarks.error_vs_time_plots import save_headline
+from benchmarks.error_vs_time.__main__ import csv_text
+from benchmarks.error_vs_time.cases import Case, cases
+from benchmarks.error_vs_time.page import filtered, headline, page, scenes, times_as_long
+from benchmarks.error_vs_time.plots import save_headline
 
 
 def rung(method, samples, seconds, error, spread=0.1, once=0.0):

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import fidelity, fidelity_tables, real_volumes, views
-from benchmarks.references import relative_variance
+from benchmarks.fidelity import __main__ as fidelity
+from benchmarks.fidelity import real_volumes, tables, views
+from benchmarks.fidelity.references import relative_variance
 from inference.network import network
 from training.export import export, save
 from training.networks import MRPNN, RPNN
-from training.volumes import HELD_BACK
+from training.data.volumes import HELD_BACK
 
 RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 
@@ -95,7 +96,7 @@ def test_boosts_and_means_compare_like_with_like():
         measurement("rpnn", seconds=60.0, reference_seconds=30.0, rmse=0.3),
         measurement("mrpnn", view="cloud-g0", anisotropy=0.0, rmse=0.5),
     ]
-    text = fidelity_tables.document(found, {}, 8)
+    text = tables.document(found, {}, 8)
     assert "| cloud | side | 2 s · 30 × · 250 × | 60 s · 1 × · 0.5 × |" in text
     lines = [line.split(" | ")[:3] for line in text.splitlines() if line.startswith("| mrpnn")]
     assert lines == [["| mrpnn", "all it knows, 2", "0.300"], ["| mrpnn", "common to all, 1", "0.100"]]
@@ -106,7 +107,7 @@ def test_real_volumes_have_a_table_of_their_own():
         measurement("mrpnn", view=f"torus-{light}-{g}", volume="torus", light=light, anisotropy=g, rmse=rmse, bias=bias)
         for light, g, rmse, bias in (("side", 0.857, 0.1, 0.04), ("back", 0.857, 0.3, -0.06), ("side", 0.0, 0.2, 0.05))
     ]
-    text = fidelity_tables.document(found, {}, 8)
+    text = tables.document(found, {}, 8)
     assert "mrpnn: 0.200 on the mean, bias +1.0 %, within 5 % on 2 of 3 views" in text
     assert "| torus | 100 | 0.100 +4.0 % | 0.300 -6.0 % | 0.200 +5.0 % |" in text
     assert "| torus | side |" not in text and "Table 2" not in text

@@ -8,7 +8,7 @@ from inference.transport import scattered_fluence
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import FLUENCE_MOST
 from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
-from training.path_tracer import trace_points
+from training.tracer.path_tracer import trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
 SLANT = np.array([0.48, 0.6, 0.64])

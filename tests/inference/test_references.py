@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks import view_pictures, views
+from benchmarks.fidelity import pictures, views
 from inference import Camera, Medium, Settings, Sun, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from training.path_tracer import trace_pixels
-from training.seeded_volume import cube_volume
-from training.volumes import HELD_BACK, make_volume
+from training.tracer.path_tracer import trace_pixels
+from training.data.seeded_volume import cube_volume
+from training.data.volumes import HELD_BACK, make_volume
 
 BIAS, RMSE = 0.10, 0.30
 
@@ -17,7 +17,7 @@ def check(layer, a, b, mask, folder):
     """Assert bias and error; leave the pictures behind where they fail."""
     bias, rmse = relative_bias(layer.rgb, a, b, mask), relative_rmse(layer.rgb, a, b, mask)
     picture = folder / "ours-reference-error.png"
-    view_pictures.picture({"ours": layer.rgb}, a, b).save(picture)
+    pictures.picture({"ours": layer.rgb}, a, b).save(picture)
     # A bias counts where the reference's own noise cannot explain it.
     assert bias.low < BIAS and bias.high > -BIAS, f"bias {bias}, see {picture}"
     assert rmse.low < RMSE, f"relative RMSE {rmse}, see {picture}"

@@ -146,7 +146,7 @@ def test_frames_get_the_files_that_the_pattern_names(command, blend):
 
 
 def test_lists_of_frames_and_their_files(addon):
-    frames = addon.mrpnn_addon.frames
+    frames = addon.mrpnn_addon.output.frames
     assert frames.parse_frames("1-3, 7,2..4") == [1, 2, 3, 7, 4]
     assert frames.parse_frames("-2..1") == frames.parse_frames("-2-1") == [-2, -1, 0, 1]
     assert frames.frame_path("/a#/b_##.png", 7, many=False) == "/a#/b_07.png"

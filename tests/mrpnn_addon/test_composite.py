@@ -204,7 +204,7 @@ def test_a_saved_file_has_the_scenes_alike(addon, scene, cloud, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=path)
     volumes = bpy.data.scenes["Scene MRPNN"]
     assert (volumes.render.resolution_x, volumes.frame_end) == (33, 12)
-    assert not addon.mrpnn_addon.composite.out_of_date(bpy.data.scenes["Scene"])
+    assert not addon.mrpnn_addon.output.composite.out_of_date(bpy.data.scenes["Scene"])
 
 
 def broken_scene(scene):
@@ -235,7 +235,7 @@ def turned_panorama(scene):
     (broken_compositing, "Compositing is off"), (turned_panorama, "panorama now")])
 def test_what_cannot_follow_by_itself_is_said_and_mended(addon, scene, cloud, tmp_path, change, said):
     bpy.ops.mrpnn.composite(shadows=False)
-    out_of_date = addon.mrpnn_addon.composite.out_of_date
+    out_of_date = addon.mrpnn_addon.output.composite.out_of_date
     assert out_of_date(scene) == []
     change(scene)
     assert any(said in problem for problem in out_of_date(scene)), out_of_date(scene)
@@ -277,7 +277,7 @@ def test_a_copy_of_the_scene_says_that_its_volumes_are_the_others(addon, scene, 
     bpy.ops.mrpnn.composite()
     other = scene.copy()
     other.render.resolution_x = 50
-    composite = addon.mrpnn_addon.composite
+    composite = addon.mrpnn_addon.output.composite
     assert any("another scene" in problem for problem in composite.out_of_date(other))
     assert composite.out_of_date(scene) == []
     blender_scenes.depsgraph().update()

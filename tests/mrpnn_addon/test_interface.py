@@ -56,7 +56,7 @@ def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
 
 
 def test_the_preferences_offer_every_provider(addon, scene):
-    items = addon.mrpnn_addon.preferences._PROVIDER_ITEMS
+    items = addon.mrpnn_addon.settings.preferences._PROVIDER_ITEMS
     assert [item[0] for item in items] == list(addon.inference.network.provider.PROVIDERS)
 
 
@@ -66,15 +66,15 @@ def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_pat
     stored = scene.mrpnn.bl_system_properties_get(do_create=True) if bpy.app.version >= (5, 0, 0) else scene["mrpnn"]
     stored["model"], stored["version"] = 0, 0
     path = str(tmp_path / "old.blend")
-    bpy.app.handlers.save_pre.remove(addon.mrpnn_addon.properties._before_save)
+    bpy.app.handlers.save_pre.remove(addon.mrpnn_addon.settings.properties._before_save)
     try:
         bpy.ops.wm.save_as_mainfile(filepath=path)
     finally:
-        bpy.app.handlers.save_pre.append(addon.mrpnn_addon.properties._before_save)
+        bpy.app.handlers.save_pre.append(addon.mrpnn_addon.settings.properties._before_save)
     capfd.readouterr()
     bpy.ops.wm.open_mainfile(filepath=path)
     settings = bpy.context.scene.mrpnn
-    assert (settings.version, settings.model) == (addon.mrpnn_addon.properties.VERSION, "mrpnn")
+    assert (settings.version, settings.model) == (addon.mrpnn_addon.settings.properties.VERSION, "mrpnn")
     assert (settings.depth_samples, settings.memory_limit) == (12, 6)
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=path)
@@ -85,14 +85,14 @@ def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_pat
 
 def test_the_forecast_counts_what_a_render_does(addon, scene, cloud):
     blender_scenes.add_sun(scene, "Second", rotation=(1.0, 0.0, 0.0))
-    found = addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    found = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert (found.volumes, found.suns, found.problem) == (1, 2, "")
     bpy.ops.mrpnn.render()
-    counts = addon.mrpnn_addon.last_render.last_render()
+    counts = addon.mrpnn_addon.status.last_render.last_render()
     # Bounds hold all that is hit, and the cloud does not fill them.
     assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
     scene.camera.location.z = 0.5
-    inside = addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    inside = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert inside.pixels == 32 * 24
 
 
@@ -103,18 +103,18 @@ def test_the_forecasts_bounds_follow_the_camera(addon, scene, cloud):
         lens.type, lens.ortho_scale, (lens.shift_x, lens.shift_y) = kind, 5.0, shift
         scene.camera.rotation_euler = (0.1, 0.15, 0.4)
         graph = blender_scenes.depsgraph()
-        described = addon.mrpnn_addon.scene.read_scene(graph)
+        described = addon.mrpnn_addon.scene.reader.read_scene(graph)
         alpha = addon.inference.render(
             described.volumes, described.suns, described.camera, addon.inference.Settings(1)).alpha
         boxes = [box for box, _ in described.boxes]
-        covered = addon.mrpnn_addon.cost_model.pixels_around(boxes, described.camera)
+        covered = addon.mrpnn_addon.status.cost_model.pixels_around(boxes, described.camera)
         assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
         assert covered.sum() < 4 * (alpha > 0).sum()
 
 
 def test_the_check_lists_what_is_left_out_and_knows_when_it_is_old(addon, scene, cloud, tmp_path):
     blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
-    check = addon.mrpnn_addon.scene_check
+    check = addon.mrpnn_addon.status.scene_check
     assert bpy.ops.mrpnn.check() == {'FINISHED'}
     found = check.last_check()
     assert any("\"Lamp\"" in warning for warning in found.warnings) and found.memory > 0
@@ -136,7 +136,7 @@ def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
     (folder / "onnxruntime" / "__init__.py").write_text("")
     (folder / "onnxruntime-1.9.0.dist-info").mkdir()
     metadata = folder / "onnxruntime-1.9.0.dist-info" / "METADATA"
-    runtime = addon.mrpnn_addon.runtime
+    runtime = addon.mrpnn_addon.runtime.onnxruntime_version
     assert runtime.check_runtime() == []
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.delitem(__import__("sys").modules, "onnxruntime", raising=False)
@@ -152,14 +152,14 @@ def test_a_missing_onnxruntime_is_named(addon, scene, cloud, monkeypatch):
     monkeypatch.setattr(sys, "path", [])
     for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
         monkeypatch.delitem(sys.modules, name)
-    assert addon.mrpnn_addon.runtime.runtime_version() is None
+    assert addon.mrpnn_addon.runtime.onnxruntime_version.runtime_version() is None
     with pytest.raises(RuntimeError, match="onnxruntime, which the extension ships, is missing"):
         bpy.ops.mrpnn.render()
 
 
 def test_the_shipped_onnxruntime_is_the_expected_one(addon):
     import build_extension
-    assert all(f"onnxruntime-{addon.mrpnn_addon.runtime.SHIPPED}-" in wheel
+    assert all(f"onnxruntime-{addon.mrpnn_addon.runtime.onnxruntime_version.SHIPPED}-" in wheel
                for wheel in build_extension.manifest()["wheels"])
 
 

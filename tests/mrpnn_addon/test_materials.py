@@ -38,7 +38,7 @@ def assert_cycles_agrees(addon, scene, folder, tolerance=0.03):
     With camera and sun on one axis: alpha = 1 - exp(-sigma_t L) and
     radiance = E albedo p(-1) (1 - exp(-2 sigma_t L)) / 2.
     """
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     volume, medium = described.volumes[0]
     # A soft sun's directions share its light.
     irradiance = sum(sun.irradiance for sun in described.suns)
@@ -216,7 +216,7 @@ def test_volume_coefficients(addon, scene, box, tmp_path):
 ], ids=str)
 def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase, inputs):
     """Single scattering at two angles, in Cycles' picture, in the function and in the layer."""
-    found = importlib.import_module("mrpnn.mrpnn_addon.phase_functions")
+    found = importlib.import_module("mrpnn.mrpnn_addon.nodes.phase_functions")
     _, node, sun = build(scene, box, "ShaderNodeVolumeScatter")
     node.phase = phase
     names = {"DRAINE": ("Anisotropy", "Alpha"), "MIE": ("Diameter",), "FOURNIER_FORAND": ("IOR", "Backscatter")}
@@ -230,7 +230,7 @@ def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase,
         # Light that goes straight on has angle 0; the camera looks down.
         sun.rotation_euler = (math.pi - angle, 0.0, 0.0)
         seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=256)[..., 0].mean())
-        described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+        described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
         layer = addon.inference.render(described.volumes, described.suns, described.camera)
         assert layer.single[..., 0].mean() == pytest.approx(seen[-1], rel=0.06)
     assert seen[0] / seen[1] == pytest.approx(density(math.cos(0.3)) / density(math.cos(2.4)), rel=0.06)
@@ -279,7 +279,7 @@ def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, n
 
 def assert_refused(addon, named):
     with pytest.raises(addon.inference.SceneError, match="Cloud") as refusal:
-        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+        addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     assert "Cloud fog" in str(refusal.value) and named in str(refusal.value)
 
 

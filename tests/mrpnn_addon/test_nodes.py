@@ -55,8 +55,8 @@ def rendered(scene, folder):
 
 def evaluated(emission):
     """Of Blender's nodes, and of their copies, which threads evaluate."""
-    values = importlib.import_module("mrpnn.mrpnn_addon.node_values").NodeValues(Plane())
-    copied = importlib.import_module("mrpnn.mrpnn_addon.node_copy").copied(emission.id_data, emission)
+    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(Plane())
+    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").copied(emission.id_data, emission)
     found = values.colour(emission, "Color")
     np.testing.assert_array_equal(values.colour(copied, "Color"), found)
     return np.broadcast_to(found, (PIXELS * PIXELS, 3))
@@ -121,7 +121,7 @@ def test_every_math_operation(addon, scene, plane, tmp_path):
 
 def test_vector_math(addon, scene, plane, tmp_path):
     tree, emission, coordinates = plane
-    table = importlib.import_module("mrpnn.mrpnn_addon.node_math").VECTOR_MATH
+    table = importlib.import_module("mrpnn.mrpnn_addon.nodes.math_operations").VECTOR_MATH
     for name in table:
         node = add(tree, "VectorMath", operation=name)
         tree.links.new(coordinates, node.inputs[0])
@@ -266,7 +266,7 @@ def test_groups_reroutes_and_muted_nodes(addon, scene, plane, tmp_path):
 
 def test_what_cannot_be_evaluated_is_named(addon, scene, plane):
     tree, emission, _ = plane
-    sockets = importlib.import_module("mrpnn.mrpnn_addon.sockets")
+    sockets = importlib.import_module("mrpnn.mrpnn_addon.nodes.sockets")
     for kind, said in (("TexVoronoi", "Voronoi"), ("TexCoord", "Reflection"), ("TexWave", "Wave")):
         node = tree.nodes.new(f"ShaderNode{kind}")
         tree.links.new(node.outputs["Reflection" if kind == "TexCoord" else 0], emission.inputs["Color"])

@@ -22,14 +22,14 @@ def named(properties):
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
     settings, comparison = page("docs/settings.md"), page("docs/comparison.md")
-    wanted = [*named(own.properties.MRPNN_PG_scene), *named(own.passes.MRPNN_PG_view_layer),
-              *named(own.preferences.PreferenceProperties), *named(addon.operators.composite.MRPNN_OT_composite)]
+    wanted = [*named(own.settings.properties.MRPNN_PG_scene), *named(own.output.passes.MRPNN_PG_view_layer),
+              *named(own.settings.preferences.PreferenceProperties), *named(addon.operators.composite.MRPNN_OT_composite)]
     assert len(wanted) > 15 and [name for name in wanted if name not in settings] == []
     wanted = named(addon.operators.compare.MRPNN_OT_compare)
     assert len(wanted) > 5 and [name for name in wanted if f"| {name} |" not in comparison] == []
     # Choices, too.
-    presets = [label for _, label, _ in own.properties._PRESET_ITEMS]
-    providers = [label for _, label, *_ in own.preferences._PROVIDER_ITEMS]
+    presets = [label for _, label, _ in own.settings.properties._PRESET_ITEMS]
+    providers = [label for _, label, *_ in own.settings.preferences._PROVIDER_ITEMS]
     assert [name for name in (*presets, *providers) if name not in settings] == []
 
 

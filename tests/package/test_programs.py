@@ -272,7 +272,7 @@ FLUID = """
     scene.render.resolution_x = scene.render.resolution_y = 48
     scene.mrpnn.depth_samples = 1
     extension = next(name for name in bpy.context.preferences.addons.keys() if name.endswith(".mrpnn"))
-    read_scene = importlib.import_module(extension + ".mrpnn_addon.scene").read_scene
+    read_scene = importlib.import_module(extension + ".mrpnn_addon.scene.reader").read_scene
     inference = importlib.import_module(extension + ".inference")
     found = {}
     for frame in range(1, 11):

@@ -66,7 +66,7 @@ INSTALLED_RENDER = """
     # A fog ball under the sun, seen from above.
     for item in list(bpy.data.objects):
         bpy.data.objects.remove(item)
-    openvdb = importlib.import_module("bl_ext.user_default.mrpnn.mrpnn_addon.openvdb_module").load_openvdb()
+    openvdb = importlib.import_module("bl_ext.user_default.mrpnn.mrpnn_addon.vdb.openvdb_module").load_openvdb()
     grid = openvdb.FloatGrid()
     axis = np.linspace(-1, 1, 32)
     radius = np.sqrt(sum(np.meshgrid(axis**2, axis**2, axis**2)))

@@ -8,7 +8,7 @@ from inference.features.phase_features import PhaseFeatures
 from inference.features.stencil import LOW_POINTS
 from inference.features.rpnn_lattice import LEVELS, POINTS, SHAPE
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
-from training.stencil import load_stencil
+from training.data.stencil import load_stencil
 
 COUNT = 9
 

@@ -10,8 +10,8 @@ from scipy.ndimage import map_coordinates
 
 from inference.scene.phase_function import henyey_greenstein
 from inference.grids.optical_depth_sweep import sun_optical_depth
-from training.path_tracer import sample_scattering_points, trace_pixels, trace_points
-from training.transport import prepare, scatter, seed_state, transmit
+from training.tracer.path_tracer import sample_scattering_points, trace_pixels, trace_points
+from training.tracer.transport import prepare, scatter, seed_state, transmit
 
 from tests.support.paths import SHARED
 

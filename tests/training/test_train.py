@@ -24,9 +24,9 @@ from inference.features.stencil import SPARSE
 from training import evaluate, export, memory, train
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
-from training.seeded_volume import seeded_volume
-from training.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
-from training.volumes import make_volume
+from training.data.seeded_volume import seeded_volume
+from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
+from training.data.volumes import make_volume
 
 WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 

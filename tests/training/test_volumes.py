@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from training.noise import CELLS, TILE, Fractal, curl_tile
-from training.shapes import BOX, TORUS, ball_union, constructive_solid
-from training.solids import SOLIDS
-from training.volume_kinds import KINDS
-from training.volumes import (
+from training.data.noise import CELLS, TILE, Fractal, curl_tile
+from training.data.shapes import BOX, TORUS, ball_union, constructive_solid
+from training.data.solids import SOLIDS
+from training.data.volume_kinds import KINDS
+from training.data.volumes import (
     HELD_BACK, HELD_BACK_SATURATED, HELD_BACK_SOLIDS, SATURATED_SEEDS, SOLID_SEEDS, make_volume,
 )
 

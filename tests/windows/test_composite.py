@@ -45,7 +45,7 @@ def state():
 def volumes(): return bpy.data.scenes["Scene MRPNN"]
 def said():
     import sys
-    composite = next(m for n, m in sys.modules.items() if n.endswith("mrpnn.mrpnn_addon.composite"))
+    composite = next(m for n, m in sys.modules.items() if n.endswith("mrpnn.mrpnn_addon.output.composite"))
     return composite.out_of_date(bpy.data.scenes["Scene"])
 """
 

@@ -201,7 +201,7 @@ def test_the_default_scene_says_what_of_it_is_not_rendered(window):
     try:
         window.do("import gc, sys, threading\n"
                   "own = lambda name: next(m for n, m in sys.modules.items() if n.endswith('.mrpnn.' + name))\n"
-                  "missing = own('mrpnn_addon.unrendered').unrendered(bpy.context.evaluated_depsgraph_get())")
+                  "missing = own('mrpnn_addon.scene.unrendered').unrendered(bpy.context.evaluated_depsgraph_get())")
         assert window.do("print(missing.summary)") == 'Not rendered: light "Light", surface "Cube"'
         window.shot("default-scene-panel", window.box("PROPERTIES"))
         window.do("area('VIEW_3D').spaces.active.shading.type = 'RENDERED'")

@@ -230,7 +230,7 @@ def test_another_file_says_nothing_of_the_former_one(two, interface):
     two.do("bpy.ops.wm.save_as_mainfile(filepath=WORK + '/good.blend'); other.data.filepath = WORK + '/gone.vdb'\n"
            "bpy.ops.mrpnn.render(); bpy.ops.mrpnn.check()\n"
            "import sys; said = lambda name: getattr(next(m for n, m in sys.modules.items() "
-           "if n.endswith('mrpnn_addon.' + name)), name.replace('scene', 'last'))()")
+           "if n.endswith('mrpnn_addon.status.' + name)), name.replace('scene', 'last'))()")
     # The picture's window lies over the viewport.
     two.until("len(bpy.context.window_manager.windows) > 1")
     two.do(CLOSE)

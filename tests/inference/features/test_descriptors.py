@@ -10,8 +10,8 @@ from inference.features.mip_lattices import (
 from inference.features.phase_features import PhaseFeatures
 from inference.scene.phase_function import henyey_greenstein
 from inference.features.stencil import LAYER_POINTS, LOW_POINTS
-from training.descriptors import describe_points
-from training.stencil import load_stencil
+from training.data.descriptors import describe_points
+from training.data.stencil import load_stencil
 
 SUN = np.array([0.36, -0.48, 0.8])
 SIGMA_HAT = 150.0

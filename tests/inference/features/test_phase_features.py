@@ -7,7 +7,7 @@ from inference.features.phase_features import PhaseFeatures, cone_half_angles, c
 from inference.scene.phase_function import henyey_greenstein
 from inference.scene.phase_function import PhaseFunction
 from inference.features.stencil import LOW_POINTS, frames
-from training.stencil import load_stencil
+from training.data.stencil import load_stencil
 
 GS = (-0.3, 0.0, 0.5, 0.857, 0.95)
 

@@ -13,14 +13,14 @@ from inference.network.predictor import VolumePredictor
 from inference.features.rpnn_lattice import (
     FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
 )
-from training import lattice_rows
-from training.descriptors import describe_points
+from training.data import lattice_rows
+from training.data.descriptors import describe_points
 from training.export import export, save
 from training.networks import RPNN
-from training.path_tracer import sample_scattering_points
-from training.seeded_volume import seeded_volume
-from training.stencil import load_stencil
-from training.targets import unit_vectors
+from training.tracer.path_tracer import sample_scattering_points
+from training.data.seeded_volume import seeded_volume
+from training.data.stencil import load_stencil
+from training.data.targets import unit_vectors
 
 SUN = np.array([0.36, -0.48, 0.8])
 SEED = 5
@@ -107,7 +107,7 @@ def test_a_full_cube_is_seen_as_such():
 
 @pytest.fixture(scope="module")
 def data():
-    """Rows as training.targets writes them: a procedural volume, two anisotropies, two suns."""
+    """Rows as training.data.targets writes them: a procedural volume, two anisotropies, two suns."""
     volume, random = seeded_volume(SEED)
     cube, stencil, count = fit_cube(volume), load_stencil(), 60
     omega, suns = unit_vectors(random, count), unit_vectors(random, 2).repeat(count // 2, axis=0)

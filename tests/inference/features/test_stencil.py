@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inference.features.stencil import LAYER_MIPS, LAYER_POINTS, SPARSE, Stencil, frames
-from training.stencil import (
+from training.data.stencil import (
     fibonacci_sphere, layer_radius, load_stencil, mutual_minimum_distances, relaxed_stencil, unit_layer,
 )
 

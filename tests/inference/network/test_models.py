@@ -13,8 +13,8 @@ from inference.network import network
 from inference.scene import SceneError
 from training.export import export, save
 from training.networks import RPNN
-from training.path_tracer import trace_pixels, trace_points
-from training.seeded_volume import cube_volume
+from training.tracer.path_tracer import trace_pixels, trace_points
+from training.data.seeded_volume import cube_volume
 
 SUN = Sun((0.6, 0.5, 0.62))
 

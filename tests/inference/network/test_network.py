@@ -12,7 +12,7 @@ from training.export import export, save
 from training.networks import NETWORKS
 from training.networks.mrpnn import POINTS as SPARSE_POINTS
 from training.networks.mrpnn import RAY_INPUTS
-from training.stencil import load_stencil
+from training.data.stencil import load_stencil
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS, POINTS_A_RAY = 77, 7

@@ -17,18 +17,18 @@ SIZE = 48
 
 @pytest.fixture
 def comparison(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.comparison")
+    return importlib.import_module("mrpnn.mrpnn_addon.comparison.results")
 
 
 @pytest.fixture
 def kept(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.pass_store")
+    return importlib.import_module("mrpnn.mrpnn_addon.cycles.pass_store")
 
 
 @pytest.fixture
 def planted(kept):
     """A layer 5 % brighter than a noisy reference of two passes, and three rungs of Cycles: gives (passes, request)."""
-    from mrpnn.mrpnn_addon.comparison_plan import Request
+    from mrpnn.mrpnn_addon.comparison.plan import Request
 
     rng = np.random.default_rng(3)
     y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE - 0.5
@@ -227,7 +227,7 @@ def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
 @pytest.fixture
 def started(addon, scene, tmp_path):
     """start(**options) gives a ComparisonRun of a small cloud."""
-    run = importlib.import_module("mrpnn.mrpnn_addon.comparison_run")
+    run = importlib.import_module("mrpnn.mrpnn_addon.comparison.run")
     make.cloud_scene(scene, tmp_path)
     scene.mrpnn.depth_samples = 2
 

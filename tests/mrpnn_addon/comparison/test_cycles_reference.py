@@ -14,7 +14,7 @@ CELLS = 32
 
 @pytest.fixture
 def reference(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.cycles_reference")
+    return importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def report(addon, tmp_path_factory):
     scene.name = "Clouds <over> & sea"
     scene.camera.location.z = 4.0
     scene.mrpnn.depth_samples = 2
-    run = importlib.import_module("mrpnn.mrpnn_addon.comparison_run")
+    run = importlib.import_module("mrpnn.mrpnn_addon.comparison.run")
     made = run.ComparisonRun(make.bpy.context, scene.mrpnn.settings(), run.Options(
         samples=16, ladder=4, scale=50, depths=(1,), folder=str(folder / "out")))
     made.wait()
@@ -82,7 +82,7 @@ def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path)
 
 
 def test_the_chart_is_well_formed_and_lies_on_logarithmic_axes(report):
-    chart = importlib.import_module("mrpnn.mrpnn_addon.comparison_chart")
+    chart = importlib.import_module("mrpnn.mrpnn_addon.comparison.chart")
     _, comparison = report
     made = chart.make_chart(comparison.rungs)
     (x1, y1), (x2, y2), (x3, y3) = (made.place(s, e) for s, e in ((0.1, 0.1), (0.2, 0.2), (0.4, 0.4)))
@@ -107,8 +107,8 @@ def test_pictures_have_the_colours_they_were_made_of(report):
     from PIL import Image
     import io
 
-    pictures = importlib.import_module("mrpnn.mrpnn_addon.comparison_pictures")
-    reports = importlib.import_module("mrpnn.mrpnn_addon.comparison_report")
+    pictures = importlib.import_module("mrpnn.mrpnn_addon.comparison.pictures")
+    reports = importlib.import_module("mrpnn.mrpnn_addon.comparison.report")
     layer = np.ones((2, 3, 4), np.float32)
     layer[0, 0, :3], layer[1, 2, :3] = 2.0, 0.0
     error = reports.signed_error(layer, np.ones_like(layer))
@@ -125,11 +125,11 @@ def test_the_chart_is_an_image_in_blender(report):
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(image.size[1], image.size[0], 4)[::-1]
-    chart = importlib.import_module("mrpnn.mrpnn_addon.comparison_chart")
+    chart = importlib.import_module("mrpnn.mrpnn_addon.comparison.chart")
     made = chart.make_chart(comparison.rungs, comparison.clock)
     last = list(made.series.values())[-1][-1]
     x, y = made.point(last)
     assert pixels[round(y), round(x), :3] == pytest.approx(
-        importlib.import_module("mrpnn.mrpnn_addon.chart_image")._linear(made.colour(last.method)), abs=0.02)
+        importlib.import_module("mrpnn.mrpnn_addon.comparison.chart_image")._linear(made.colour(last.method)), abs=0.02)
     # Words on the axes.
     assert (pixels[chart.FRAME[3] + 4 :, :, :3].max(axis=-1) < 0.3).sum() > 50

@@ -8,12 +8,12 @@ import pytest
 
 @pytest.fixture
 def plan(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.comparison_plan")
+    return importlib.import_module("mrpnn.mrpnn_addon.comparison.plan")
 
 
 @pytest.fixture
 def kept(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.pass_store")
+    return importlib.import_module("mrpnn.mrpnn_addon.cycles.pass_store")
 
 
 def run(plan, kept, request, done=None, each=1.0, most=200):
@@ -88,7 +88,7 @@ def test_a_store_gives_back_what_it_was_given_and_nothing_of_damaged_files(kept,
 
 def test_the_key_tells_scenes_apart_that_render_differently(addon, kept):
     from mrpnn.inference import Camera, Medium, Sun, Volume
-    from mrpnn.mrpnn_addon.scene import SceneDescription
+    from mrpnn.mrpnn_addon.scene.reader import SceneDescription
 
     def key(density=1.0, albedo=0.9, anisotropy=0.5, sun=(0, 0, 1), size=8, moved=0.0, bounces=1024, frame=1):
         place = np.eye(4)

@@ -30,7 +30,7 @@ def render(scene, path):
 
 def layer(addon, scene):
     """What the library gives for the scene."""
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     return addon.inference.render(described.volumes, described.suns, described.camera, scene.mrpnn.settings())
 
 

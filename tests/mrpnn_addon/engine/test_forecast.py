@@ -14,8 +14,8 @@ from tests.support import blender_scenes
 def cloud(addon, scene, tmp_path, monkeypatch):
     """A cloud of 64^3 voxels, of which nothing is known, on a machine of which nothing is known."""
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(tmp_path))
-    monkeypatch.setattr(addon.mrpnn_addon.volume_boxes, "_told", {})
-    addon.mrpnn_addon.experience.forget()
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_told", {})
+    addon.mrpnn_addon.status.experience.forget()
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     scene.mrpnn.depth_samples = 1
     shown, _ = blender_scenes.add_volume(
@@ -24,12 +24,12 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     yield shown
-    addon.mrpnn_addon.experience.forget()
+    addon.mrpnn_addon.status.experience.forget()
 
 
 @pytest.fixture
 def said(addon, cloud):
-    return lambda: addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    return lambda: addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
 def shader(cloud):
@@ -37,7 +37,7 @@ def shader(cloud):
 
 
 def described(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def test_dense_volumes_take_longer_once_their_density_is_known(addon, scene, cloud, said):
@@ -86,21 +86,21 @@ def test_pixels_in_the_box_count_and_no_others(addon, scene, cloud, said):
     assert far.pixels < 100 and far.seconds < whole
     scene.camera.location.z = -6.0
     # Behind the camera all pixels might show it, but no ray meets its box.
-    assert addon.mrpnn_addon.cost_model.work(
-        [addon.mrpnn_addon.volume_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
-        addon.mrpnn_addon.camera.read_camera(blender_scenes.depsgraph())[0], 1, 1).pixels == 0.0
+    assert addon.mrpnn_addon.status.cost_model.work(
+        [addon.mrpnn_addon.volumes.bounding_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
+        addon.mrpnn_addon.objects.camera.read_camera(blender_scenes.depsgraph())[0], 1, 1).pixels == 0.0
 
 
 def shown_volumes(addon):
-    visibility = addon.mrpnn_addon.visibility
+    visibility = addon.mrpnn_addon.objects.visibility
     return (shown for shown in visibility.shown_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
 
 
 def test_one_render_tells_the_work_of_others(addon, scene, cloud, said):
     """Steps and points of renders of other resolution, samples and lights, which machines count alike."""
-    cost_model = addon.mrpnn_addon.cost_model
+    cost_model = addon.mrpnn_addon.status.cost_model
     bpy.ops.mrpnn.render()
-    known = addon.mrpnn_addon.experience.experience()
+    known = addon.mrpnn_addon.status.experience.experience()
     second = blender_scenes.add_sun(scene, "Second", strength=0.0, rotation=(1.0, 0.4, 0.0))
     for percentage, samples, strength in ((200, 1, 0.0), (200, 4, 0.0), (100, 4, 1.0), (150, 2, 1.0)):
         scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
@@ -121,7 +121,7 @@ def test_after_a_render_its_own_seconds_are_said(addon, scene, cloud, said):
     # Without the seconds in which the network is loaded.
     bpy.ops.mrpnn.render()
     bpy.ops.mrpnn.render()
-    taken = addon.mrpnn_addon.last_render.last_render().seconds
+    taken = addon.mrpnn_addon.status.last_render.last_render().seconds
     assert abs(said().seconds / taken - 1.0) < 0.3
     # On as many threads again it is said to take about half.
     scene.mrpnn.threads = 2 * (os.cpu_count() or 1)
@@ -131,7 +131,7 @@ def test_after_a_render_its_own_seconds_are_said(addon, scene, cloud, said):
 def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
     scene.render.resolution_percentage = 400
     bpy.ops.mrpnn.render()
-    experience = addon.mrpnn_addon.experience
+    experience = addon.mrpnn_addon.status.experience
     rates = dict(experience.experience().rates)
     assert rates
     experience.forget()
@@ -148,7 +148,7 @@ def test_another_file_is_another_scene(addon, scene, cloud, said):
     bpy.ops.mrpnn.render()
     assert not said().rough
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not addon.mrpnn_addon.experience.experience().shares and not addon.mrpnn_addon.volume_boxes._told
+    assert not addon.mrpnn_addon.status.experience.experience().shares and not addon.mrpnn_addon.volumes.bounding_boxes._told
 
 
 def test_a_folder_that_cannot_be_written_to_keeps_nothing_from_rendering(addon, scene, cloud, monkeypatch, tmp_path):
@@ -157,4 +157,4 @@ def test_a_folder_that_cannot_be_written_to_keeps_nothing_from_rendering(addon, 
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(folder))
     scene.render.resolution_percentage = 400
     assert bpy.ops.mrpnn.render() == {'FINISHED'}
-    assert addon.mrpnn_addon.last_render.last_render().seconds > 0.0
+    assert addon.mrpnn_addon.status.last_render.last_render().seconds > 0.0

@@ -33,7 +33,7 @@ def image_pixels():
 
 def test_the_operator_gives_the_layer_of_the_library(addon, scene, cloud, tmp_path):
     assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {'FINISHED'}
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     layer = addon.inference.render(
         described.volumes, described.suns, described.camera, addon.inference.Settings(depth_samples=2))
     found = image_pixels()
@@ -89,8 +89,8 @@ def test_problems_are_errors_with_a_message(addon, scene, cloud, tmp_path):
 
 
 def test_a_worker_thread_gives_the_same_layer(addon, scene, cloud):
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
-    job = addon.mrpnn_addon.render_job.RenderJob(described, scene.mrpnn.settings(), None)
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    job = addon.mrpnn_addon.engine.render_job.RenderJob(described, scene.mrpnn.settings(), None)
     job.wait()
     assert job.done and job.error is None and job.fraction > 0.9
     bpy.ops.mrpnn.render()
@@ -100,9 +100,9 @@ def test_a_worker_thread_gives_the_same_layer(addon, scene, cloud):
 def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
     scene.render.resolution_x = scene.render.resolution_y = 256
     settings = addon.inference.Settings(depth_samples=64)
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     path = tmp_path / "layer.exr"
-    job = addon.mrpnn_addon.render_job.RenderJob(described, settings, str(path))
+    job = addon.mrpnn_addon.engine.render_job.RenderJob(described, settings, str(path))
     # Until the network is at work, deep inside the render.
     while "multiple" not in job.message and not job.done:
         time.sleep(0.01)
@@ -113,8 +113,8 @@ def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path)
 
 
 def test_a_workers_error_reaches_the_main_thread(addon, scene, cloud, tmp_path):
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     settings = addon.inference.Settings(model="no such network")
-    job = addon.mrpnn_addon.render_job.RenderJob(described, settings, None)
+    job = addon.mrpnn_addon.engine.render_job.RenderJob(described, settings, None)
     job.wait()
     assert isinstance(job.error, addon.inference.SceneError) and "no such network" in str(job.error)

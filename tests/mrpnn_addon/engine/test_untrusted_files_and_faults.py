@@ -1,5 +1,6 @@
 """A .blend from a stranger, and faults while a render is at work."""
 
+import os
 import sys
 import threading
 import time
@@ -46,7 +47,7 @@ def test_a_render_opens_no_connection_and_writes_its_output_alone(addon, scene, 
     assert not [event for event, _ in told if event.startswith(("socket", "urllib", "http", "ftplib"))]
     # The only process is the one that reads the .vdb file.
     commands = [arguments[1] for event, arguments in told if event == "subprocess.Popen"]
-    assert all("read_vdb_alone.py" in str(command) for command in commands) and len(commands) <= 1
+    assert all(os.path.join("vdb", "worker.py") in str(command) for command in commands) and len(commands) <= 1
     written = {str(arguments[0]) for event, arguments in told
                if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wxa+")}
     assert all(str(tmp_path) in name or name == "/dev/null" for name in written)
@@ -83,8 +84,8 @@ def test_a_scripts_folder_beside_the_file_is_not_imported(addon, scene, cloud, t
 
 
 def job(addon, scene, path=None):
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
-    return addon.mrpnn_addon.render_job.RenderJob(described, scene.mrpnn.settings(), path)
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.engine.render_job.RenderJob(described, scene.mrpnn.settings(), path)
 
 
 def test_two_renders_at_once_and_a_scene_that_changes_under_them(addon, scene, cloud, tmp_path):
@@ -155,8 +156,8 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     worker = job(addon, scene, str(tmp_path / "layer.exr"))
     worker.wait()
     assert isinstance(worker.error, ZeroDivisionError) and not (tmp_path / "layer.exr").exists()
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
-    module = addon.mrpnn_addon.preview
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    module = addon.mrpnn_addon.engine.preview
     preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
                              module.Prepared(addon.inference.RenderCache()))
     while not preview.done:
@@ -174,14 +175,14 @@ def test_too_little_memory_is_a_message(addon, scene, cloud):
     resource = pytest.importorskip("resource")
     scene.render.resolution_x = scene.render.resolution_y = 8192
     scene.mrpnn.memory_limit = 1024
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     before = resource.getrlimit(resource.RLIMIT_AS)
     with open("/proc/self/statm") as file:
         held = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 30), before[1]))
     try:
         with pytest.raises(addon.inference.SceneError, match="not enough memory"):
-            addon.mrpnn_addon.render_job.render_scene(described, scene.mrpnn.settings())
+            addon.mrpnn_addon.engine.render_job.render_scene(described, scene.mrpnn.settings())
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
     scene.render.resolution_x = scene.render.resolution_y = 16

@@ -19,7 +19,7 @@ def cloud(scene, tmp_path):
 
 
 def described(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 @pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
@@ -28,7 +28,7 @@ def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, ki
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     camera.rotation_euler = (0.1, 0.2, 0.3)
     description = described(addon)
-    seen = addon.mrpnn_addon.viewport.viewport_camera(
+    seen = addon.mrpnn_addon.engine.viewport.viewport_camera(
         camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
         kind == 'PERSP', (64, 48), clip_end=100.0)
     settings = addon.inference.Settings(depth_samples=1)
@@ -46,7 +46,7 @@ def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
     description = described(addon)
     view = (camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
             kind == 'PERSP', (64, 48))
-    make = addon.mrpnn_addon.viewport.viewport_camera
+    make = addon.mrpnn_addon.engine.viewport.viewport_camera
     # Pixels at the rim of the part have no neighbours outside it that could speak for them.
     settings = addon.inference.Settings(depth_samples=1, leave_out=addon.inference.scene.optimizations.ALL - {"shared_pixels"})
     whole, part = (addon.inference.render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
@@ -57,7 +57,7 @@ def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
 
 
 def prepared(addon):
-    return addon.mrpnn_addon.preview.Prepared(addon.inference.RenderCache())
+    return addon.mrpnn_addon.engine.preview.Prepared(addon.inference.RenderCache())
 
 
 def pictures(preview):
@@ -74,14 +74,14 @@ def test_pictures_get_finer_and_end_as_the_render(addon, scene, cloud):
     description = described(addon)
     large = replace(description.camera, resolution=(160, 120))
     settings, shared = addon.inference.Settings(depth_samples=3), prepared(addon)
-    first = pictures(addon.mrpnn_addon.preview.Preview(description, large, settings, shared))
+    first = pictures(addon.mrpnn_addon.engine.preview.Preview(description, large, settings, shared))
     shapes = [picture.shape for _, picture in sorted(first.items())]
     assert shapes == sorted(shapes) and shapes[0] == (40, 53, 4) and max(first) == 4
     layer = addon.inference.render(description.volumes, description.suns, large, settings)
     np.testing.assert_array_equal(first[4][::-1, :, :3], layer.rgb)
     # The next view finds all fields there, and begins with multiple scattering.
     turned = replace(large, fov=0.5)
-    second = pictures(addon.mrpnn_addon.preview.Preview(description, turned, settings, shared))
+    second = pictures(addon.mrpnn_addon.engine.preview.Preview(description, turned, settings, shared))
     assert max(second) == 3 and second[1].shape == (40, 53, 4)
     layer = addon.inference.render(description.volumes, description.suns, turned, settings)
     np.testing.assert_array_equal(second[3][::-1, :, :3], layer.rgb)
@@ -116,7 +116,7 @@ def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
     for change in (lambda: None, turn, move, thicken, second, shade):
         change()
         description = described(addon)
-        found = pictures(addon.mrpnn_addon.preview.Preview(description, description.camera, settings, shared))
+        found = pictures(addon.mrpnn_addon.engine.preview.Preview(description, description.camera, settings, shared))
         layer = addon.inference.render(description.volumes, description.suns, description.camera, settings)
         np.testing.assert_array_equal(found[max(found)][::-1, :, :3], layer.rgb)
         assert last is None or np.abs(layer.rgb - last).max() > 1e-4
@@ -128,7 +128,7 @@ def test_a_stopped_preview_ends_its_thread(addon, scene, cloud, pictures_before)
     """While any of its pictures is made, within a second of two threads."""
     description = described(addon)
     large = replace(description.camera, resolution=(512, 384))
-    preview = addon.mrpnn_addon.preview.Preview(
+    preview = addon.mrpnn_addon.engine.preview.Preview(
         description, large, addon.inference.Settings(depth_samples=256), prepared(addon))
     while preview.number < pictures_before:
         time.sleep(0.001)
@@ -143,7 +143,7 @@ def test_a_stopped_preview_ends_its_thread(addon, scene, cloud, pictures_before)
 
 def test_a_scene_that_cannot_be_rendered_says_why(addon, scene, cloud):
     description = described(addon)
-    preview = addon.mrpnn_addon.preview.Preview(
+    preview = addon.mrpnn_addon.engine.preview.Preview(
         description, description.camera, addon.inference.Settings(memory_limit=1), prepared(addon))
     while not preview.done:
         time.sleep(0.01)

@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
-from mrpnn_addon.exr_file import LINES_PER_BLOCK, write_exr
-from mrpnn_addon.whole_file import whole_file
+from mrpnn_addon.output.exr_file import LINES_PER_BLOCK, write_exr
+from mrpnn_addon.runtime.whole_file import whole_file
 
 from tests.support.exr_files import channels
 from tests.support.paths import ROOT
@@ -127,7 +127,7 @@ def test_an_error_within_leaves_nothing(tmp_path):
 def test_killed_in_the_middle_of_writing_the_old_file_stays(tmp_path):
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
-    program = ("import sys, time; from mrpnn_addon.whole_file import whole_file\n"
+    program = ("import sys, time; from mrpnn_addon.runtime.whole_file import whole_file\n"
                "with whole_file(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
     writer = subprocess.Popen([sys.executable, "-c", program, path], cwd=ROOT)
     while not list(tmp_path.glob(".mrpnn-*.part")) and writer.poll() is None:

@@ -35,7 +35,7 @@ def channels(path):
 def test_openexr_reads_what_was_written(addon, layer, tmp_path):
     path = tmp_path / "layer.exr"
     metadata = {"Frame": 12, "model": "mrpnn", "seconds": 1.25, "words": "déjà vu"}
-    addon.mrpnn_addon.layer_exr.write_layer(str(path), layer, "Fog", metadata)
+    addon.mrpnn_addon.output.layer_exr.write_layer(str(path), layer, "Fog", metadata)
     found, header = channels(path)
     assert set(found) == {
         *(f"Fog.{name}.{c}" for name in ("Combined", "Single", "Multiple", "Emission") for c in "RGB"),
@@ -64,7 +64,7 @@ def test_any_size_and_long_names(addon, tmp_path, shape):
         "A": np.full(shape, np.nan, np.float32),
     }
     path = tmp_path / "any.exr"
-    addon.mrpnn_addon.exr_file.write_exr(str(path), written, {})
+    addon.mrpnn_addon.output.exr_file.write_exr(str(path), written, {})
     found, _ = channels(path)
     assert set(found) == set(written)
     for name, values in written.items():
@@ -73,12 +73,12 @@ def test_any_size_and_long_names(addon, tmp_path, shape):
 
 def test_zeros_compress(addon, tmp_path):
     path = tmp_path / "zeros.exr"
-    addon.mrpnn_addon.exr_file.write_exr(str(path), {"Z": np.zeros((512, 512), np.float32)}, {})
+    addon.mrpnn_addon.output.exr_file.write_exr(str(path), {"Z": np.zeros((512, 512), np.float32)}, {})
     assert path.stat().st_size < 512 * 512 * 4 / 100
 
 
 def test_a_write_that_fails_leaves_nothing_and_keeps_the_old_file(addon, layer, tmp_path):
-    write = addon.mrpnn_addon.layer_exr.write_layer
+    write = addon.mrpnn_addon.output.layer_exr.write_layer
     with pytest.raises(OSError):
         write(str(tmp_path / "missing" / "layer.exr"), layer, "Fog", {})
     path = tmp_path / "layer.exr"
@@ -95,7 +95,7 @@ def test_a_write_that_fails_leaves_nothing_and_keeps_the_old_file(addon, layer, 
 
 def test_blenders_compositor_sees_the_layers(addon, scene, layer, tmp_path):
     path = tmp_path / "layer.exr"
-    addon.mrpnn_addon.layer_exr.write_layer(str(path), layer, "ViewLayer", {})
+    addon.mrpnn_addon.output.layer_exr.write_layer(str(path), layer, "ViewLayer", {})
     tree, result = blender_scenes.compositor(scene)
     node = tree.nodes.new("CompositorNodeImage")
     node.image = bpy.data.images.load(str(path))
@@ -116,7 +116,7 @@ def pixels(image):
 
 
 def test_the_image_holds_the_layer_and_is_used_again(addon, scene, layer):
-    show = addon.mrpnn_addon.layer_image.show_in_image
+    show = addon.mrpnn_addon.output.layer_image.show_in_image
     image = show(layer)
     assert image.is_float and image.alpha_mode == 'PREMUL' and image.colorspace_settings.name == 'Linear Rec.709'
     # Blender's rows start at the bottom.
@@ -130,7 +130,7 @@ def test_the_image_holds_the_layer_and_is_used_again(addon, scene, layer):
 
 
 def test_a_packed_image_of_the_name_is_replaced_for_its_users(addon, scene, layer):
-    show = addon.mrpnn_addon.layer_image.show_in_image
+    show = addon.mrpnn_addon.output.layer_image.show_in_image
     show(layer).pack()
     texture = bpy.data.textures.new("User", 'IMAGE')
     texture.image = bpy.data.images["MRPNN"]
@@ -140,7 +140,7 @@ def test_a_packed_image_of_the_name_is_replaced_for_its_users(addon, scene, laye
 
 
 def test_png_is_as_the_view_transform_shows_it(addon, scene, layer, tmp_path):
-    output = addon.mrpnn_addon.layer_image
+    output = addon.mrpnn_addon.output.layer_image
     scene.view_settings.view_transform = 'Standard'
     scene.render.image_settings.file_format = 'OPEN_EXR'
     image = output.show_in_image(layer)
@@ -163,7 +163,7 @@ def test_png_is_as_the_view_transform_shows_it(addon, scene, layer, tmp_path):
 
 
 def test_a_region_sits_in_the_full_frame_or_is_the_frame(addon, layer):
-    inference, in_frame = addon.inference, addon.mrpnn_addon.layer_frame.in_frame
+    inference, in_frame = addon.inference, addon.mrpnn_addon.output.layer_frame.in_frame
     camera = inference.Camera(np.eye(4), resolution=(50, 60), region=(4, 9, 4 + 21, 9 + 37))
     assert in_frame(layer, camera, crop=True) is layer
     full = in_frame(layer, camera, crop=False)
@@ -175,11 +175,11 @@ def test_a_region_sits_in_the_full_frame_or_is_the_frame(addon, layer):
 
 
 def test_metadata_tells_settings_network_and_seconds(addon, tmp_path):
-    inference, job = addon.inference, addon.mrpnn_addon.render_job
+    inference, job = addon.inference, addon.mrpnn_addon.engine.render_job
     report = inference.Report(model="mrpnn", checksum="abc", seconds={"march": 0.5, "network loading": 0.25})
-    scene = addon.mrpnn_addon.scene.SceneDescription(frame=7)
+    scene = addon.mrpnn_addon.scene.reader.SceneDescription(frame=7)
     found = job.metadata(scene, inference.Settings(depth_samples=5, seed=3), report)
-    addon.mrpnn_addon.exr_file.write_exr(str(tmp_path / "x.exr"), {"A": np.zeros((2, 2), np.float32)}, found)
+    addon.mrpnn_addon.output.exr_file.write_exr(str(tmp_path / "x.exr"), {"A": np.zeros((2, 2), np.float32)}, found)
     header = channels(tmp_path / "x.exr")[1]
     assert header["Frame"] == 7 and header["mrpnn.depthSamples"] == 5 and header["mrpnn.seed"] == 3
     assert header["mrpnn.model"] == "mrpnn" and header["mrpnn.modelChecksum"] == "abc"

@@ -16,7 +16,7 @@ from tests.support import blender_scenes
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def refusal(addon) -> str:
@@ -132,7 +132,7 @@ def test_instances_are_volumes_of_their_own(addon, scene, tmp_path):
     np.testing.assert_allclose(
         volumes[1].world_from_index[:3, 3] - volumes[0].world_from_index[:3, 3], (4.0, 0.0, 0.0), atol=1e-6)
     # A reference holds what makes the instances.
-    reference = importlib.import_module("mrpnn.mrpnn_addon.cycles_reference")
+    reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
     shown = reference.volumes_and_suns(blender_scenes.depsgraph())
     assert {item.name for item in shown} == {"At -2", "At 2", "Sun"}
 

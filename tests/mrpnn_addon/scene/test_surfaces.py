@@ -12,7 +12,7 @@ from tests.support import blender_scenes
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def ball(scene, location, radius=0.6):
@@ -159,7 +159,7 @@ def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_p
         looks.append(time.process_time())
         return bool(marching)
 
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph(), check=look)
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), check=look)
     assert [len(surface.triangles) for surface in described.surfaces] == [500_000] * 2
     read = len(looks)
     with pytest.raises(addon.inference.scene.Cancelled):
@@ -186,7 +186,7 @@ def test_triangles_are_those_of_blender(addon, scene, kind):
             vertex.co += Vector(0.02 * random.normal(size=3))
     matrix = np.eye(4)
     matrix[:3] += 0.3 * random.normal(size=(3, 4))
-    found = addon.mrpnn_addon.mesh_triangles.read_mesh(
+    found = addon.mrpnn_addon.objects.mesh_triangles.read_mesh(
         shown.evaluated_get(blender_scenes.depsgraph())).triangles(matrix)
     shown.data.calc_loop_triangles()
     places = np.array([vertex.co for vertex in shown.data.vertices]) @ matrix[:3, :3].T + matrix[:3, 3]
@@ -199,11 +199,11 @@ def test_a_million_triangles_hold_blender_s_main_thread_for_a_moment(addon, scen
     """0.2 processor seconds at most; the rest of the work is that of the thread which renders."""
     blender_scenes.cloud_scene(scene, tmp_path)
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=707, y_subdivisions=707, size=8.0)
-    reader, depsgraph = addon.mrpnn_addon.volumes.VolumeReader(), blender_scenes.depsgraph()
+    reader, depsgraph = addon.mrpnn_addon.volumes.reader.VolumeReader(), blender_scenes.depsgraph()
     for source in reader.wanted(depsgraph):
         reader.known[source.key] = source.read()
     start = time.thread_time()
-    described = addon.mrpnn_addon.scene.read_scene(depsgraph, reader)
+    described = addon.mrpnn_addon.scene.reader.read_scene(depsgraph, reader)
     assert time.thread_time() - start < 0.2
     (surface,) = described.surfaces
     assert len(surface.triangles) == 2 * 707**2

@@ -38,7 +38,7 @@ def cloud(scene, tmp_path):
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def refusal(addon) -> str:
@@ -49,7 +49,7 @@ def refusal(addon) -> str:
 
 def alpha_of(addon, scene):
     """Of the scene as `Render Volumes` renders it."""
-    found = addon.mrpnn_addon.render_job.render_scene(read(addon), scene.mrpnn.settings())
+    found = addon.mrpnn_addon.engine.render_job.render_scene(read(addon), scene.mrpnn.settings())
     assert np.isfinite(found.layer.rgb).all() and np.isfinite(found.layer.alpha).all()
     return found.layer.alpha, found.warnings
 
@@ -163,7 +163,7 @@ def test_a_bad_volume_is_named_and_the_others_are_rendered(addon, scene, cloud, 
     message = refusal(addon)
     assert message.startswith("no volume is left to render: ") and said in message
     # Panels ask too, which draw all the time.
-    addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
 def test_of_several_bad_volumes_each_is_said_why(addon, scene, cloud, tmp_path):
@@ -205,7 +205,7 @@ def test_a_bad_light_is_named_and_left_out(addon, scene, cloud, mistake, said):
     (warning,) = [text for text in described.warnings if "\"Second\"" in text]
     assert said in warning and described.refused
     alpha_of(addon, scene)
-    forecast = addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    forecast = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert forecast.suns == 1 and not forecast.problem and warning in forecast.warnings
     # The last one: no picture without light, and why.
     bpy.data.objects.remove(scene.objects["Sun"])
@@ -260,7 +260,7 @@ def test_a_surface_may_be_flat(addon, scene, cloud, scale):
 def test_a_camera_that_cannot_be_used_is_an_error(addon, scene, cloud, mistake, said):
     mistake(scene.camera)
     assert said in refusal(addon)
-    assert said in addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph()).problem
+    assert said in addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).problem
 
 
 # Scale 0, and what has not begun
@@ -275,7 +275,7 @@ def test_a_volume_of_scale_0_is_nothing_in_that_frame(addon, scene, cloud, tmp_p
     found, warned = alpha_of(addon, scene)
     np.testing.assert_array_equal(found, alone)
     assert warned == ["volume \"Second\" has scale 0 in frame 1 and is left out"] and not read(addon).refused
-    forecast = addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    forecast = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert forecast.volumes == 1
     # Alone, the picture is empty.
     bpy.data.objects.remove(cloud)
@@ -294,7 +294,7 @@ def test_extreme_transforms_are_rendered_in_silence(addon, scene, cloud, tmp_pat
     described = read(addon)
     assert not described.refused and len(described.volumes) == 1
     alpha_of(addon, scene)
-    addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph())
+    addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
 def test_matrices_of_no_inverse_from_shear_are_nothing_too(addon, scene, cloud, tmp_path):
@@ -352,13 +352,13 @@ def test_f12_and_the_button_render_what_is_left_and_say_what_is_not(addon, scene
     scene.render.filepath = str(tmp_path / "still.png")
     bpy.ops.render.render(write_still=True)
     assert (tmp_path / "still.png").is_file()
-    last = addon.mrpnn_addon.last_render
+    last = addon.mrpnn_addon.status.last_render
     assert any("gone.vdb" in warning for warning in last.last_render().warnings)
     last.remember(None)
     assert bpy.ops.mrpnn.render() == {'FINISHED'}
     assert any("gone.vdb" in warning for warning in last.last_render().warnings)
     assert bpy.ops.mrpnn.check() == {'FINISHED'}
-    check = addon.mrpnn_addon.scene_check.last_check()
+    check = addon.mrpnn_addon.status.scene_check.last_check()
     assert not check.error and any("gone.vdb" in warning for warning in check.warnings)
     assert check.voxels == {"Cloud": (16, 16, 16)}
 
@@ -366,7 +366,7 @@ def test_f12_and_the_button_render_what_is_left_and_say_what_is_not(addon, scene
 def test_a_comparison_shows_cycles_what_the_layer_shows(addon, scene, cloud, tmp_path):
     unsupported_node(scene, tmp_path)
     described = read(addon)
-    shown = addon.mrpnn_addon.cycles_reference.volumes_and_suns(blender_scenes.depsgraph(), described.left_out)
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph(), described.left_out)
     assert {item.name for item in shown} == {"Cloud", "Sun"}
 
 
@@ -396,7 +396,7 @@ def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_pat
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.ops.mrpnn.render()
     bpy.ops.mrpnn.check()
-    said = addon.mrpnn_addon
+    said = addon.mrpnn_addon.status
     said.last_comparison.remember("a comparison", tmp_path)
     load(str(tmp_path / "scene.blend"))
     assert said.last_render.last_render() is None and said.scene_check.last_check() is None

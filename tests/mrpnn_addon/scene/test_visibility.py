@@ -23,7 +23,7 @@ def two(scene, tmp_path):
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 @pytest.mark.parametrize("how, word", [
@@ -44,7 +44,7 @@ def test_a_volume_that_the_camera_does_not_see_is_left_out_by_name(addon, two, h
     assert [volume.name for volume, _ in found.volumes] == ["Cloud"]
     (warning,) = [text for text in found.warnings if "\"Second\"" in text]
     assert word in warning and "left out" in warning
-    assert addon.mrpnn_addon.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
+    assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
 
 def test_nothing_left_says_which_and_why(addon, scene, two):
@@ -62,7 +62,7 @@ def test_a_holdout_in_one_view_layer_is_rendered_in_another(addon, scene, two):
     layer.holdout = True
     other = scene.view_layers.new("Other")
     with bpy.context.temp_override(view_layer=other):
-        found = addon.mrpnn_addon.scene.read_scene(bpy.context.evaluated_depsgraph_get())
+        found = addon.mrpnn_addon.scene.reader.read_scene(bpy.context.evaluated_depsgraph_get())
     assert len(found.volumes) == 2
 
 

@@ -27,12 +27,12 @@ CORPUS = ROOT / "tests" / "support" / "damaged_vdb"
 
 @pytest.fixture
 def trial(addon):
-    return addon.mrpnn_addon.vdb_process
+    return addon.mrpnn_addon.vdb.process
 
 
 def refusal(addon):
     with pytest.raises(addon.inference.SceneError) as caught:
-        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+        addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     return str(caught.value)
 
 
@@ -79,7 +79,7 @@ def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
     """
     monkeypatch.setattr(trial, "SECONDS", 2)
     monkeypatch.setattr(trial, "MEMORY", 2 << 30)
-    read, files, outcomes = addon.mrpnn_addon.density_grid.read_density_grid, list(wholes(tmp_path)), []
+    read, files, outcomes = addon.mrpnn_addon.vdb.density_grid.read_density_grid, list(wholes(tmp_path)), []
     start = time.monotonic()
     for number in range(1000):
         if number >= FEWEST and time.monotonic() - start > CAMPAIGN:
@@ -101,7 +101,7 @@ def test_files_that_kept_openvdb_busy_for_ever_end_the_trial_alone(addon, trial)
     """Found by flipping bits; the trial's process is ended, this one goes on."""
     for path in sorted(CORPUS.glob("*.vdb")):
         ended = subprocess.run([sys.executable, "-I", trial.PROGRAM, path, "density", "1000000", "1", str(4 << 30),
-                                *addon.mrpnn_addon.openvdb_module.FOLDERS], capture_output=True)
+                                *addon.mrpnn_addon.vdb.openvdb_module.FOLDERS], capture_output=True)
         assert trial._died(ended.returncode), path.name
 
 
@@ -110,13 +110,13 @@ def test_a_file_that_is_being_written_again_ends_the_trial_alone(addon, scene, t
     path = blender_scenes.write_vdb(tmp_path, blender_scenes.blob())
     blender_scenes.add_volume(scene, path)
     lit(scene)
-    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+    assert addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
     whole = pathlib.Path(path).read_bytes()
     pathlib.Path(path).write_bytes((CORPUS / "cut_in_its_descriptions.vdb").read_bytes())
     monkeypatch.setattr(trial, "SECONDS", 1)
     assert f"\"Cloud\": grid \"density\" of {path} is damaged" in refusal(addon)
     pathlib.Path(path).write_bytes(whole)
-    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+    assert addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
 
 
 def test_a_process_that_dies_over_a_grid_is_a_message(addon, scene, tmp_path, trial, monkeypatch):
@@ -130,7 +130,7 @@ def test_a_process_that_dies_over_a_grid_is_a_message(addon, scene, tmp_path, tr
     with monkeypatch.context() as small:
         small.setattr(trial, "MEMORY", 1 << 20)
         assert "is damaged" in refusal(addon)
-    assert addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+    assert addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
 
 
 def test_what_openvdb_itself_refuses_keeps_its_own_message(addon, scene, tmp_path):

@@ -87,7 +87,7 @@ def emission_node_mixed_in(node):
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def layer_of(addon, described):
@@ -125,7 +125,7 @@ def test_a_volume_objects_light_equals_cycles(addon, scene, fire, tmp_path, setu
 
 @pytest.mark.parametrize("density", [0.0, 0.8])
 def test_light_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
-    from benchmarks.scene_features import cube_mesh
+    from benchmarks.cycles.scene_features.stage import cube_mesh
     scene.render.resolution_x = scene.render.resolution_y = 48
     shown = blender_scenes.add_object(scene, "Lamp", cube_mesh(0.8))
     shown.rotation_euler = (0.3, 0.2, 0.5)
@@ -143,8 +143,8 @@ def test_smoke_that_scatters_its_own_light_equals_cycles(addon, scene, fire, tmp
     described = read(addon)
     assert not described.warnings
     layer = addon.inference.render(described.volumes, [], described.camera, addon.inference.Settings(depth_samples=8))
-    shown = addon.mrpnn_addon.cycles_reference.volumes_and_suns(blender_scenes.depsgraph())
-    found = addon.mrpnn_addon.cycles_reference.render_reference(scene, shown, samples=32)
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
+    found = addon.mrpnn_addon.cycles.reference.render_reference(scene, shown, samples=32)
     a, b, mask = found.a[..., :3], found.b[..., :3], layer.alpha > 0.02
     assert layer.multiple[mask].mean() > 0.4 * layer.rgb[mask].mean()
     assert abs(relative_bias(layer.rgb, a, b, mask).value) < 0.05

@@ -14,13 +14,13 @@ from tests.support import blender_scenes
 
 @pytest.fixture
 def reader(addon):
-    return addon.mrpnn_addon.volumes.VolumeReader()
+    return addon.mrpnn_addon.volumes.reader.VolumeReader()
 
 
 @pytest.fixture
 def loading(addon, reader):
     """Begins to read what the scene's volumes are read from."""
-    return lambda: addon.mrpnn_addon.volume_loading.VolumeLoading(reader, reader.wanted(blender_scenes.depsgraph()))
+    return lambda: addon.mrpnn_addon.volumes.loading.VolumeLoading(reader, reader.wanted(blender_scenes.depsgraph()))
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_what_a_thread_has_read_is_what_the_scene_reads_itself(addon, scene, clo
     twin = bpy.data.objects.new("Twin", cloud.data)
     twin.location.x = -3.0
     scene.collection.objects.link(twin)
-    read_scene = addon.mrpnn_addon.scene.read_scene
+    read_scene = addon.mrpnn_addon.scene.reader.read_scene
     expected = read_scene(blender_scenes.depsgraph())
     found = finished(loading())
     assert found.error is None and found.fraction == 1.0 and len(found.sources) == 2
@@ -84,7 +84,7 @@ def test_blender_s_main_thread_is_free_while_volumes_are_shaded(scene, cloud, re
 
 def test_a_loaded_file_is_read_no_more_while_it_is_in_use_and_the_same(addon, scene, cloud, reader, loading):
     first = finished(loading())
-    again = addon.mrpnn_addon.volumes.VolumeReader()
+    again = addon.mrpnn_addon.volumes.reader.VolumeReader()
     (source,) = again.wanted(blender_scenes.depsgraph())
     ((known, *_),) = first.reader.known.values()
     assert np.shares_memory(source.read()[0].density, known.density) and known.density.max() > 0.0
@@ -98,7 +98,7 @@ def test_what_cannot_be_read_is_known_to_the_reader_beside_what_can(addon, scene
     blender_scenes.add_volume(scene, cloud.data.filepath, name="Odd one", Density_Attribute="temperature")
     found = finished(loading())
     assert found.error is None and reader.wanted(blender_scenes.depsgraph()) == []
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph(), reader)
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), reader)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
     (problem,) = described.refused
     assert "\"Odd one\": " in problem

@@ -14,7 +14,7 @@ from tests.support import blender_scenes
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def add_mesh(scene, make, name="Fog", shader="ShaderNodeVolumePrincipled", **inputs):
@@ -81,7 +81,7 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
     modifier.fluid_type, modifier.domain_settings.domain_type = 'DOMAIN', 'GAS'
     lit(scene)
     described = read(addon)
-    assert not described.volumes and not addon.mrpnn_addon.render_job.render_scene(
+    assert not described.volumes and not addon.mrpnn_addon.engine.render_job.render_scene(
         described, addon.inference.Settings()).layer.alpha.any()
     assert f"volume \"{fog.name}\" holds no smoke in frame 1 and is left out" in described.warnings
     # Liquids are meshes.

@@ -11,7 +11,7 @@ from tests.support import blender_scenes
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def lit(scene):
@@ -64,11 +64,11 @@ def test_frames_before_a_sequence_begins_are_empty_pictures(addon, scene, tmp_pa
     scene.frame_set(9)
     described = read(addon)
     assert described.warnings == ["volume \"Cloud\" has no file for frame 9 and is left out"]
-    finished = addon.mrpnn_addon.render_job.render_scene(described, addon.inference.Settings(), str(tmp_path / "9.exr"))
+    finished = addon.mrpnn_addon.engine.render_job.render_scene(described, addon.inference.Settings(), str(tmp_path / "9.exr"))
     assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
     width, height = described.camera.resolution
     assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
-    checked = addon.mrpnn_addon.scene_check.check_scene(blender_scenes.depsgraph())
+    checked = addon.mrpnn_addon.status.scene_check.check_scene(blender_scenes.depsgraph())
     assert "no volume is left to render: volume \"Cloud\" has no file for frame 9" in checked.error
     # Hidden, it is a mistake.
     scene.frame_set(10)
@@ -121,7 +121,7 @@ def test_a_mesh_that_nodes_make_a_volume_of_is_that_volume_alone(addon, scene):
     edges = np.linalg.norm(grid.world_from_index[:3, :3], axis=0) * grid.density.shape
     np.testing.assert_allclose(edges, 3.0, rtol=0.2)
     # A comparison's reference shows the same.
-    shown = addon.mrpnn_addon.cycles_reference.volumes_and_suns(blender_scenes.depsgraph())
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
     assert {item.name for item in shown} == {"Cube", "Sun"}
 
 

@@ -10,7 +10,7 @@ from tests.support import blender_scenes
 
 @pytest.fixture
 def density_grid(addon):
-    return addon.mrpnn_addon.density_grid
+    return addon.mrpnn_addon.vdb.density_grid
 
 
 @pytest.fixture
@@ -146,11 +146,11 @@ def test_materials_see_the_same_voxels(addon, density_grid, scene, fire, monkeyp
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     # What is not linear in the grids is evaluated between an array's voxels too; here at the voxels alone.
-    monkeypatch.setattr(addon.mrpnn_addon.volume_source, "MAX_REFINED", 0)
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.source, "MAX_REFINED", 0)
 
     def read():
         density_grid._in_use.clear()
-        (found,) = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).volumes
+        (found,) = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
         return found
 
     expected, medium = read()

@@ -152,8 +152,8 @@ def test_it_is_what_cycles_shows(veil, scene, tmp_path, world, view):
 def background(addon, scene):
     """Of the scene's camera, and the camera."""
     depsgraph = blender_scenes.depsgraph()
-    camera, _ = addon.mrpnn_addon.camera.read_camera(depsgraph)
-    return addon.mrpnn_addon.film.read_background(depsgraph, camera), camera
+    camera, _ = addon.mrpnn_addon.objects.camera.read_camera(depsgraph)
+    return addon.mrpnn_addon.scene.film.read_background(depsgraph, camera), camera
 
 
 def mixed_by_light_path(scene):
@@ -177,7 +177,7 @@ def test_the_camera_sees_another_world_than_volumes_do(addon, veil, scene, tmp_p
     assert np.median(np.abs(found - expected)) < 0.005
     scene.mrpnn.world_directions = 4
     bpy.data.objects.remove(scene.objects["Sun"])
-    lights = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph()).suns
+    lights = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).suns
     np.testing.assert_allclose(sum(sun.irradiance for sun in lights), [4.0 * math.pi, 0.0, 0.0], rtol=1e-3, atol=1e-6)
 
 
@@ -247,7 +247,7 @@ def test_an_image_read_in_another_colour_space_is_another_world(addon, veil, sce
 def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp_path, monkeypatch):
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
-    process = importlib.import_module("mrpnn.mrpnn_addon.world_process")
+    process = importlib.import_module("mrpnn.mrpnn_addon.world.process")
     gradient(scene)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.77
     with monkeypatch.context() as patched:
@@ -265,11 +265,11 @@ def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp
 @pytest.mark.parametrize("view", [perspective, orthographic])
 def test_a_viewport_looks_it_up_from_all_around_before_it_is_sharp(addon, veil, scene, view):
     """Within a redraw."""
-    backdrop = importlib.import_module("mrpnn.mrpnn_addon.backdrop")
+    backdrop = importlib.import_module("mrpnn.mrpnn_addon.engine.backdrop")
     around(scene)
     view(scene)
     depsgraph = blender_scenes.depsgraph()
-    camera, _ = addon.mrpnn_addon.camera.read_camera(depsgraph)
+    camera, _ = addon.mrpnn_addon.objects.camera.read_camera(depsgraph)
     camera = replace(camera, resolution=(1600, 900))
     shown, watched = backdrop.Backdrop(lambda worker: watched.append(worker)), []
     shown.read(depsgraph)
@@ -301,7 +301,7 @@ def test_what_is_asked_to_stop_ends_the_process(addon, veil, scene):
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.55
     depsgraph = blender_scenes.depsgraph()
     scene.render.resolution_x = scene.render.resolution_y = 4096
-    camera, _ = addon.mrpnn_addon.camera.read_camera(depsgraph)
+    camera, _ = addon.mrpnn_addon.objects.camera.read_camera(depsgraph)
     asked = []
 
     def check():
@@ -310,6 +310,6 @@ def test_what_is_asked_to_stop_ends_the_process(addon, veil, scene):
             raise addon.inference.Cancelled()
 
     with pytest.raises(addon.inference.Cancelled):
-        addon.mrpnn_addon.film.read_background(depsgraph, camera, check)
+        addon.mrpnn_addon.scene.film.read_background(depsgraph, camera, check)
     assert time.monotonic() - asked[-1] < 1.0
-    assert not addon.mrpnn_addon.film.world_behind(depsgraph)._process._running
+    assert not addon.mrpnn_addon.scene.film.world_behind(depsgraph)._process._running

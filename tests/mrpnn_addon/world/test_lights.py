@@ -12,7 +12,7 @@ from tests.support import blender_scenes
 
 
 def read(addon):
-    return addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 # Soft suns
@@ -57,7 +57,7 @@ def test_a_wide_sun_gives_thin_fog_as_much_more_light_as_in_cycles(addon, scene,
 
 @pytest.fixture
 def environment(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.environment")
+    return importlib.import_module("mrpnn.mrpnn_addon.world.quadrature")
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 20])
@@ -137,7 +137,7 @@ def test_a_world_that_cannot_be_shown_is_named(addon, scene, tmp_path, monkeypat
     # A process that cannot do what it is asked for.
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
-    monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world_process"), "WORKER", broken)
+    monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world.process"), "WORKER", broken)
     (warning,) = read(addon).warnings
     assert "World" in warning and "Voronoi Texture" in warning and "no Cycles here" in warning
     assert "its light is not rendered" in warning and not world_lights(addon)
@@ -180,9 +180,9 @@ def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
 
 def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_path):
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
-    world = importlib.import_module("mrpnn.mrpnn_addon.world")
-    environment = importlib.import_module("mrpnn.mrpnn_addon.environment")
-    sockets = importlib.import_module("mrpnn.mrpnn_addon.sockets")
+    world = importlib.import_module("mrpnn.mrpnn_addon.world.lighting")
+    environment = importlib.import_module("mrpnn.mrpnn_addon.world.quadrature")
+    sockets = importlib.import_module("mrpnn.mrpnn_addon.nodes.sockets")
     tree, node = scene.world.node_tree, background(scene)
     texture = tree.nodes.new("ShaderNodeTexEnvironment")
     texture.image = panorama(64, 32)
@@ -199,6 +199,6 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
         sphere = environment.Sphere(2)
         sphere.directions = -np.array(camera.matrix_world)[None, :3, 2]
         found = world._surface(
-            importlib.import_module("mrpnn.mrpnn_addon.node_values").NodeValues(sphere),
+            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(sphere),
             sockets.source_of(tree.get_output_node('CYCLES').inputs["Surface"]))
         np.testing.assert_allclose(found[0], seen, rtol=0.03)

@@ -13,7 +13,7 @@ from tests.support import blender_scenes
 
 @pytest.fixture
 def pictures(addon):
-    return importlib.import_module("mrpnn.mrpnn_addon.world_picture")
+    return importlib.import_module("mrpnn.mrpnn_addon.world.picture")
 
 
 def shown(scene, pictures):
@@ -31,7 +31,8 @@ def feed(scene, kind, output=0):
 
 def test_a_picture_is_what_the_nodes_give(scene, pictures):
     """Colours that follow the direction, seen past a camera that is shown something else, and without the fog."""
-    environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.{name}") for name in ("environment", "world"))
+    environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}")
+                          for name in ("quadrature", "lighting"))
     tree, coordinates = scene.world.node_tree, feed(scene, "ShaderNodeTexCoord", "Generated")
     assert coordinates.outputs["Generated"].is_linked
     sphere = environment.Sphere(32)
@@ -76,7 +77,7 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     bpy.data.objects.remove(scene.objects["Sun"])
     feed(scene, "ShaderNodeTexSky").sun_elevation = 0.5
-    described = addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     (warning,) = described.warnings
     assert "parallel light from 12 directions beside its sun" in warning
     discs = [sun for sun in described.suns if sun.name.startswith("sun of World")]
@@ -85,12 +86,12 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     assert brightest is discs[0]
     scene.mrpnn.world_directions = 0
     with pytest.raises(addon.inference.SceneError, match="no sun"):
-        addon.mrpnn_addon.scene.read_scene(blender_scenes.depsgraph())
+        addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
 def test_a_thread_has_the_world_shown_and_can_be_stopped(addon, scene, tmp_path, pictures):
     """Reading asks for the World beside the volumes; once it is known nothing is left to wait for."""
-    reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.{name}") for name in ("volumes", "volume_loading"))
+    reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.volumes.{name}") for name in ("reader", "loading"))
     blender_scenes.cloud_scene(scene, tmp_path)
     feed(scene, "ShaderNodeTexVoronoi", "Color").inputs["Scale"].default_value = 3.25
     wanted = reading.VolumeReader().wanted(blender_scenes.depsgraph())
