@@ -123,6 +123,7 @@ INSTALLED_RENDER = """
 """
 
 
+@pytest.mark.blender
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="installs the Linux zip")
 def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
     site = tmp_path / "site"

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from tests.support.file_state import state_of_file
-from tests.support.window import CLOSE, LONG, RENDERING, SUITES, THREADS
+from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, RENDERING, THREADS
 
-pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
+pytestmark = NEEDS_WINDOW
 
 
 def test_the_panels_draw_and_say_nothing_on_the_console(window):
