@@ -2,8 +2,12 @@
 
 import bpy
 
-from ..mrpnn_addon import composite as composited_scenes
-from ..mrpnn_addon import engine, experience, file_watch, passes, properties, scene_watch
+from ..mrpnn_addon.engine import engine
+from ..mrpnn_addon.output import composite as composited_scenes
+from ..mrpnn_addon.output import passes
+from ..mrpnn_addon.scene import changes
+from ..mrpnn_addon.settings import properties
+from ..mrpnn_addon.status import experience, file_watch
 from . import check, command, compare, composite, documentation, render
 
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
@@ -12,7 +16,7 @@ CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes
 def register():
     properties.register()
     passes.register()
-    scene_watch.register()
+    changes.register()
     file_watch.register()
     engine.register()
     composited_scenes.register()
@@ -30,6 +34,6 @@ def unregister():
     composited_scenes.unregister()
     engine.unregister()
     file_watch.unregister()
-    scene_watch.unregister()
+    changes.unregister()
     passes.unregister()
     properties.unregister()

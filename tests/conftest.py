@@ -3,14 +3,11 @@
 import os
 import shutil
 import sys
-from pathlib import Path
 
 import pytest
 
-from .window import SCENE, SUITES, WORK, Window
-
-ROOT = Path(__file__).resolve().parent.parent
-SHARED = ROOT.parent / "shared"
+from tests.support.paths import SHARED
+from tests.support.window import SCENE, SUITES, WORK, Window
 
 
 # The bpy module may hang for ever at the end of a process in which something still refers to its
@@ -36,7 +33,7 @@ def pytest_collection_modifyitems(items):
     """Keep each file in one process, and all that use Blender's windows, which share a screen, in the same one."""
     for item in items:
         uses_window = "window" in getattr(item, "fixturenames", ())
-        item.add_marker(pytest.mark.xdist_group("windows" if uses_window else item.path.name))
+        item.add_marker(pytest.mark.xdist_group("windows" if uses_window else str(item.path)))
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +43,7 @@ def addon():
     The repository's root is the package; Blender gives it its name, and so does this.
     """
     pytest.importorskip("bpy")
-    from benchmarks.extension import extension
+    from benchmarks.support.extension import extension
 
     return extension()
 
@@ -54,7 +51,7 @@ def addon():
 @pytest.fixture
 def scene(addon):
     """An empty scene with a black World; the extension stays registered."""
-    from . import blender_scenes
+    from tests.support import blender_scenes
     return blender_scenes.empty_scene()
 
 
