@@ -176,7 +176,8 @@ class Viewport:
 
 def _state(depsgraph, space):
     """What differs where another description is due although no object has changed."""
-    return visibility_state(depsgraph, space), depsgraph.scene.mrpnn.world_directions
+    world = depsgraph.scene.world
+    return visibility_state(depsgraph, space), depsgraph.scene.mrpnn.world_directions, world and world.name_full
 
 
 def _left_out(description) -> str:
