@@ -11,7 +11,7 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..cycles.pass_store import CYCLES, DENOISED
-from ..runtime.whole_file import whole_file
+from ..runtime.atomic_write import atomic_write
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
 from .pictures import display_png, view_png
@@ -117,7 +117,7 @@ def _processor() -> str:
 
 def _replace(path: Path, text: str) -> None:
     try:
-        with whole_file(str(path)) as file:
+        with atomic_write(str(path)) as file:
             file.write(text.encode())
     except OSError as error:
         raise SceneError(str(error)) from None

@@ -10,7 +10,7 @@ from typing import List, Optional
 import numpy as np
 
 from ...inference.scene.sparse_grid import SparseGrid
-from ..runtime.whole_file import whole_file
+from ..runtime.atomic_write import atomic_write
 
 # Of what is stored, and of how it was rendered: another number finds nothing of the last.
 FORMAT = 1
@@ -97,7 +97,7 @@ class PassStore:
         """Keep a pass; its file appears complete. Raises OSError where it cannot be written."""
         self.folder.mkdir(parents=True, exist_ok=True)
         facts = {name: value for name, value in vars(done).items() if name != "image"}
-        with whole_file(str(self._path(job))) as file:
+        with atomic_write(str(self._path(job))) as file:
             np.savez(file, image=done.image.astype(np.float32), facts=json.dumps(facts))
 
     def _path(self, job: Job) -> Path:

@@ -12,7 +12,7 @@ from ...inference.scene import SceneError
 from ..runtime.blender_process import blender_command
 from .pass_store import DENOISED, REFERENCE, Job, Pass
 from .reference import read_image, require_box_alpha
-from .reference_scene import box_scene, view_scene
+from .reference_scene import PathTracing, box_scene, view_scene
 
 WORKER = Path(__file__).with_name("worker.py")
 # Cycles' seeds of the reference's passes begin here, so that no candidate shares one.
@@ -35,7 +35,7 @@ class CyclesProcess:
         self._folder = tempfile.TemporaryDirectory(prefix="mrpnn-")
         self._process, self._asked, self._checked = None, None, False
         try:
-            with view_scene(scene, objects, 1, bounces, world) as view, box_scene(self._folder.name) as box:
+            with view_scene(scene, objects, PathTracing(1, bounces), world) as view, box_scene(self._folder.name) as box:
                 self._view, self._box = view.name, box.name
                 # Blender 5.2 crashes when it writes a scene whose layers it has not yet seen.
                 for made in (view, box):

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..nodes.material import SURFACES, shows_volume
-from ..objects.visibility import shown_objects
-from .reference_scene import CHECK_DEPTH, box_scene, view_scene
+from ..objects.visibility import visible_objects
+from .reference_scene import CHECK_DEPTH, PathTracing, box_scene, view_scene
 
 CHECK_TOLERANCE = 0.02
 
@@ -35,33 +35,29 @@ class Reference:
     version: str
 
 
-def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None, world=None,
-                     step_rate=1.0, areas=False) -> Reference:
+def render_reference(scene, objects, tracing=PathTracing(), world=None, seed=0, progress=None) -> Reference:
     """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
-    scene: gives frame, camera, resolution, render region and thread count; stays as it is.
+    scene: gives frame, camera, resolution, render region and thread count; it is not changed.
     objects: the objects to show, whatever else the scene holds.
-    samples: samples a pixel in each of the two halves.
-    bounces: most scattering events along a path, at most 1024.
-    progress: called with (fraction done, text) before each render; what it raises ends the work.
-    world: whose light to render, where the layer holds it.
-    step_rate: of Cycles' ray marching; below 1 for textures inside meshes, which it steps through coarsely.
-    areas: whether pixels are means over their areas, as the layer's are where surfaces end it.
+    tracing: its samples are those of each of the two halves.
+    world: lights the objects where the layer holds its light.
+    progress: called with (fraction done, text) before each render; an exception that it raises stops the work.
 
     Raises SceneError where the scene has no camera, Cycles is disabled or fails, or Cycles
     does not render a homogeneous box correctly here.
     """
     report = progress or (lambda fraction, text: None)
     halves = []
-    with view_scene(scene, objects, samples, bounces, world, step_rate, areas) as reference:
+    with view_scene(scene, objects, tracing, world) as reference:
         report(0.0, "checking Cycles against a homogeneous box")
         check_homogeneous_box()
         start = time.perf_counter()
         for half in range(2):
-            report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {samples} samples a pixel")
+            report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {tracing.samples} samples per pixel")
             reference.cycles.seed = 2 * seed + half
             halves.append(_render(reference))
-    return Reference(*halves, time.perf_counter() - start, samples, bounces, bpy.app.version_string)
+    return Reference(*halves, time.perf_counter() - start, tracing.samples, tracing.bounces, bpy.app.version_string)
 
 
 def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
@@ -73,7 +69,7 @@ def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
     since the reference would show those too.
     """
     sources, others = {}, {}
-    for shown in shown_objects(depsgraph):
+    for shown in visible_objects(depsgraph):
         volume = shows_volume(shown.object) and shown.object.visible_camera
         sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
         if (volume or sun) and shown.name not in left_out:

@@ -5,6 +5,7 @@ carries its own settings, camera copy and black World; it is removed again whate
 """
 
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -41,22 +42,37 @@ UNBIASED = {
 CHECK_DEPTH = 1.5
 
 
+@dataclass(frozen=True)
+class PathTracing:
+    """How Cycles renders a reference.
+
+    samples: per pixel. bounces: most scattering events along a path, at most 1024. step_rate: of ray marching; below 1
+    for textures inside meshes, whose steps are coarse by default. box_filter: whether a pixel is the mean over its area,
+    as a layer's is at the edges of surfaces, instead of the value at its centre.
+    """
+
+    samples: int = 64
+    bounces: int = 1024
+    step_rate: float = 1.0
+    box_filter: bool = False
+
+
 @contextmanager
-def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate: float = 1.0, areas: bool = False):
+def view_scene(scene, objects, tracing: PathTracing, world=None):
     """A scene that shows `objects` (volumes and suns) from `scene`'s camera, unbiased, on a black World or in `world`.
 
-    scene: gives frame, camera, resolution, render region and thread count; stays as it is.
-    step_rate: of Cycles' ray marching. areas: whether pixels are means over their areas instead of their middles.
+    scene: gives frame, camera, resolution, render region and thread count; it is not changed.
+
     Raises SceneError where the scene has no camera or Cycles is disabled.
     """
     if scene.camera is None:
         raise SceneError(f"scene '{scene.name}' has no active camera: set one in the scene properties")
-    with _reference_scene(samples, bounces) as (reference, keep):
+    with _reference_scene(tracing.samples, tracing.bounces) as (reference, keep):
         _copy_view(scene, reference, keep)
         if world is not None:
             reference.world = world
-        reference.cycles.volume_step_rate = step_rate
-        if areas:
+        reference.cycles.volume_step_rate = tracing.step_rate
+        if tracing.box_filter:
             reference.cycles.pixel_filter_type = "BOX"
         for shown in objects:
             reference.collection.objects.link(shown)

@@ -10,7 +10,7 @@ from ...inference.image.layer import empty_layer
 from ...inference.scene import Cancelled, SceneError
 from ..nodes.material import shows_volume
 from ..objects.camera import read_camera
-from ..objects.visibility import shown_objects
+from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..scene.film import read_background
 from ..scene.reader import read_scene
@@ -182,7 +182,7 @@ def _leaves_volumes(update) -> bool:
 
 
 def _shows_volumes(depsgraph) -> bool:
-    return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
+    return any(shows_volume(shown.object) for shown in visible_objects(depsgraph))
 
 
 def register():

@@ -23,13 +23,13 @@ COARSE_PIXELS = 8000
 @dataclass
 class Finished:
     """layer: in the frame of Blender's image. seconds: of the whole render.
-    warnings: of reading and of rendering. asked: what there was to do, None where the scene holds nothing.
+    warnings: of reading and of rendering. workload: what there was to do, None where the scene holds nothing.
     """
 
     layer: Layer
     seconds: float
     warnings: List[str]
-    asked: Optional[Workload] = None
+    workload: Optional[Workload] = None
 
 
 def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
@@ -60,8 +60,8 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
         raise SceneError("the machine has not enough memory for this render; use fewer depth samples, a smaller image "
                          "or smaller grids, or close other programs") from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
-    asked = scene.workload(settings.depth_samples) if scene.volumes else None
-    return Finished(layer, layer.report.seconds["total"], warnings, asked)
+    workload = scene.workload(settings.depth_samples) if scene.volumes else None
+    return Finished(layer, layer.report.seconds["total"], warnings, workload)
 
 
 def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:

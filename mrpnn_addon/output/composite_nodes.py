@@ -7,18 +7,18 @@ import bpy
 FIVE = bpy.app.version >= (5, 0, 0)
 MATH = 'ShaderNodeMath' if FIVE else 'CompositorNodeMath'
 BEHIND, BEFORE = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
-# Of a compositor that shows the scene as it is; before 5.0 Blender makes one by itself.
+# Nodes of a compositor that shows the scene unchanged; before 5.0 Blender creates one by default.
 BARE = {'NodeGroupOutput'} if FIVE else {
     'CompositorNodeComposite', 'CompositorNodeRLayers', 'CompositorNodeViewer', 'NodeReroute'}
-# A custom property that tells which of these nodes a node is.
+# Custom property with the role of each of these nodes.
 MARK = "mrpnn_composite"
-PLACES = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
+LOCATIONS = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
 TITLES = {"surfaces": "Surfaces by Cycles", "volumes": "Volumes by MRPNN", "over": "Volumes over Surfaces",
           "nearer": "Volume before surface"}
 
 
 def build_nodes(scene, volumes) -> bool:
-    """Put the volumes between what the compositor shows so far and its output, or mend what is there.
+    """Insert the volumes before the compositor's output, or repair the nodes.
 
     Returns whether the scene had no compositor before.
     """
@@ -43,7 +43,7 @@ def build_nodes(scene, volumes) -> bool:
 
 
 def remove_nodes(scene, made: bool) -> None:
-    """Take out what `build_nodes` put in. made: what it returned."""
+    """Remove the nodes of `build_nodes`. made: its result."""
     tree = _tree(scene)
     if tree is None:
         return
@@ -58,7 +58,7 @@ def remove_nodes(scene, made: bool) -> None:
         _remove(tree, role)
     if surfaces is not None and not any(socket.is_linked for socket in surfaces.outputs):
         tree.nodes.remove(surfaces)
-    # What has been added to it meanwhile stays.
+    # Keep a compositor with other nodes.
     if made and {node.bl_idname for node in tree.nodes} <= BARE:
         if FIVE:
             scene.compositing_node_group = None
@@ -67,8 +67,8 @@ def remove_nodes(scene, made: bool) -> None:
             scene.use_nodes = False
 
 
-def what_is_wrong(scene, volumes) -> List[str]:
-    """Why the compositor's output does not show the volumes as it should."""
+def compositor_problems(scene, volumes) -> List[str]:
+    """Reasons why the compositor's output does not show the volumes as it should."""
     tree = _tree(scene)
     if tree is None:
         return ["The compositor does not use nodes"]
@@ -83,17 +83,17 @@ def what_is_wrong(scene, volumes) -> List[str]:
     if volumes is not None and layer.scene != volumes:
         found.append(f"The compositor shows the volumes of another scene than \"{volumes.name}\"")
     if (_found(tree, "nearer") is None) == _panorama(scene):
-        found.append("The camera is a panorama now" if _panorama(scene) else "The camera is no panorama any more")
+        found.append("The camera is a panorama now" if _panorama(scene) else "The camera is no longer a panorama")
     return found
 
 
 def _panorama(scene) -> bool:
-    """In panoramas volumes do not end at surfaces."""
+    """Whether the camera is a panorama, in which surfaces do not hide volumes."""
     return scene.camera is not None and scene.camera.type == 'CAMERA' and scene.camera.data.type == 'PANO'
 
 
 def _compare_depths(tree, surfaces, volumes, factor) -> None:
-    """Show volumes only where they lie before surfaces."""
+    """Show volumes only where they are in front of surfaces."""
     surfaces.scene.view_layers[surfaces.layer].use_pass_z = True
     nearer = _node(tree, "nearer", MATH)
     nearer.operation = 'LESS_THAN'
@@ -118,11 +118,11 @@ def _found(tree, role: str):
 
 
 def _node(tree, role: str, kind: str):
-    """The tree's node of this role, made if need be."""
+    """The tree's node of this role, created as needed."""
     node = _found(tree, role)
     if node is None:
         node = tree.nodes.new(kind)
-        node[MARK], node.label, node.location = role, TITLES[role], PLACES[role]
+        node[MARK], node.label, node.location = role, TITLES[role], LOCATIONS[role]
     return node
 
 
@@ -133,7 +133,7 @@ def _remove(tree, role: str) -> None:
 
 
 def _upstream(socket, sought) -> bool:
-    """Whether a node is among those that a socket shows."""
+    """Whether a node contributes to a socket."""
     ahead, seen = [socket], set()
     while ahead:
         for link in ahead.pop().links:
@@ -147,7 +147,7 @@ def _upstream(socket, sought) -> bool:
 
 
 def _tree(scene):
-    """The compositor's nodes, or None where it uses none."""
+    """The compositor's nodes; None where it uses none."""
     if FIVE:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
@@ -161,7 +161,7 @@ def _output(tree):
 
 
 def _compositor(scene):
-    """The scene's compositor tree, made if need be, and the socket that its result is linked to."""
+    """The scene's compositor tree, created as needed, and the input socket of its output."""
     if not FIVE:
         scene.use_nodes = True
         tree = scene.node_tree

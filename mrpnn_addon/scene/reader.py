@@ -9,7 +9,7 @@ from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
-from ..objects.visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
+from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
 from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
@@ -106,7 +106,7 @@ def _described(depsgraph, reader, check=lambda: None, space=None) -> SceneDescri
         crop=scene.render.use_crop_to_border, view_layer=depsgraph.view_layer.name, frame=scene.frame_current,
         warnings=_view_layer_warnings(depsgraph.view_layer))
     reader = reader or VolumeReader()
-    for shown in shown_objects(depsgraph, space):
+    for shown in visible_objects(depsgraph, space):
         check()
         try:
             _add(description, shown, reader, depsgraph.view_layer)
@@ -178,7 +178,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
 
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
-    where, unseen = f"volume \"{shown.name}\"", why_unseen(shown, view_layer)
+    where, unseen = f"volume \"{shown.name}\"", hidden_from_camera(shown, view_layer)
     if not unseen:
         try:
             volume, medium, warnings = reader.read(shown)

@@ -97,7 +97,7 @@ def _light(scene, trees, target):
     scene.world.cycles_visibility.camera = True
     for node in discs:
         node.sun_disc = False
-    sky = _rendered(scene, _panorama(scene), 2 * ROWS, ROWS, SAMPLES, target)
+    sky = _rendered(scene, _panorama(scene), (2 * ROWS, ROWS), SAMPLES, target)
     suns = [sun for node in discs for sun in _disc(scene, node, sky, target)]
     return {"sky": sky, "suns": np.array(suns).reshape(-1, 7)}
 
@@ -136,12 +136,12 @@ def _view(scene, view, target):
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
     camera = _aimed(scene, view)
     x0, y0, x1, y1 = view["region"] or (0, 0, width, height)
-    pixels = _rendered(scene, camera, width, height, min(view["samples"], FEW), target, (x0, y0, x1, y1))
+    pixels = _rendered(scene, camera, (width, height), min(view["samples"], FEW), target, (x0, y0, x1, y1))
     if view["samples"] > FEW:
         # Most of a sky is so even that few samples do.
         for low, high, left, right in _uneven(pixels):
             part = x0 + left, y1 - high, x0 + right, y1 - low
-            pixels[low:high, left:right] = _rendered(scene, camera, width, height, view["samples"], target, part)
+            pixels[low:high, left:right] = _rendered(scene, camera, (width, height), view["samples"], target, part)
     return pixels
 
 
@@ -203,13 +203,13 @@ def _camera(scene):
     return scene.camera
 
 
-def _rendered(scene, camera, width, height, samples, target, region=None):
+def _rendered(scene, camera, size, samples, target, region=None):
     """Radiance (h, w, 3), rows from the bottom.
 
     region: (x0, y0, x1, y1) in pixels from the upper left, as of `inference.Camera`; None for the whole image.
     """
     scene.camera, scene.cycles.samples = camera, samples
-    render = scene.render
+    render, (width, height) = scene.render, size
     render.resolution_x, render.resolution_y = width, height
     render.use_border = render.use_crop_to_border = region is not None
     if region is not None:
@@ -234,7 +234,7 @@ def _disc(scene, node, sky, target):
     """The disc of one Sky Texture: direction, irradiance and angle; none where it does not show."""
     size = node.sun_size
     node.sun_disc, node.sun_size = True, max(size, LOCATED)
-    found = _rendered(scene, _panorama(scene), 2 * ROWS, ROWS, SAMPLES, target) - sky
+    found = _rendered(scene, _panorama(scene), (2 * ROWS, ROWS), SAMPLES, target) - sky
     latitude = (np.arange(ROWS) + 0.5) / ROWS * math.pi - math.pi / 2.0
     longitude = (0.5 - (np.arange(2 * ROWS) + 0.5) / (2 * ROWS)) * 2.0 * math.pi
     directions = _directions(np.cos(latitude)[:, None] * np.cos(longitude), np.cos(latitude)[:, None] * np.sin(longitude),
@@ -249,9 +249,9 @@ def _disc(scene, node, sky, target):
     turn = Vector(-middle).to_track_quat('Z', 'Y').to_matrix()
     camera = _aimed(scene, {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0,
                             "shift": (0.0, 0.0)})
-    bright = _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
+    bright = _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)
     node.sun_disc = False
-    light = bright - _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
+    light = bright - _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)
     place = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS - 0.5) * 2.0 * math.tan(extent / 2.0)
     x, y = np.meshgrid(place, place)
     light *= ((place[1] - place[0]) ** 2 / (1.0 + x * x + y * y) ** 1.5)[..., None]

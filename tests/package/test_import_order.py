@@ -2,22 +2,21 @@
 
 import ast
 import re
-from pathlib import Path
 from typing import Iterator, List, Tuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.support.paths import ROOT
 
-# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, and take
-# procedural volumes and the reference path tracer from training.
+# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, take procedural
+# volumes and the reference path tracer from training, and the scene of the soak from the tests' support.
 PACKAGES = {
     "inference": (),
     "mrpnn_addon": ("inference",),
     "operators": ("mrpnn_addon", "inference"),
     "panels": ("operators", "mrpnn_addon", "inference"),
     "training": ("inference",),
-    "benchmarks": ("training", "mrpnn_addon", "inference"),
+    "benchmarks": ("tests", "training", "mrpnn_addon", "inference"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
