@@ -1,4 +1,4 @@
-"""Everything the extension adds to Blender besides panels."""
+"""Registration of everything but the panels."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""FLIP, NVIDIA's perceptual difference, where its package is installed; the extension does not bring it."""
+"""FLIP, NVIDIA's perceptual difference, if its package is installed; the extension does not ship it."""
 
 from typing import Optional
 
@@ -11,7 +11,7 @@ except ImportError:
 
 
 def flip(image: np.ndarray, reference: np.ndarray) -> Optional[float]:
-    """Mean HDR-FLIP of linear images (H, W, 3), 0 to 1, or None. A reference's noise counts as difference."""
+    """Mean HDR-FLIP of linear images (H, W, 3), 0 to 1, or None. The reference's noise counts as difference."""
     if flip_evaluator is None:
         return None
     pair = (np.ascontiguousarray(np.maximum(values, 0.0), np.float32) for values in (reference, image))

@@ -1,4 +1,4 @@
-"""A path-traced reference of the same view, rendered by Cycles in this process, and what it has to hold."""
+"""A path-traced reference of the same view, rendered by Cycles in this process."""
 
 import tempfile
 import time
@@ -20,10 +20,8 @@ CHECK_TOLERANCE = 0.02
 class Reference:
     """Two independent renders of one view.
 
-    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha.
-    seconds: wall-clock time of both together, scene preparation included.
-    samples: samples a pixel in each half.
-    bounces: most scattering events along a path.
+    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha. seconds: wall-clock time of
+    both, scene preparation included. samples: per pixel in each half. bounces: most scattering events along a path.
     version: of the Blender that rendered them.
     """
 
@@ -61,12 +59,12 @@ def render_reference(scene, objects, tracing=PathTracing(), world=None, seed=0, 
 
 
 def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
-    """The objects that the layer shows, or that instance what it shows: what a reference has to hold.
+    """The objects that the layer shows, or that instance them: the contents of a reference.
 
-    left_out: as of `SceneDescription`.
+    left_out: see `SceneDescription`.
 
-    Raises SceneError where one object instances surfaces or other lights together with volumes,
-    since the reference would show those too.
+    Raises SceneError where one object instances volumes together with surfaces or other lights, which the reference
+    would show too.
     """
     sources, others = {}, {}
     for shown in visible_objects(depsgraph):
@@ -83,7 +81,7 @@ def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
 
 
 def check_homogeneous_box() -> float:
-    """Cycles' alpha of a box of optical depth CHECK_DEPTH; raises SceneError where it is wrong."""
+    """Cycles' alpha of a box of optical thickness CHECK_DEPTH. Raises SceneError where it is wrong."""
     with tempfile.TemporaryDirectory() as folder, box_scene(folder) as reference:
         alpha = float(_render(reference)[..., 3].mean())
     require_box_alpha(alpha)
@@ -111,10 +109,10 @@ def _render(scene) -> np.ndarray:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """An image file as it is: float32 (H, W, 4), rows from the top."""
+    """The values of an image file: float32 (H, W, 4), rows from the top."""
     image = bpy.data.images.load(str(path))
     try:
-        # Values as they are in the file: no colour transform, alpha left alone.
+        # No colour transform, no premultiplication.
         image.colorspace_settings.is_data = True
         image.alpha_mode = "CHANNEL_PACKED"
         width, height = image.size

@@ -6,8 +6,8 @@ from bpy.props import BoolProperty, PointerProperty
 
 class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     use_pass_volume_direct: BoolProperty(
-        name="Volume Direct", description="Single scattering. Combined is the sum of Volume Direct, Volume Indirect and "
-        "Emission")
+        name="Volume Direct", description="Single scattering. Combined is the sum of Volume Direct, Volume Indirect "
+        "and Emission")
     use_pass_volume_indirect: BoolProperty(
         name="Volume Indirect", description="Multiple scattering, predicted by the network, and scattered emission")
     use_pass_emission: BoolProperty(

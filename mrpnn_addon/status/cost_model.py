@@ -105,7 +105,8 @@ def _shares(workload: Workload, known: Calibration) -> Shares:
     if workload.names in known.shares:
         return known.shares[workload.names]
     all_known = [Shares(), *known.shares.values()]
-    evaluated, visible = (float(np.mean([getattr(one, name) for one in all_known])) for name in ("evaluated", "visible"))
+    evaluated, visible = (float(np.mean([getattr(one, name) for one in all_known]))
+                          for name in ("evaluated", "visible"))
     return Shares(evaluated if workload.filled is None else workload.filled, visible)
 
 

@@ -76,8 +76,8 @@ def probe_grids(material, grids) -> Probe:
     if not probe.names:
         if not at_zero.closures and not at_zero.emission.any():
             refuse_nothing(material)
-        material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute or "
-                        f"link an Attribute node (grids of the domain: {', '.join(grids)})")
+        material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute "
+                        f"or link an Attribute node (grids of the domain: {', '.join(grids)})")
     return probe
 
 

@@ -111,8 +111,8 @@ class FileSource(VolumeSource):
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
             object_from_index[:3, :3] *= 0.5
             if at_zero.hot and INTERPOLATES_EMISSION:
-                notes = ["with nodes that change its density, its blackbody is rendered as before Blender 5.0, which is "
-                         "darker"]
+                notes = ["with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
+                         "is darker"]
         shaded = shade(material, VoxelDomain(grids, self._frames(object_from_index), emitting=filled), check)
         shaded.notes = shaded.notes + notes
         return shaded, object_from_index, warnings
@@ -157,8 +157,8 @@ class FileSource(VolumeSource):
             relative = np.linalg.inv(first) @ grid.object_from_index
             offset = np.round(relative[:3, 3])
             if np.abs(relative[:3, :3] - np.eye(3)).max() > 1e-4 or np.abs(relative[:3, 3] - offset).max() > 1e-2:
-                self.material.refuse(f"grids \"{next(iter(read))}\" and \"{name}\" have different voxels, which cannot be "
-                                     "combined")
+                self.material.refuse(f"grids \"{next(iter(read))}\" and \"{name}\" have different voxels, which cannot "
+                                     "be combined")
             offsets[name] = offset.astype(int)
         warnings = [warning for grid in read.values() for warning in grid.warnings]
         low = np.min(list(offsets.values()), axis=0)

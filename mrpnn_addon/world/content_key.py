@@ -5,9 +5,11 @@ import os
 import bpy
 
 # Properties of the editor or of a node's history, without effect on its output.
-IRRELEVANT = {'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
-          'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
-          'outputs', 'node_preview', 'users', 'is_evaluated'}
+IRRELEVANT = {
+    'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
+    'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
+    'outputs', 'node_preview', 'users', 'is_evaluated',
+}
 # Nesting limit of structs in nodes: ramps, curves, mappings, image users.
 DEEPEST = 6
 
