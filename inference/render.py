@@ -1,6 +1,6 @@
 """Scene in, layer out: the stages of a render in their order."""
 
-from typing import Iterator, Optional, Tuple
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -26,8 +26,8 @@ from .scene.settings import Settings
 
 
 def render(
-    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
-    cache: Optional[RenderCache] = None, surfaces=(),
+    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
+    cache: RenderCache | None = None, surfaces=(),
 ) -> Layer:
     """Render volumes lit by suns.
 
@@ -45,9 +45,9 @@ def render(
 
 
 def render_tiles(
-    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
-    cache: Optional[RenderCache] = None, surfaces=(),
-) -> Iterator[Tuple[Tuple[int, int, int, int], Layer]]:
+    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
+    cache: RenderCache | None = None, surfaces=(),
+) -> Iterator[tuple[tuple[int, int, int, int], Layer]]:
     """As `render`, but yield each part of the image as soon as it is finished.
 
     Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report. The

@@ -1,7 +1,6 @@
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
 from dataclasses import dataclass, replace
-from typing import Optional, Tuple
 
 import numpy as np
 
@@ -57,7 +56,7 @@ class _TileRays:
 
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
-) -> Optional[DepthSamples]:
+) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None where no ray meets a volume. Raises Cancelled, and SceneError where
@@ -109,7 +108,7 @@ def march_tile(
 
 def estimate_march(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
-) -> Tuple[float, float]:
+) -> tuple[float, float]:
     """About how many steps are evaluated on a camera's rays, and how many depth samples they get, from one pixel in
     PILOT x PILOT."""
     x0, y0, x1, y1 = camera.window
@@ -186,7 +185,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(context, scene, channel_pass, tile) -> Optional[_TileRays]:
+def _tile_rays(context, scene, channel_pass, tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None where none does."""
     report, settings = context.report, context.settings
     # Rays through pixels that lie away from every volume are not even made.

@@ -1,6 +1,5 @@
 """Adds predicted multiple scattering: what each group of volumes makes of each sun, at the camera rays' depth samples."""
 
-from typing import List, Optional
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from .framebuffer import add_at
 from .work_estimate import WorkEstimate
 
 
-def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> Optional[List[Optional[ScatteredFluence]]]:
+def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted, for networks that need ray features."""
     network, plan = scene.network, scene.plan
     if network is None or not network.needs_ray_features:
@@ -98,7 +97,7 @@ class _Source:
     times irradiance of each of the group's volumes.
     """
 
-    def __init__(self, plan, g: int, l: int, indices: List[int], medium):
+    def __init__(self, plan, g: int, l: int, indices: list[int], medium):
         self.group, self.sun, self.members, self.indices = g, l, plan.groups[g], indices
         self.albedos = distinct_albedos(medium, indices, plan.leave_out)
         irradiance = plan.suns[l].irradiance

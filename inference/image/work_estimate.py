@@ -1,6 +1,5 @@
 """How much work a render is: told to its Progress, and corrected as tiles and predictions are finished."""
 
-from typing import List
 
 from .camera_pass import estimate_march
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
@@ -16,7 +15,7 @@ class WorkEstimate:
     A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by tile.
     """
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, tiles: List[Tile]):
+    def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
         self._context, self._scene, self._tiles = context, scene, tiles
         self._steps, self._samples = {}, {}
         self._all_steps, self._all_samples, self._steps_marched, self._samples_predicted = 0.0, 0.0, 0.0, 0.0

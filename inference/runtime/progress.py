@@ -9,7 +9,7 @@ the time left.
 import contextlib
 import threading
 import time
-from typing import Callable, Dict, Optional
+from collections.abc import Callable
 
 #: Stages, and seconds per unit before anything has been measured: two cores of a desktop of 2020.
 SECONDS_PER_UNIT = {
@@ -22,7 +22,7 @@ SECONDS_PER_UNIT = {
 # Seconds of a stage after which its rate is its own.
 ENOUGH = 0.2
 
-_measured: Dict[str, float] = {}
+_measured: dict[str, float] = {}
 _measuring = threading.Lock()
 
 
@@ -32,13 +32,13 @@ class Progress:
     callback: (fraction, message) or None, called on the calling thread.
     """
 
-    def __init__(self, callback: Optional[Callable[[float, str], None]] = None):
+    def __init__(self, callback: Callable[[float, str], None] | None = None):
         self._callback = callback
         self._start, self._fraction, self._message = time.perf_counter(), 0.0, ""
-        self._expected: Dict[str, float] = {}
+        self._expected: dict[str, float] = {}
         self._done = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
         self._spent = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
-        self._running: Dict[str, float] = {}
+        self._running: dict[str, float] = {}
 
     @contextlib.contextmanager
     def stage(self, stage: str, amount: float = 0.0):

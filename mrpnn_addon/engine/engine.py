@@ -162,9 +162,11 @@ class _Progress:
     """Shows a render's progress in Blender's progress bar and statistics line."""
 
     def __init__(self, engine):
-        self.engine, self.start = engine, time.monotonic()
+        self.engine, self.start = engine, None
 
     def __call__(self, fraction, message):
+        # Fractions count from the first call: a coarse picture comes before.
+        self.start = self.start or time.monotonic()
         self.engine.update_progress(fraction)
         seconds = time.monotonic() - self.start
         # The first seconds do not predict the rest.

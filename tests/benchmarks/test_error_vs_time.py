@@ -5,6 +5,7 @@ from dataclasses import asdict
 import pytest
 
 pytest.importorskip("bpy")
+pytestmark = pytest.mark.blender
 
 from benchmarks.error_vs_time.__main__ import csv_text
 from benchmarks.error_vs_time.cases import Case, cases

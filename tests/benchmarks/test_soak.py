@@ -8,6 +8,7 @@ import pytest
 from tests.support.paths import ROOT
 
 pytest.importorskip("bpy")
+pytestmark = pytest.mark.blender
 
 
 def test_forty_renders_need_no_more_memory_than_twenty(tmp_path):

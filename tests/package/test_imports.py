@@ -21,4 +21,4 @@ def test_the_extension_and_the_library_share_every_module(addon):
     copies = Counter(loaded.values())
     assert len(files) > 60 and {copies[str(path)] for path in files} == {1}
     # What the extension raises is what a script catches.
-    assert addon.mrpnn_addon.scene.SceneError is addon.inference.SceneError is inference.SceneError
+    assert addon.mrpnn_addon.scene.reader.SceneError is addon.inference.SceneError is inference.SceneError

@@ -20,7 +20,8 @@ from tests.support.paths import ROOT
 
 BLENDERS = [path for path in os.environ.get("MRPNN_BLENDER", "").split(os.pathsep) if path]
 
-pytestmark = pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program")
+pytestmark = [pytest.mark.blender, pytest.mark.slow,
+              pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program")]
 
 SCENE = """
     import bpy, numpy, pathlib, sys

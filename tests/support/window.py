@@ -11,12 +11,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from tests.support.paths import ROOT, SHARED
 
 TOOLS = SHARED / "blender"
 SUITES = os.environ.get("MRPNN_WINDOWS", "").split()
+NEEDS_WINDOW = [pytest.mark.window,
+                pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")]
 # Seconds until what must happen has happened, on whatever else the machine is doing.
 LONG = 300
 # The code that runs in Blender knows it by the same name.

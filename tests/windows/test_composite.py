@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support.window import CLOSE, LONG, RENDERING, SUITES
+from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, RENDERING
 
-pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
+pytestmark = NEEDS_WINDOW
 
 # A cube of fog, which every build's Cycles shows, in a collection that only an instance shows; the cloud out of sight.
 STAGE = """

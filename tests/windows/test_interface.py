@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.window import RENDERING, SUITES, THREADS
+from tests.support.window import NEEDS_WINDOW, RENDERING, THREADS
 
-pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
+pytestmark = NEEDS_WINDOW
 
 # The panels that a tab shows for an object: (label, label of the panel around it).
 PANELS = """

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support.window import CLOSE, LONG, SUITES, THREADS
+from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, THREADS
 
-pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
+pytestmark = NEEDS_WINDOW
 
 # The ball twice, "Ball" on the left and "Other" on the right in a collection of its own, seen through the camera.
 TWO = """

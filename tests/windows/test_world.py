@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.window import LONG, SUITES, THREADS, WORK
+from tests.support.window import LONG, NEEDS_WINDOW, THREADS, WORK
 
-pytestmark = pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")
+pytestmark = NEEDS_WINDOW
 
 SETTINGS = """
 import threading

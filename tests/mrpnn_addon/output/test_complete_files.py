@@ -12,6 +12,7 @@ import pytest
 
 # Before OpenEXR: its compiled libraries must come first.
 pytest.importorskip("bpy")
+pytestmark = pytest.mark.blender
 
 from mrpnn_addon.output.exr_file import LINES_PER_BLOCK, write_exr
 from mrpnn_addon.runtime.atomic_write import atomic_write
