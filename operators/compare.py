@@ -197,7 +197,7 @@ def _finish(run: ComparisonRun):
         time.sleep(POLL_INTERVAL)
         yield None
     comparison = figures.result()
-    for page in run.writing(comparison):
+    for page in run.writing(comparison):  # noqa: B007, the last one is returned
         yield None
     show(run)
     yield comparison, page

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from html import escape
-from typing import Dict, List, Tuple
 
 import numpy as np
 
@@ -23,9 +22,9 @@ class Chart:
     y: (lowest, highest) of the axes, seconds and relative error. clock: of the rungs.
     """
 
-    series: Dict[str, List[Rung]]
-    x: Tuple[float, float]
-    y: Tuple[float, float]
+    series: dict[str, list[Rung]]
+    x: tuple[float, float]
+    y: tuple[float, float]
     clock: str = "seconds"
 
     def place(self, seconds, error):
@@ -48,11 +47,11 @@ class Chart:
         return COLOURS.get(method) or NETWORK_COLOURS[networks.index(method) % len(NETWORK_COLOURS)]
 
 
-def make_chart(rungs: List[Rung], clock: str = "seconds") -> Chart:
+def make_chart(rungs: list[Rung], clock: str = "seconds") -> Chart:
     """The chart of rungs, by method and time, with axes that end at 1, 2 or 5 of a decade. Raises ValueError without
     rungs.
     """
-    series: Dict[str, List[Rung]] = {}
+    series: dict[str, list[Rung]] = {}
     for rung in rungs:
         if rung.error > 0.0 and getattr(rung, clock) > 0.0:
             series.setdefault(rung.method, []).append(rung)
@@ -101,7 +100,7 @@ def svg(chart: Chart) -> str:
     return "\n".join(parts) + "\n</svg>"
 
 
-def _series(chart: Chart, method: str, rungs: List[Rung]) -> str:
+def _series(chart: Chart, method: str, rungs: list[Rung]) -> str:
     colour = chart.colour(method)
     places = [chart.point(rung) for rung in rungs]
     line = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from typing import Dict, Optional
 
 from ...inference.scene import Cancelled, SceneError, Settings
 from ..cycles.pass_store import DENOISED, Job, Pass, PassStore
@@ -28,13 +27,13 @@ class ComparisonJob:
 
     def __init__(self, request: Request, description, settings: Settings, open_store, process: CyclesProcess):
         self.request, self.description, self.settings = request, description, settings
-        self.store: Optional[PassStore] = None
+        self.store: PassStore | None = None
         self._opening = in_background(open_store)
         self._process = process
-        self.passes: Dict[Job, Pass] = {}
+        self.passes: dict[Job, Pass] = {}
         self.marks, self.message, self.error = [], "", None
         self._failed, self._spent = set(), 0.0
-        self._job: Optional[Job] = None
+        self._job: Job | None = None
         self._layer = None
         self.done = False
         self._start = time.monotonic()
@@ -95,7 +94,7 @@ class ComparisonJob:
     def seconds_left(self) -> float:
         return remaining_seconds(self.request, self.passes, self._failed, self._spent)
 
-    def _begin(self, job: Optional[Job]):
+    def _begin(self, job: Job | None):
         self._job = job
         if job is None:
             self._end(None)
@@ -107,7 +106,7 @@ class ComparisonJob:
             settings = replace(self.settings, model=job.method, depth_samples=job.samples)
             self._layer = RenderJob(self.description, settings, None)
 
-    def _finished(self) -> Optional[Pass]:
+    def _finished(self) -> Pass | None:
         if self._job.by_cycles:
             return self._process.answer()
         if not self._layer.done:

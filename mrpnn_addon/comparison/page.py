@@ -5,7 +5,6 @@ import json
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import Dict
 
 from ...inference.evaluation.error_vs_time import Rung
 from .chart import make_chart, svg
@@ -16,8 +15,8 @@ TEMPLATE = Path(__file__).with_name("page.html")
 ERROR_LIMIT = 0.5
 
 
-def page(comparison: Comparison, title: str, pictures: Dict[str, bytes], error_map: bytes, reference: str,
-         facts: Dict[str, str]) -> str:
+def page(comparison: Comparison, title: str, pictures: dict[str, bytes], error_map: bytes, reference: str,
+         facts: dict[str, str]) -> str:
     """The page's text.
 
     pictures: PNG files by caption, the judged layer first. reference: caption of the reference. error_map: PNG. facts:

@@ -1,6 +1,5 @@
 """FLIP, NVIDIA's perceptual difference, if its package is installed; the extension does not ship it."""
 
-from typing import Optional
 
 import numpy as np
 
@@ -10,7 +9,7 @@ except ImportError:
     flip_evaluator = None
 
 
-def flip(image: np.ndarray, reference: np.ndarray) -> Optional[float]:
+def flip(image: np.ndarray, reference: np.ndarray) -> float | None:
     """Mean HDR-FLIP of linear images (H, W, 3), 0 to 1, or None. The reference's noise counts as difference."""
     if flip_evaluator is None:
         return None

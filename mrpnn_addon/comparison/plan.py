@@ -1,7 +1,6 @@
 """Which image a comparison renders next, from those that are finished and its budget."""
 
 from dataclasses import dataclass
-from typing import Dict, Optional, Tuple
 
 from ...inference.evaluation.error_vs_time import cost
 from ..cycles.pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
@@ -23,7 +22,7 @@ class Request:
     already.
     """
 
-    layers: Tuple[Job, ...]
+    layers: tuple[Job, ...]
     samples: int = 32
     largest: int = 64
     denoised: bool = True
@@ -56,7 +55,7 @@ class Request:
         return [*self.reference_jobs(), *self.ladder_jobs()]
 
 
-def next_job(request: Request, done: Dict[Job, Pass], failed=(), spent: float = 0.0) -> Optional[Job]:
+def next_job(request: Request, done: dict[Job, Pass], failed=(), spent: float = 0.0) -> Job | None:
     """The next image to render; None at the end.
 
     done, failed: jobs of this and earlier runs. spent: seconds of Cycles in this run.
@@ -82,7 +81,7 @@ def next_job(request: Request, done: Dict[Job, Pass], failed=(), spent: float = 
     return None
 
 
-def remaining_seconds(request: Request, done: Dict[Job, Pass], failed=(), spent: float = 0.0) -> float:
+def remaining_seconds(request: Request, done: dict[Job, Pass], failed=(), spent: float = 0.0) -> float:
     """Estimated seconds that Cycles still takes."""
     missing = [job for job in request.cycles_jobs() if job not in done and job not in failed]
     start, each = _cost(done)
@@ -90,12 +89,12 @@ def remaining_seconds(request: Request, done: Dict[Job, Pass], failed=(), spent:
     return min(expected, max(request.seconds - spent, 0.0)) if request.seconds else expected
 
 
-def expected_seconds(job: Job, done: Dict[Job, Pass]) -> float:
+def expected_seconds(job: Job, done: dict[Job, Pass]) -> float:
     """Estimated seconds of a Cycles job; 0 before the first."""
     start, each = _cost(done)
     return start + each * job.samples
 
 
-def _cost(done: Dict[Job, Pass]):
+def _cost(done: dict[Job, Pass]):
     known = [(job.samples, made.seconds) for job, made in done.items() if job.by_cycles]
     return cost(*zip(*known)) if known else (0.0, 0.0)

@@ -1,7 +1,6 @@
 """Figures of a comparison: errors, times, and equal-error and equal-time comparisons."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -85,18 +84,18 @@ class Comparison:
     noise: float
     layer_seconds: float
     cycles_seconds: float
-    resolution: Tuple[int, int]
+    resolution: tuple[int, int]
     pixels: int
     samples: int
     bounces: int
     cycles: str
-    rungs: List[Rung]
+    rungs: list[Rung]
     judged: Rung
     verdict: Verdict
-    equal: List[Equal] = field(default_factory=list)
-    path_tracing: Dict[str, PathTracing] = field(default_factory=dict)
-    marks: List[str] = field(default_factory=list)
-    warnings: List[str] = field(default_factory=list)
+    equal: list[Equal] = field(default_factory=list)
+    path_tracing: dict[str, PathTracing] = field(default_factory=dict)
+    marks: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     def table(self) -> str:
         """The figures as lines of text."""
@@ -115,7 +114,7 @@ class Comparison:
         lines += [f"  reference {self.verdict}", *(f"  {line}" for line in self.sentences())]
         return "\n".join(lines + [f"  note: {mark}" for mark in self.marks])
 
-    def sentences(self) -> List[str]:
+    def sentences(self) -> list[str]:
         """Equal error and equal time, as sentences."""
         return [str(one) for one in self.equal if one.clock == self.clock]
 
@@ -141,7 +140,7 @@ def _finite(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def halves(passes: Dict[Job, Pass]):
+def halves(passes: dict[Job, Pass]):
     """The two halves of the reference, float64 (H, W, 4), from its passes of even and odd seeds; None where one is
     missing.
     """
@@ -155,7 +154,7 @@ def halves(passes: Dict[Job, Pass]):
     return tuple(found)
 
 
-def compare(passes: Dict[Job, Pass], request: Request, bounces: int, version: str, given: Optional[np.ndarray] = None,
+def compare(passes: dict[Job, Pass], request: Request, bounces: int, version: str, given: np.ndarray | None = None,
             marks=()) -> Comparison:
     """Measure every candidate among `passes` against their reference, or against a `given` one (H, W, 4).
 
@@ -228,7 +227,7 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
                 error_on_ladder(ladders[DENOISED], seconds, clock)))
 
 
-def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> List[str]:
+def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:
     found = []
     if bounces < 1024 and not given:
         found.append(f"the reference stops after {bounces} bounces: in dense and white volumes it is too dark")

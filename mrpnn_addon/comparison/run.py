@@ -5,7 +5,6 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Optional, Tuple
 
 import bpy
 import numpy as np
@@ -40,8 +39,8 @@ class Options:
     ladder: int = 64
     denoised: bool = True
     all_models: bool = False
-    models: Tuple[str, ...] = ()
-    depths: Tuple[int, ...] = DEPTHS
+    models: tuple[str, ...] = ()
+    depths: tuple[int, ...] = DEPTHS
     bounces: int = 1024
     scale: int = 25
     reference_path: str = ""
@@ -149,7 +148,7 @@ def _folder(path: str) -> Path:
     return Path(bpy.path.abspath(path)).absolute()
 
 
-def _read_reference(path: str) -> Optional[np.ndarray]:
+def _read_reference(path: str) -> np.ndarray | None:
     path = Path(bpy.path.abspath(path))
     if not path.is_file():
         raise SceneError(f"the reference {path} does not exist; choose an .exr file")

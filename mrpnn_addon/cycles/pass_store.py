@@ -5,7 +5,6 @@ import json
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import List, Optional
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Pass:
     cpu_seconds: float
     once: float = 0.0
     once_cpu: float = 0.0
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 def scene_key(description, bounces: int, version: str) -> str:
@@ -85,7 +84,7 @@ class PassStore:
     def __init__(self, folder: Path):
         self.folder = Path(folder)
 
-    def get(self, job: Job) -> Optional[Pass]:
+    def get(self, job: Job) -> Pass | None:
         """The pass; None where it does not exist or its file is damaged."""
         try:
             with open(self._path(job), "rb") as stream, np.load(stream) as file:

@@ -4,7 +4,6 @@ import json
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Optional
 
 import bpy
 
@@ -55,7 +54,7 @@ class CyclesProcess:
         self._send(job.name, self._view, job.samples, seed, job.method == DENOISED)
         self._asked = job.name
 
-    def answer(self) -> Optional[Pass]:
+    def answer(self) -> Pass | None:
         """The requested pass, or None until it is finished.
 
         Raises PassFailed where Cycles could not render it, SceneError where Cycles fails the check or its process has
@@ -83,7 +82,7 @@ class CyclesProcess:
             self._process = None
         self._folder.cleanup()
 
-    def _answer(self, name: str) -> Optional[dict]:
+    def _answer(self, name: str) -> dict | None:
         path = self._path(f"{name}.json")
         # Checked before the file: an ended process has written its files.
         ended = self._process.poll() is not None

@@ -14,6 +14,7 @@ from ..objects.visibility import visible_objects
 from .reference_scene import CHECK_DEPTH, PathTracing, box_scene, view_scene
 
 CHECK_TOLERANCE = 0.02
+DEFAULTS = PathTracing()
 
 
 @dataclass
@@ -33,7 +34,7 @@ class Reference:
     version: str
 
 
-def render_reference(scene, objects, tracing=PathTracing(), world=None, seed=0, progress=None) -> Reference:
+def render_reference(scene, objects, tracing=DEFAULTS, world=None, seed=0, progress=None) -> Reference:
     """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
     scene: gives frame, camera, resolution, render region and thread count; it is not changed.

@@ -2,7 +2,6 @@
 
 import traceback
 from dataclasses import replace
-from typing import Optional
 
 import gpu
 import numpy as np
@@ -45,7 +44,7 @@ class Backdrop:
         self._behind = None if transparent else world_behind(depsgraph)
         self._filter = pixel_filter(depsgraph.scene)
 
-    def update(self, camera: Optional[Camera], part: Part = WHOLE) -> None:
+    def update(self, camera: Camera | None, part: Part = WHOLE) -> None:
         """Start over where the view or the World differs. camera: of a part of the region; None without a view."""
         self._part, behind = part, self._behind if camera is not None else None
         key = behind.key if isinstance(behind, WorldSource) else behind is not None and behind.tobytes()

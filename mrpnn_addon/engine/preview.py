@@ -3,7 +3,6 @@
 import threading
 import traceback
 from dataclasses import dataclass, replace
-from typing import List
 
 import numpy as np
 
@@ -33,11 +32,11 @@ class Step:
     """One picture of a preview: its resolution, lights and settings."""
 
     size: tuple
-    suns: List[Sun]
+    suns: list[Sun]
     settings: Settings
 
 
-def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> List[Step]:
+def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
     coarse = replace(settings, depth_samples=1)
     rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH, FINER))

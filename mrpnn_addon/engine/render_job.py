@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass, replace
-from typing import List, Optional
 
 import numpy as np
 
@@ -28,11 +27,11 @@ class Finished:
 
     layer: Layer
     seconds: float
-    warnings: List[str]
-    workload: Optional[Workload] = None
+    warnings: list[str]
+    workload: Workload | None = None
 
 
-def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
+def render_scene(scene: SceneDescription, settings: Settings, exr_path: str | None = None,
                  progress=None, cancelled=None, parts=None) -> Finished:
     """Render a scene. Calls no bpy, so any thread may call this.
 
@@ -119,8 +118,8 @@ def stamp(settings: Settings, report) -> dict:
 class RenderJob(Worker):
     """render_scene on a worker thread. result: a Finished when done, or None with `error` set."""
 
-    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: Optional[str]):
-        self.result: Optional[Finished] = None
+    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None):
+        self.result: Finished | None = None
         self._task = scene, settings, exr_path
         self._start("mrpnn render", awaited=True)
 

@@ -1,6 +1,5 @@
 """Rendered viewports: progressive pictures while nothing changes."""
 
-from typing import Optional
 
 import bpy
 import numpy as np
@@ -122,7 +121,7 @@ class Viewport:
         if description is None or not description.volumes:
             self._texture = None
 
-    def update(self, camera: Optional[Camera], settings: Settings, part: Part = WHOLE) -> None:
+    def update(self, camera: Camera | None, settings: Settings, part: Part = WHOLE) -> None:
         """Start over where the view or the settings differ, with the scene as described.
 
         camera: of the rendered part of the region; None where nothing is rendered.

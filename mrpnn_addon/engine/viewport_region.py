@@ -1,22 +1,21 @@
 """The render region of a 3D viewport."""
 
-from typing import Optional, Tuple
 
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
 # Left, bottom, right and top of a part, 0 to 1 from a region's lower left.
-Part = Tuple[float, float, float, float]
+Part = tuple[float, float, float, float]
 WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
 
 
-def part_pixels(part: Part, size) -> Tuple[int, int]:
+def part_pixels(part: Part, size) -> tuple[int, int]:
     """Width and height in pixels of a part of a region of `size` pixels."""
     (left, bottom, right, top), (width, height) = part, size
     return round((right - left) * width), round((top - bottom) * height)
 
 
-def render_region(context, scene) -> Optional[Part]:
+def render_region(context, scene) -> Part | None:
     """The part of a viewport's region inside its render region, on whole pixels; None where it is empty.
 
     As in Cycles: in camera view the render's region within the camera's frame, otherwise the viewport's own.

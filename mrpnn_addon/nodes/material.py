@@ -1,7 +1,6 @@
 """Volume materials: scattering, absorption and emission at points, with Cycles' meaning of each shader."""
 
 from dataclasses import dataclass, field
-from typing import List
 
 import numpy as np
 
@@ -42,9 +41,9 @@ class Shading:
     deviations from Cycles.
     """
 
-    closures: List[Closure] = field(default_factory=list)
+    closures: list[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
-    notes: List[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     hot: bool = False
 
 

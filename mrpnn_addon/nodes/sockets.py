@@ -1,7 +1,6 @@
 """Follows the links of node sockets through reroutes, groups and muted nodes."""
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
 
 import bpy
 
@@ -19,10 +18,10 @@ class Source:
     """
 
     # Quoted: see `objects.visibility.VisibleObject`.
-    node: "Optional[bpy.types.Node]"
-    output: "Optional[bpy.types.NodeSocket]"
+    node: "bpy.types.Node | None"
+    output: "bpy.types.NodeSocket | None"
     socket: "bpy.types.NodeSocket"
-    groups: Tuple = ()
+    groups: tuple = ()
 
 
 def always_has_nodes(block) -> bool:

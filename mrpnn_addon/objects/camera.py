@@ -1,7 +1,6 @@
 """The active camera as a `Camera`."""
 
 import math
-from typing import List, Optional, Tuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from .placement import placement_problem
 PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
 
 
-def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
+def read_camera(depsgraph) -> tuple[Camera, list[str]]:
     """The scene's active camera at the render resolution, and warnings.
 
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
@@ -75,7 +74,7 @@ def _panorama(lens) -> str:
     return getattr(panorama_settings(lens), 'panorama_type', lens.type)
 
 
-def _ends(lens, name: str) -> Tuple[float, float]:
+def _ends(lens, name: str) -> tuple[float, float]:
     settings = panorama_settings(lens)
     return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
 
@@ -87,7 +86,7 @@ def _orthonormal(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _region(render, width: int, height: int) -> Optional[Tuple[int, int, int, int]]:
+def _region(render, width: int, height: int) -> tuple[int, int, int, int] | None:
     if not render.use_border:
         return None
     # Blender's border is a fraction from the lower left, rounded to whole pixels in single precision.
@@ -98,7 +97,7 @@ def _region(render, width: int, height: int) -> Optional[Tuple[int, int, int, in
     return x0, y0, x1, y1
 
 
-def _warnings(where: str, lens, render) -> List[str]:
+def _warnings(where: str, lens, render) -> list[str]:
     warnings = []
     if lens.dof.use_dof:
         warnings.append(f"{where}: depth of field is not rendered")

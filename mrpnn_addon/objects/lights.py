@@ -1,7 +1,6 @@
 """Sun lamps as `Sun`s; a soft sun as several."""
 
 import math
-from typing import List, Tuple
 
 import numpy as np
 from mathutils import Vector
@@ -17,7 +16,7 @@ from .visibility import VisibleObject
 ONE, FOUR, SEVEN = (math.radians(degrees) for degrees in (2.0, 12.0, 40.0))
 
 
-def read_suns(shown: VisibleObject) -> Tuple[List[Sun], List[str]]:
+def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
     """The directional lights that represent a visible sun lamp, and warnings.
 
     The sun shines along the object's -Z, so the direction towards it is +Z. Its irradiance is strength x colour in
@@ -50,7 +49,7 @@ def read_suns(shown: VisibleObject) -> Tuple[List[Sun], List[str]]:
     return suns, _warnings(shown, name)
 
 
-def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, float]]:
+def disc_directions(frame: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
     """Directions (3,) in a disc of angular diameter `angle` around the frame's z axis, and their shares of its uniform
     light.
 
@@ -77,7 +76,7 @@ def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, f
     return found
 
 
-def _warnings(shown: VisibleObject, name: str) -> List[str]:
+def _warnings(shown: VisibleObject, name: str) -> list[str]:
     lamp, linking, warnings = shown.object.data, shown.object.light_linking, []
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         warnings.append(f"{name} is linked to some objects only; it is rendered as lighting all volumes")

@@ -2,12 +2,13 @@
 
 import functools
 from dataclasses import dataclass
-from typing import Optional
 
 import numpy as np
 
 from ...inference.scene import SceneError
 from .placement import LARGEST
+
+IDENTITY = np.eye(4)
 
 
 @dataclass
@@ -20,14 +21,14 @@ class Mesh:
     places: np.ndarray
     corners: np.ndarray
     first: np.ndarray
-    chosen: Optional[np.ndarray] = None
+    chosen: np.ndarray | None = None
 
     @functools.cached_property
     def is_finite(self) -> bool:
         """Whether all vertices are finite and in range."""
         return bool(np.abs(self.places).max(initial=0.0) <= LARGEST)
 
-    def triangles(self, matrix=np.eye(4)) -> np.ndarray:
+    def triangles(self, matrix=IDENTITY) -> np.ndarray:
         """float64 (T, 3, 3) corners, transformed by a matrix (4, 4)."""
         places = self.places.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         return places[self._vertices()]

@@ -1,7 +1,6 @@
 """Opaque surfaces that hide and shade volumes."""
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -35,7 +34,7 @@ class OpaqueMesh:
         return Surface(self.mesh.triangles(self.matrix), self.name, self.covers, self.shades, self.stops)
 
 
-def read_surface(shown: VisibleObject, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Optional[OpaqueMesh], List[str]]:
+def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> tuple[OpaqueMesh | None, list[str]]:
     """A visible object's surface if it is opaque and affects volumes, and warnings.
 
     known: meshes read so far; instances share them.
@@ -61,7 +60,7 @@ def read_surface(shown: VisibleObject, view_layer, known: Dict[tuple, Mesh]) -> 
     return (OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops) if len(mesh.corners) else None), []
 
 
-def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
+def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
     """Warnings of what surfaces do and do not do."""
     found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
@@ -75,7 +74,7 @@ def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
     return found
 
 
-def _names(surfaces: List[OpaqueMesh]) -> str:
+def _names(surfaces: list[OpaqueMesh]) -> str:
     more = f" and {len(surfaces) - 1} more" if len(surfaces) > 1 else ""
     return surfaces[0].name + more
 

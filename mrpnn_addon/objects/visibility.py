@@ -1,7 +1,7 @@
 """The objects and instances that a render or a viewport shows."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Iterator, List, Optional
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def hidden_from_camera(shown: VisibleObject, view_layer) -> str:
     return "" if shown.object.visible_camera else "is hidden from the camera"
 
 
-def ignored_visibility(shown: VisibleObject) -> List[str]:
+def ignored_visibility(shown: VisibleObject) -> list[str]:
     """Ray visibility settings of a volume that have no effect here."""
     rays = (("shadow", shown.object.visible_shadow), ("volume scatter", shown.object.visible_volume_scatter))
     return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
@@ -128,7 +128,7 @@ def require_evaluated(depsgraph) -> None:
             )
 
 
-def _rendered_kind(candidate) -> Optional[str]:
+def _rendered_kind(candidate) -> str | None:
     if shows_volume(candidate):
         return "volume"
     if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':

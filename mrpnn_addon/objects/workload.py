@@ -1,7 +1,6 @@
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
 from dataclasses import dataclass
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class Box:
     voxel: float
     thickness: float
     cells: float
-    filled: Optional[float] = None
+    filled: float | None = None
 
 
 @dataclass
@@ -47,7 +46,7 @@ class Workload:
     share of voxels that are not 0; None where some volume has not been read.
     """
 
-    names: FrozenSet[str] = frozenset()
+    names: frozenset[str] = frozenset()
     window: int = 0
     pixels: float = 0.0
     steps: float = 0.0
@@ -58,10 +57,10 @@ class Workload:
     lights: int = 0
     samples: int = 1
     channels: int = 1
-    filled: Optional[float] = None
+    filled: float | None = None
 
 
-def estimate_workload(boxes: List[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
+def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
     """The work of a render; boxes may overlap."""
     covered = pixels_around(boxes, camera)
     found = Workload(frozenset(box.name for box in boxes), int(covered.sum()), volumes=len(boxes), lights=lights,
@@ -92,7 +91,7 @@ def estimate_workload(boxes: List[Box], camera: Camera, lights: int, samples: in
     return found
 
 
-def pixels_around(boxes: List[Box], camera: Camera) -> np.ndarray:
+def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
     """bool (H, W): pixels of the camera's window that may show a box, and their neighbours."""
     x0, y0, x1, y1 = camera.window
     covered = np.zeros((y1 - y0, x1 - x0), bool)

@@ -6,7 +6,6 @@ unaffected. The second scene shows the same collections and copies the first one
 """
 
 import threading
-from typing import List, Optional
 
 import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
@@ -79,13 +78,13 @@ def remove_composite(scene) -> None:
             shown.update_tag()
 
 
-def volume_scene(scene) -> Optional["bpy.types.Scene"]:
+def volume_scene(scene) -> "bpy.types.Scene | None":
     """The scene that renders this one's volumes; None without one, as for a copy of a composited scene."""
     volumes = scene.mrpnn_composite.volumes
     return volumes if volumes is not None and volumes.mrpnn_composite.surfaces == scene else None
 
 
-def out_of_date(scene) -> List[str]:
+def out_of_date(scene) -> list[str]:
     """Reasons why a composited scene does not show its volumes; `composite` repairs them."""
     volumes, found = volume_scene(scene), []
     if volumes is None:

@@ -1,6 +1,5 @@
 """The compositor nodes that lay the volumes' scene over a scene."""
 
-from typing import List
 
 import bpy
 
@@ -67,7 +66,7 @@ def remove_nodes(scene, made: bool) -> None:
             scene.use_nodes = False
 
 
-def compositor_problems(scene, volumes) -> List[str]:
+def compositor_problems(scene, volumes) -> list[str]:
     """Reasons why the compositor's output does not show the volumes as it should."""
     tree = _tree(scene)
     if tree is None:

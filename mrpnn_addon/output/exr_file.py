@@ -8,7 +8,6 @@ different version of OpenEXR, which crashes.
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
-from typing import Dict, Union
 
 import numpy as np
 
@@ -23,7 +22,7 @@ LINES_PER_BLOCK = 16
 LONGEST_NAME = 255
 
 
-def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, Union[str, int, float]],
+def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float],
               check=lambda: None) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 

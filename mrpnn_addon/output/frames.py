@@ -2,7 +2,6 @@
 
 import os
 import re
-from typing import List
 
 import bpy
 
@@ -14,7 +13,7 @@ MOST_FRAMES = 1 << 20
 _SPAN = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
 
 
-def parse_frames(text: str) -> List[int]:
+def parse_frames(text: str) -> list[int]:
     """Frames of e.g. "1-10,15,20..25", without repetitions, in the order given.
 
     Raises SceneError for anything else.

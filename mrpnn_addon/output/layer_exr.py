@@ -1,13 +1,12 @@
 """A layer as a multi-layer OpenEXR file."""
 
-from typing import Dict, Union
 
 from ...inference.image.layer import Layer
 from .exr_file import write_exr
 from .layer_frame import finite_depth
 
 
-def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Union[str, int, float]],
+def write_layer(path: str, layer: Layer, view_layer: str, metadata: dict[str, str | int | float],
                 check=lambda: None) -> None:
     """Write Combined, Alpha, Depth, Single, Multiple, Emission and Uncertainty as layers of one file.
 

@@ -1,7 +1,7 @@
 """Render passes of a view layer, by Cycles' names."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable, List
 
 import bpy
 import numpy as np
@@ -27,7 +27,7 @@ class RenderPass:
     pixels: Callable[[Layer], np.ndarray]
 
 
-def extra_passes(view_layer) -> List[RenderPass]:
+def extra_passes(view_layer) -> list[RenderPass]:
     """Passes that a view layer requests besides Combined."""
     switches = view_layer.mrpnn
     passes = [

@@ -4,7 +4,6 @@ import importlib.metadata
 import importlib.util
 import sys
 from pathlib import Path
-from typing import Optional
 
 from ...inference.network.provider import PROVIDERS
 from ...inference.scene import SceneError
@@ -16,7 +15,7 @@ OLDEST = (1, 12)
 PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
 
 
-def runtime_version() -> Optional[str]:
+def runtime_version() -> str | None:
     """Version of the onnxruntime that `import` would find; None without one."""
     folder = runtime_folder()
     for package in PACKAGES if folder else ():

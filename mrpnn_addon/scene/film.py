@@ -1,7 +1,6 @@
 """The background of a render whose film is not transparent."""
 
 from dataclasses import dataclass, field
-from typing import List, Optional, Tuple, Union
 
 import numpy as np
 
@@ -26,9 +25,9 @@ class Background:
 
     camera: Camera
     radiance: np.ndarray
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
-    def pixels(self, region: Optional[Tuple[int, int, int, int]] = None) -> np.ndarray:
+    def pixels(self, region: tuple[int, int, int, int] | None = None) -> np.ndarray:
         """float32 (h, w, 3) of the window's pixels (x0, y0, x1, y1), in the image as `Camera.region`; all of them
         without a region.
         """
@@ -56,7 +55,7 @@ def read_background(depsgraph, camera: Camera, check=lambda: None) -> Background
             "turn on Film > Transparent to composite the layer over another"])
 
 
-def world_behind(depsgraph) -> Union[np.ndarray, WorldSource]:
+def world_behind(depsgraph) -> np.ndarray | WorldSource:
     """The World as cameras see it: radiance, float32 (3,), or the source that Cycles renders."""
     world = evaluated_world(depsgraph)
     if world is None or not _visible_to_camera(world):
@@ -67,7 +66,7 @@ def world_behind(depsgraph) -> Union[np.ndarray, WorldSource]:
         return world_source(world, depsgraph.scene)
 
 
-def pixel_filter(scene) -> Tuple[str, float]:
+def pixel_filter(scene) -> tuple[str, float]:
     """Cycles' filter type and its width in pixels."""
     # Properties of Cycles, absent while Cycles is disabled.
     settings = getattr(scene, 'cycles', None)

@@ -1,6 +1,5 @@
 """Warnings about approximations where volumes overlap or light each other."""
 
-from typing import List, Tuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ...inference.scene import Medium, Volume
 ALBEDO, COSINE = 0.02, 0.05
 
 
-def overlap_warnings(pairs: List[Tuple[Volume, Medium]]) -> List[str]:
+def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
     """Warnings about overlapping volumes that the network treats as one mean medium or each as if alone, and about
     emission that does not light other volumes.
     """
@@ -30,7 +29,7 @@ def overlap_warnings(pairs: List[Tuple[Volume, Medium]]) -> List[str]:
     return found + _unlit(pairs, groups)
 
 
-def _unlit(pairs, groups) -> List[str]:
+def _unlit(pairs, groups) -> list[str]:
     """A warning about a volume whose emission does not light a separate one."""
     for group in groups:
         emitting = [v for v in group if pairs[v][0].emission is not None]

@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import dataclass, field
-from typing import List, Set, Tuple
 
 from ...inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
 from ..nodes.material import SURFACES, shows_volume
@@ -32,20 +31,20 @@ class SceneDescription:
     each with the number of colour channels that differ; for `workload`.
     """
 
-    volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
-    suns: List[Sun] = field(default_factory=list)
+    volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
+    suns: list[Sun] = field(default_factory=list)
     camera: Camera = None
-    opaque: List[OpaqueMesh] = field(default_factory=list)
+    opaque: list[OpaqueMesh] = field(default_factory=list)
     crop: bool = True
     view_layer: str = "ViewLayer"
     frame: int = 0
     environment: bool = False
-    warnings: List[str] = field(default_factory=list)
-    left_out: Set[str] = field(default_factory=set)
-    unseen: List[str] = field(default_factory=list)
-    empty: List[str] = field(default_factory=list)
-    refused: List[str] = field(default_factory=list)
-    boxes: List[Tuple[Box, int]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)
+    unseen: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    boxes: list[tuple[Box, int]] = field(default_factory=list)
 
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
@@ -53,7 +52,7 @@ class SceneDescription:
         return estimate_workload(boxes, self.camera, len(self.suns), depth_samples, max(channels))
 
     @functools.cached_property
-    def surfaces(self) -> List[Surface]:
+    def surfaces(self) -> list[Surface]:
         """Made on first use by the rendering thread, since large meshes take a while."""
         return [mesh.surface() for mesh in self.opaque]
 
@@ -129,7 +128,7 @@ def _refuse(description: SceneDescription, shown, problem: SceneError) -> None:
     description.warnings += _refused(description, problem)
 
 
-def _refused(description: SceneDescription, problem: SceneError) -> List[str]:
+def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
     """Record why something is left out; returns the warning, once for all instances."""
     if str(problem) in description.refused:
         return []
@@ -193,7 +192,7 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
     description.warnings.append(f"{where} {unseen} and is left out")
 
 
-def _view_layer_warnings(view_layer) -> List[str]:
+def _view_layer_warnings(view_layer) -> list[str]:
     """Warnings about settings of a view layer that have no effect."""
     where, found = f"view layer \"{view_layer.name}\"", []
     if view_layer.material_override is not None:

@@ -1,7 +1,6 @@
 """Objects that a scene shows and this engine does not render, for the panel and the viewport."""
 
 from dataclasses import dataclass, field
-from typing import List
 
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.visibility import visible_objects
@@ -13,11 +12,11 @@ RENDERED_LIGHTS = {'SUN'}
 class Unrendered:
     """Names of objects and instances: lights that are left out, and surfaces that only hide and shade volumes."""
 
-    lights: List[str] = field(default_factory=list)
-    surfaces: List[str] = field(default_factory=list)
+    lights: list[str] = field(default_factory=list)
+    surfaces: list[str] = field(default_factory=list)
 
     @property
-    def lines(self) -> List[str]:
+    def lines(self) -> list[str]:
         """One line per kind; none without objects."""
         found = []
         if self.lights:
@@ -61,6 +60,6 @@ def unrendered(depsgraph) -> Unrendered:
     return found
 
 
-def _names(names: List[str], noun: str) -> str:
+def _names(names: list[str], noun: str) -> str:
     """light "Lamp", or 3 lights."""
     return f"{noun} \"{names[0]}\"" if len(names) == 1 else f"{len(names)} {noun}s"

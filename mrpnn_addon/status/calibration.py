@@ -3,7 +3,6 @@
 import json
 import math
 import os
-from typing import Optional
 
 import bpy
 
@@ -17,7 +16,7 @@ FILE = "mrpnn_speed.json"
 # Smaller changes of a machine's rates are not written.
 SAME = 0.1
 
-_known: Optional[Calibration] = None
+_known: Calibration | None = None
 
 
 def calibration() -> Calibration:
@@ -28,7 +27,7 @@ def calibration() -> Calibration:
     return _known
 
 
-def calibrate_by(workload: Optional[Workload], layer) -> None:
+def calibrate_by(workload: Workload | None, layer) -> None:
     """Calibrate by a render. workload: its work, or None without volumes."""
     if workload is None:
         return

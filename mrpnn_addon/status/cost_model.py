@@ -8,7 +8,6 @@ by the last render of any.
 
 import math
 from dataclasses import dataclass, field
-from typing import Dict, FrozenSet, Optional
 
 import numpy as np
 
@@ -45,7 +44,7 @@ class Shares:
 
     evaluated: float = EVALUATED
     visible: float = VISIBLE
-    opacity: Optional[float] = None
+    opacity: float | None = None
     queried: float = 1.0
 
 
@@ -57,8 +56,8 @@ class Calibration:
     threads: of the render that set the rates.
     """
 
-    shares: Dict[FrozenSet[str], Shares] = field(default_factory=dict)
-    rates: Dict[str, float] = field(default_factory=dict)
+    shares: dict[frozenset[str], Shares] = field(default_factory=dict)
+    rates: dict[str, float] = field(default_factory=dict)
     threads: int = CORES
 
 
@@ -125,7 +124,7 @@ def _points(workload: Workload, shares: Shares):
     return pixels, points * min(share, 1.0) * shares.queried
 
 
-def _seconds(workload: Workload, evaluated: float, pixels: float, points: float) -> Dict[str, float]:
+def _seconds(workload: Workload, evaluated: float, pixels: float, points: float) -> dict[str, float]:
     """Modelled seconds by stage."""
     thick, each = workload.thickness > THICK, workload.lights * max(workload.volumes, 1)
     step = STEP_STIFF if workload.stiff else STEP_THICK if thick else STEP

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -33,7 +32,7 @@ class Forecast:
     pixels: int
     points: int
     seconds: float
-    warnings: List[str]
+    warnings: list[str]
     problem: str = ""
     lamps: int = 0
     world: bool = False

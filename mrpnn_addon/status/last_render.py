@@ -1,7 +1,6 @@
 """The last render of the open file, for the panel."""
 
 from dataclasses import dataclass, field
-from typing import List
 
 from .calibration import calibrate_by
 
@@ -13,7 +12,7 @@ class LastRender:
     """
 
     seconds: float = 0.0
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     error: str = ""
     points: int = 0
     network_seconds: float = 0.0

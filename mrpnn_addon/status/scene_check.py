@@ -1,7 +1,6 @@
 """The plan of a scene's render, found by reading the scene: for the panel, before rendering."""
 
 from dataclasses import dataclass, field
-from typing import Dict, List
 
 from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
@@ -19,11 +18,11 @@ class SceneCheck:
 
     state: tuple
     error: str = ""
-    warnings: List[str] = field(default_factory=list)
-    planned: List[str] = field(default_factory=list)
-    left_out: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    planned: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     memory: int = 0
-    voxels: Dict[str, tuple] = field(default_factory=dict)
+    voxels: dict[str, tuple] = field(default_factory=dict)
 
     def outdated(self, scene) -> bool:
         """Whether the scene has changed since, or is another one."""

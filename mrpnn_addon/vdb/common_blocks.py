@@ -1,6 +1,5 @@
 """Aligned grids of one file, in the blocks in which any of them is not 0."""
 
-from typing import Dict, Union
 
 import numpy as np
 
@@ -16,7 +15,7 @@ class CommonBlocks:
     Raises ValueError where blocks of SparseGrids overlap partially.
     """
 
-    def __init__(self, grids: Dict[str, Union[np.ndarray, SparseGrid]], offsets, shape):
+    def __init__(self, grids: dict[str, np.ndarray | SparseGrid], offsets, shape):
         starts = [offsets[name] - grid.first for name, grid in grids.items() if isinstance(grid, SparseGrid)]
         self.origin = -(-starts[0] % EDGE) if starts else np.zeros(3, int)
         if any(np.any((start - self.origin) % EDGE) for start in starts):

@@ -3,7 +3,6 @@
 import os
 import weakref
 from dataclasses import dataclass, field
-from typing import List, Optional, Union
 
 import bpy
 import numpy as np
@@ -40,10 +39,10 @@ class DensityGrid:
     space. warnings: changes made to the data, naming the object.
     """
 
-    density: Union[np.ndarray, SparseGrid]
+    density: np.ndarray | SparseGrid
     object_from_index: np.ndarray
     low: np.ndarray
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 # Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, notes.
@@ -95,7 +94,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     return DensityGrid(density, matrix.copy(), low, [f"{where}: {note}" for note in notes])
 
 
-def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[DensityGrid]:
+def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | None:
     """As `read_density_grid` where the grid is in use, else None."""
     density, matrix, low, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, ()))
     values = density()
@@ -128,7 +127,7 @@ def unreadable(path: str, reason: str) -> str:
     return f"cannot read {path} as OpenVDB ({reason})"
 
 
-def _require_density(grids, path, grid_name, where) -> List[str]:
+def _require_density(grids, path, grid_name, where) -> list[str]:
     """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
     if not found:
@@ -220,7 +219,7 @@ def _require_box(shape, grid_name, where) -> None:
         )
 
 
-def _clean(values, grid_name) -> List[str]:
+def _clean(values, grid_name) -> list[str]:
     """Set negative and non-finite voxels to 0; notes their number."""
     # NaN fails both comparisons.
     if values.min() >= 0.0 and values.max() < np.inf:

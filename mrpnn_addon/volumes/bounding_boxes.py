@@ -2,7 +2,6 @@
 
 import weakref
 from dataclasses import dataclass
-from typing import Dict, Tuple
 
 import numpy as np
 
@@ -45,10 +44,10 @@ class _Density:
     filled: float
 
 
-_densities: Dict[str, _Density] = {}
+_densities: dict[str, _Density] = {}
 
 
-def box_around(shown: VisibleObject) -> Tuple[Box, int]:
+def box_around(shown: VisibleObject) -> tuple[Box, int]:
     """The box of a visible volume, and how many of its colour channels differ in extinction."""
     corners = np.array(shown.object.bound_box, float)
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -108,7 +107,7 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
     return scale * found
 
 
-def _voxel(shown: VisibleObject, edges: np.ndarray) -> Tuple[float, float]:
+def _voxel(shown: VisibleObject, edges: np.ndarray) -> tuple[float, float]:
     """Shortest and longest edge of a voxel, world units."""
     domain, data = gas_domain(shown.object), shown.object.data
     if shown.object.type == 'VOLUME' and data.grids.is_loaded and len(data.grids):

@@ -2,7 +2,6 @@
 
 import zlib
 from dataclasses import dataclass
-from typing import Dict
 
 import numpy as np
 
@@ -23,7 +22,7 @@ def gas_domain(shown_object):
     return None
 
 
-def read_grids(domain) -> Dict[str, np.ndarray]:
+def read_grids(domain) -> dict[str, np.ndarray]:
     """The GRIDS that exist in this frame, float32 (nx, ny, nz) each, on the density's voxels."""
     coarse = np.array(domain.domain_resolution)[::-1]
     times = domain.noise_scale if domain.use_noise else 1
@@ -87,7 +86,7 @@ class FluidSource(VolumeSource):
     domain fills.
     """
 
-    grids: Dict[str, np.ndarray]
+    grids: dict[str, np.ndarray]
     generated: np.ndarray
 
     def _read(self, started, check):

@@ -3,7 +3,6 @@
 `read_scene` then finds them cached on Blender's main thread.
 """
 
-from typing import List
 
 from ...inference.scene import Cancelled
 from ..runtime.background import Worker
@@ -18,7 +17,7 @@ class VolumeLoading(Worker):
 
     number = 0
 
-    def __init__(self, reader, sources: List[VolumeSource]):
+    def __init__(self, reader, sources: list[VolumeSource]):
         self.reader, self.sources, self._process = reader, sources, None
         self.message = sources[0].message if sources else ""
         self._start("mrpnn reading", awaited=False)

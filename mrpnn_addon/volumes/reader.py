@@ -5,7 +5,6 @@ import tempfile
 import weakref
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Optional, Tuple, Union
 
 import bpy
 import numpy as np
@@ -34,10 +33,10 @@ class VolumeReader:
     known: contents of sources, or why they cannot be read, by their key. meshes: of surfaces, for `read_surface`.
     """
 
-    known: Dict[tuple, Union[SceneError, Tuple[ShadedGrid, np.ndarray, List[str]]]] = field(default_factory=dict)
-    meshes: Dict[tuple, Mesh] = field(default_factory=dict)
+    known: dict[tuple, SceneError | tuple[ShadedGrid, np.ndarray, list[str]]] = field(default_factory=dict)
+    meshes: dict[tuple, Mesh] = field(default_factory=dict)
 
-    def read(self, shown: VisibleObject) -> Tuple[Volume, Medium, List[str]]:
+    def read(self, shown: VisibleObject) -> tuple[Volume, Medium, list[str]]:
         """The density, placement and medium of one visible volume, and warnings.
 
         Raises SceneError, naming the object, where its transform, file, grid, mesh or material cannot be used;
@@ -68,7 +67,7 @@ class VolumeReader:
         medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
-    def wanted(self, depsgraph, space=None) -> List[VolumeSource]:
+    def wanted(self, depsgraph, space=None) -> list[VolumeSource]:
         """Sources of the scene that are not read yet, including a World that Cycles has to render: for a
         `VolumeLoading`.
 
@@ -94,7 +93,7 @@ class VolumeReader:
             hidden_from_camera(shown, view_layer) or placement_problem(shown.matrix) or why_empty(shown)) and (
             self._known_key(shown) is None)
 
-    def _source(self, shown: VisibleObject) -> List[VolumeSource]:
+    def _source(self, shown: VisibleObject) -> list[VolumeSource]:
         """A volume's source; nothing where it has none, which is recorded."""
         try:
             return [_volume_source(shown)]
@@ -102,7 +101,7 @@ class VolumeReader:
             self.known[_key(shown, False)] = type(problem)(*problem.args)
             return []
 
-    def _known_key(self, shown: VisibleObject) -> Optional[tuple]:
+    def _known_key(self, shown: VisibleObject) -> tuple | None:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)
 
 
@@ -166,7 +165,7 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     return source
 
 
-def _own_file(volume_object) -> Optional[str]:
+def _own_file(volume_object) -> str | None:
     """The file of an object's volume; None without one or where modifiers change the volume."""
     changed = any(modifier.show_render or modifier.show_viewport for modifier in volume_object.modifiers)
     return None if changed else volume_object.data.grids.frame_filepath or None

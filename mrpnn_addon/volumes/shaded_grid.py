@@ -1,7 +1,6 @@
 """A volume shader evaluated at every voxel: one density grid with uniform extinction and albedo, and emission."""
 
 from dataclasses import dataclass
-from typing import List, Optional, Tuple, Union
 
 import bpy
 import numpy as np
@@ -26,13 +25,13 @@ class ShadedGrid:
     anisotropy: mean cosine. phase: see `Medium`. notes: deviations from Cycles. emission: see `Volume`.
     """
 
-    density: Union[np.ndarray, SparseGrid]
+    density: np.ndarray | SparseGrid
     sigma_t: np.ndarray
     albedo: np.ndarray
     anisotropy: float
-    notes: List[str]
-    emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
-    phase: Optional[PhaseFunction] = None
+    notes: list[str]
+    emission: None | np.ndarray | tuple[SparseGrid, ...] = None
+    phase: PhaseFunction | None = None
     emission_power: int = 1
 
 
@@ -108,7 +107,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
                       None if phase.is_henyey_greenstein else phase, power)
 
 
-def _emission(at, shape, chunks, check) -> Optional[np.ndarray]:
+def _emission(at, shape, chunks, check) -> np.ndarray | None:
     """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0."""
     emission = np.zeros((int(np.prod(shape)), 3), np.float32)
     for voxels in chunks:

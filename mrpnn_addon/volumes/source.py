@@ -1,7 +1,7 @@
 """Volumes found in a scene, to be read and shaded on any thread without calling bpy."""
 
 from dataclasses import dataclass
-from typing import ClassVar, List, Tuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class VolumeSource:
 
     message: ClassVar[str] = "reading volumes"
 
-    def read(self, started=lambda process: None, check=lambda: None) -> Tuple[ShadedGrid, np.ndarray, List[str]]:
+    def read(self, started=lambda process: None, check=lambda: None) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         """Its shaded voxels; the matrix (4, 4) from voxel index to object space; and warnings.
 
         started: see `vdb.process.read_in_process`. check: called often; an exception that it raises stops the work.

@@ -1,7 +1,7 @@
 """Grids and positions that volume shaders read at voxels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable, Dict, Optional, Tuple
 
 import numpy as np
 
@@ -53,14 +53,14 @@ class VoxelDomain:
     indices, int (n, 3); None for dense arrays.
     """
 
-    grids: Dict[str, np.ndarray]
-    frames: Dict[str, np.ndarray]
-    inside: Optional[np.ndarray] = None
-    emitting: Optional[np.ndarray] = None
-    index_of: Optional[Callable[[np.ndarray], np.ndarray]] = None
+    grids: dict[str, np.ndarray]
+    frames: dict[str, np.ndarray]
+    inside: np.ndarray | None = None
+    emitting: np.ndarray | None = None
+    index_of: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
-    def shape(self) -> Tuple[int, ...]:
+    def shape(self) -> tuple[int, ...]:
         """Of every array."""
         return (next(iter(self.grids.values())) if self.inside is None else self.inside).shape
 

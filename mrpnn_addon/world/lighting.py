@@ -1,6 +1,5 @@
 """The World's light as a few directional lights."""
 
-from typing import List, Tuple
 
 import bpy
 import numpy as np
@@ -20,7 +19,7 @@ MINOR = 0.1
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
-def wanted_world(depsgraph) -> List[WorldSource]:
+def wanted_world(depsgraph) -> list[WorldSource]:
     """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
@@ -32,7 +31,7 @@ def wanted_world(depsgraph) -> List[WorldSource]:
     return []
 
 
-def read_world(depsgraph, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun], List[str]]:
+def read_world(depsgraph, suns: list[Sun], check=lambda: None) -> tuple[list[Sun], list[str]]:
     """Directional lights that represent the World's light in volumes, and warnings.
 
     suns: of the scene; beside bright suns the World gets fewer directions. check: called often while Cycles renders.
@@ -81,7 +80,7 @@ def _picture(world, scene, sphere, name, check):
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
-def expected_lights(world, suns: List[Sun], directions: int) -> int:
+def expected_lights(world, suns: list[Sun], directions: int) -> int:
     """Approximate number of lights of `read_world`, without reading images: fast enough for a panel."""
     if world is None or not _lights_volumes(world):
         return 0

@@ -1,7 +1,6 @@
 """Pictures of Worlds, rendered by Cycles: as volumes and as cameras see them."""
 
 from dataclasses import dataclass
-from typing import List, Tuple
 
 import bpy
 import numpy as np
@@ -67,7 +66,7 @@ class WorldSource:
         _known[self.key] = found
         return found
 
-    def view(self, camera: Camera, samples: int, pixel_filter: Tuple[str, float], check=lambda: None) -> np.ndarray:
+    def view(self, camera: Camera, samples: int, pixel_filter: tuple[str, float], check=lambda: None) -> np.ndarray:
         """float32 (h, w, 3): the World in the camera's window, rows from the top. Raises PictureFailed.
 
         pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
@@ -139,7 +138,7 @@ def _key(world, scene) -> tuple:
     return "world", world_key(world), scene.frame_current if moves else None
 
 
-def _images(world) -> List[bpy.types.Image]:
+def _images(world) -> list[bpy.types.Image]:
     nodes = (node for tree in trees(world) for node in tree.nodes)
     return [node.image for node in nodes if isinstance(getattr(node, "image", None), bpy.types.Image)]
 

@@ -1,6 +1,5 @@
 """Light from all directions, represented by a few."""
 
-from typing import List
 
 import numpy as np
 
@@ -45,7 +44,7 @@ class Sphere:
         raise Unsupported(f"node \"{node.name}\" reads an attribute, which a World does not have")
 
 
-def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> List[Sun]:
+def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> list[Sun]:
     """Up to `count` suns whose irradiances sum to the light's fluence, each with the angular extent of its cell.
 
     radiance: (n, 3) at the sphere's directions.

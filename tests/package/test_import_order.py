@@ -2,7 +2,7 @@
 
 import ast
 import re
-from typing import Iterator, List, Tuple
+from collections.abc import Iterator
 
 import pytest
 
@@ -29,7 +29,7 @@ ROOMS = {
 }
 
 
-def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[str, ...]]]:
+def imports(source: str, module: tuple[str, ...]) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Line and dotted path, from the repository's root, of each name that a module imports, in functions too.
 
     The root itself is package `mrpnn` where Blender loads it.
@@ -48,7 +48,7 @@ def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[s
                 yield node.lineno, (*path, name.name)
 
 
-def package_imports(package: str) -> List[Tuple[str, Tuple[str, ...], Tuple[str, ...]]]:
+def package_imports(package: str) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
     """(place, importing module, imported path) of each import in a package."""
     found = []
     for file in sorted((ROOT / package).rglob("*.py")):
