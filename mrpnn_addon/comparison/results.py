@@ -28,9 +28,9 @@ MASK_ALPHA = 0.02
 ALPHA_TOLERANCE = 0.05
 CLOCKS = ("seconds", "cpu_seconds")
 # Rungs of Cycles from which the cost of samples is fitted; with fewer, the reference's passes are included.
-RUNGS_ENOUGH = 3
+MIN_RUNGS = 3
 # A layer keeps at least one processor busy; below this share, other programs slowed it down.
-BUSY = 0.7
+BUSY_SHARE = 0.7
 
 
 @dataclass
@@ -121,7 +121,7 @@ class Comparison:
     @property
     def clock(self) -> str:
         """The more reliable of CLOCKS: processor time where other programs slowed the layer down."""
-        return "cpu_seconds" if self.judged.cpu_seconds < BUSY * self.judged.seconds else "seconds"
+        return "cpu_seconds" if self.judged.cpu_seconds < BUSY_SHARE * self.judged.seconds else "seconds"
 
     def figures(self) -> dict:
         """Everything as plain types; None for infinite figures."""
@@ -213,7 +213,7 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
     for clock in CLOCKS:
         known = [(r.samples, getattr(r, clock)) for r in ladders[CYCLES]]
         # The reference may be older, rendered under another load.
-        if len(known) < RUNGS_ENOUGH:
+        if len(known) < MIN_RUNGS:
             known += [(job.samples, getattr(done, clock)) for job, done in references]
         law = PathTracing(*cost(*zip(*known)), variance, max(n for n, _ in known))
         result.path_tracing[clock] = law

@@ -107,7 +107,7 @@ class CyclesProcess:
 
     def _last_words(self) -> str:
         lines = self._path("log.txt").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it said nothing"
+        return lines[-1] if lines else "no output"
 
     def _path(self, name: str) -> Path:
         return Path(self._folder.name) / name

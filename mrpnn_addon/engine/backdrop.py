@@ -21,9 +21,9 @@ PANORAMA = Camera(np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 
                   projection="equirectangular", resolution=(2048, 1024))
 PANORAMA_SAMPLES, SAMPLES = 1, 4
 # Pixels of a picture sampled from the panorama during a redraw.
-ROUGH = 60_000
+ROUGH_PIXELS = 60_000
 # Seconds without a change of view before Cycles renders it.
-REST = 0.3
+REST_SECONDS = 0.3
 BRIGHTEST = float(np.finfo(np.float16).max)
 
 
@@ -112,7 +112,7 @@ class _ViewRendering(Worker):
     def _work(self):
         source = self._source
         try:
-            if self._stop.wait(REST):
+            if self._stop.wait(REST_SECONDS):
                 return
             if source.panorama is None and not source.depends_on_view:
                 around = source.view(PANORAMA, PANORAMA_SAMPLES, ('BOX', 1.0), self._check)
@@ -135,7 +135,7 @@ class _ViewRendering(Worker):
     def _rough(self):
         """The view, sampled from the panorama at few pixels."""
         width, height = self._camera.resolution
-        divisor = int(np.ceil(max(width * height / ROUGH, 1.0) ** 0.5))
+        divisor = int(np.ceil(max(width * height / ROUGH_PIXELS, 1.0) ** 0.5))
         size = max(width // divisor, 1), max(height // divisor, 1)
         _, directions, _, _ = camera_rays(replace(self._camera, resolution=size))
         return sampler(self._source.panorama[::-1])(directions).reshape(size[1], size[0], 3)

@@ -9,7 +9,7 @@ SHARED = ('EEVEE_MATERIAL_PT_context_material', 'VIEWLAYER_PT_layer_passes')
 USELESS = ('DATA_PT_light', 'DATA_PT_spot', 'DATA_PT_preview', 'OBJECT_PT_shading', 'VIEWLAYER_PT_filter')
 
 
-def _shown():
+def _useful_panels():
     for panel in bpy.types.Panel.__subclasses__():
         # The Shader Editor's copies of panels share the originals' set of engines.
         name, engines = panel.__name__.removeprefix('NODE_'), getattr(panel, 'COMPAT_ENGINES', ())
@@ -20,11 +20,11 @@ def _shown():
 
 def register(engine: str) -> None:
     """Show the panels for the engine of this name."""
-    for panel in _shown():
+    for panel in _useful_panels():
         panel.COMPAT_ENGINES.add(engine)
 
 
 def unregister(engine: str) -> None:
     """Undo `register`."""
-    for panel in _shown():
+    for panel in _useful_panels():
         panel.COMPAT_ENGINES.discard(engine)

@@ -12,7 +12,7 @@ from ...inference.scene import Camera, Cancelled, SceneError, Settings, Sun
 from ..output.layer_frame import rgba
 
 # Pixels of the pictures before the last, which has the region's resolution.
-ROUGH, FINER = 4_000, 16_000
+ROUGH_PIXELS, FINER_PIXELS = 4_000, 16_000
 
 
 @dataclass
@@ -39,7 +39,7 @@ class Step:
 def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
     coarse = replace(settings, depth_samples=1)
-    rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH, FINER))
+    rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
     every = description.suns
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]
     if prepared.fields is description:

@@ -19,7 +19,7 @@ from .viewport_region import WHOLE, Part, part_pixels
 
 POLL_INTERVAL = 0.05
 # Seconds to wait for volumes before drawing without them.
-MOMENT = 0.05
+LOADING_GRACE = 0.05
 
 
 def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_end: float, part: Part = WHOLE) -> Camera:
@@ -85,7 +85,7 @@ class Viewport:
         if sources:
             self._stop_preview()
             self._loading = VolumeLoading(self.reader, sources)
-            self._loading.wait(MOMENT)
+            self._loading.wait(LOADING_GRACE)
             if not self._loading.done:
                 # Keep the previous picture, and its data in use, meanwhile.
                 self._before = self.description or self._before

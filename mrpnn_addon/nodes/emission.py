@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 # Emission strengths and blackbody intensities up to this count as 0.
-LEAST = 1e-5
+NEGLIGIBLE = 1e-5
 # Stefan-Boltzmann constant, W/(m^2 K^4), as radiance and scaled by 1e-6 as in Cycles.
 STEFAN_BOLTZMANN = 5.670373e-8 * 1e-6 / math.pi
 # Temperatures, in K, beyond which the colour is constant.
@@ -31,9 +31,9 @@ def blackbody_colour(temperature: np.ndarray) -> np.ndarray:
 def strength_and_colour(values, node, strength: str, colour: str, groups) -> np.ndarray:
     """(n, 3) product of two sockets; 0 where the strength is not positive."""
     amount = values.number(node, strength, groups)
-    if amount.max() <= LEAST and not values.is_linked(node, strength, groups):
+    if amount.max() <= NEGLIGIBLE and not values.is_linked(node, strength, groups):
         return np.zeros((1, 3))
-    return np.where(amount > LEAST, amount * values.colour(node, colour, groups), 0.0)
+    return np.where(amount > NEGLIGIBLE, amount * values.colour(node, colour, groups), 0.0)
 
 
 def blackbody(values, node, groups, attribute: str) -> np.ndarray:
@@ -42,13 +42,13 @@ def blackbody(values, node, groups, attribute: str) -> np.ndarray:
     attribute: name of the grid that scales its Temperature, if it exists.
     """
     share = values.number(node, "Blackbody Intensity", groups)
-    if share.max() <= LEAST and not values.is_linked(node, "Blackbody Intensity", groups):
+    if share.max() <= NEGLIGIBLE and not values.is_linked(node, "Blackbody Intensity", groups):
         return np.zeros((1, 3))
     temperature = np.maximum(values.number(node, "Temperature", groups), 0.0)
     if attribute and values.points.has(attribute):
         temperature = temperature * np.maximum(values.points.attribute(attribute, node), 0.0)
     intensity = STEFAN_BOLTZMANN * (1.0 - share + share * temperature**4)
-    intensity = np.where((share > LEAST) & (intensity > LEAST), intensity, 0.0)
+    intensity = np.where((share > NEGLIGIBLE) & (intensity > NEGLIGIBLE), intensity, 0.0)
     return intensity * values.colour(node, "Blackbody Tint", groups) * blackbody_colour(temperature)
 
 
@@ -56,4 +56,4 @@ def reads_temperature(values, node, groups, attribute: str) -> bool:
     """Whether a grid that Principled Volume reads itself drives its blackbody's temperature."""
     share = values.number(node, "Blackbody Intensity", groups)
     return bool(attribute) and values.points.has(attribute) and (
-        share.max() > LEAST or values.is_linked(node, "Blackbody Intensity", groups))
+        share.max() > NEGLIGIBLE or values.is_linked(node, "Blackbody Intensity", groups))

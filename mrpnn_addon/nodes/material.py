@@ -9,7 +9,7 @@ from ...inference.scene.phase_function import PhaseFunction
 from .emission import blackbody, reads_temperature, strength_and_colour
 from .evaluation import NodeEvaluator
 from .phase_functions import phase_function
-from .snapshot import copied
+from .snapshot import snapshot
 from .sockets import Unsupported, active_output, input_of, source_of
 
 SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
@@ -71,7 +71,7 @@ class VolumeMaterial:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
         if self.output.inputs['Displacement'].is_linked:
             self.refuse("displacement of volumes is not supported; unlink it")
-        self.output = copied(material.node_tree, self.output)
+        self.output = snapshot(material.node_tree, self.output)
 
     def refuse(self, problem, kind=SceneError):
         """Raise SceneError, or a subclass, naming object and material."""

@@ -44,7 +44,7 @@ class Curve(Copy):
         return self.table[round((place - low) / (high - low) * CURVE_CELLS)]
 
 
-def copied(tree, node) -> Copy:
+def snapshot(tree, node) -> Copy:
     """A copy of one node of a tree, with all nodes that it is linked to."""
     return _tree(tree, {})[node.as_pointer()]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 # Normalises gradient noise to [-1, 1]: OSL's constant for three dimensions.
 NOISE_RANGE = 0.982
-MOST_DETAIL = 15.0
+MAX_DETAIL = 15.0
 
 
 def noise(points, detail: float, roughness: float, lacunarity: float, distortion: float, normalize: bool):
@@ -20,7 +20,7 @@ def noise(points, detail: float, roughness: float, lacunarity: float, distortion
     if distortion != 0.0:
         points = points + distortion * np.concatenate(
             [gradient_noise(points + _offset(seed)) for seed in range(3)], axis=1)
-    detail = min(max(detail, 0.0), MOST_DETAIL)
+    detail = min(max(detail, 0.0), MAX_DETAIL)
     total, span, amplitude, frequency = np.zeros((len(points), 1)), 0.0, 1.0, 1.0
 
     def levelled(value, span):

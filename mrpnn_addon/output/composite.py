@@ -15,12 +15,12 @@ from .composite_nodes import build_nodes, compositor_problems, remove_nodes
 
 ENGINE = 'MRPNN'
 # Properties that differ between the two scenes by design.
-_OWN_RENDER = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
-_OWN_SETTINGS = {"rna_type", "name", "version", "preset"}
+_OWN_RENDER_PROPERTIES = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
+_OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
 # Set before other properties of a file format, whose values depend on them.
 _FORMAT = ("media_type", "file_format", "color_mode")
-_OF_SCENE = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
-_OF_LAYER_COLLECTION = ("exclude", "holdout", "indirect_only", "hide_viewport")
+_SCENE_PROPERTIES = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
+_LAYER_COLLECTION_PROPERTIES = ("exclude", "holdout", "indirect_only", "hide_viewport")
 _RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
          "visible_shadow")
 
@@ -110,10 +110,10 @@ def synchronize(scene, structure: bool = True) -> None:
     _set(volumes.render, "film_transparent", True)
     _set(volumes.render, "use_compositing", False)
     _set(volumes.render, "use_sequencer", False)
-    _copy_values(scene.render, volumes.render, _OWN_RENDER)
+    _copy_values(scene.render, volumes.render, _OWN_RENDER_PROPERTIES)
     _set(volumes.render, "filepath", _beside(scene.render.filepath))
-    _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS)
-    for name in _OF_SCENE:
+    _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS_PROPERTIES)
+    for name in _SCENE_PROPERTIES:
         _set(volumes, name, getattr(scene, name))
     if not structure:
         return
@@ -206,7 +206,7 @@ def _copy_layer(target, sources) -> None:
             children.setdefault(child.collection, []).append(child)
     for child in target.children:
         found = children.get(child.collection, ())
-        for name in _OF_LAYER_COLLECTION:
+        for name in _LAYER_COLLECTION_PROPERTIES:
             if found:
                 _set(child, name, all(getattr(one, name) for one in found))
         _copy_layer(child, found)

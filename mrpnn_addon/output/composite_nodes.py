@@ -5,7 +5,7 @@ import bpy
 
 FIVE = bpy.app.version >= (5, 0, 0)
 MATH = 'ShaderNodeMath' if FIVE else 'CompositorNodeMath'
-BEHIND, BEFORE = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
+BACKGROUND, FOREGROUND = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
 # Nodes of a compositor that shows the scene unchanged; before 5.0 Blender creates one by default.
 BARE = {'NodeGroupOutput'} if FIVE else {
     'CompositorNodeComposite', 'CompositorNodeRLayers', 'CompositorNodeViewer', 'NodeReroute'}
@@ -30,11 +30,11 @@ def build_nodes(scene, volumes) -> bool:
     sockets = _sockets(over)
     if not _upstream(result, over):
         if result.is_linked:
-            tree.links.new(result.links[0].from_socket, sockets[BEHIND])
+            tree.links.new(result.links[0].from_socket, sockets[BACKGROUND])
         tree.links.new(over.outputs["Image"], result)
-    if not sockets[BEHIND].is_linked:
-        tree.links.new(_surfaces(tree, scene).outputs["Image"], sockets[BEHIND])
-    tree.links.new(layer.outputs["Image"], sockets[BEFORE])
+    if not sockets[BACKGROUND].is_linked:
+        tree.links.new(_surfaces(tree, scene).outputs["Image"], sockets[BACKGROUND])
+    tree.links.new(layer.outputs["Image"], sockets[FOREGROUND])
     _remove(tree, "nearer")
     if _panorama(scene):
         _compare_depths(tree, _surfaces(tree, scene), layer, sockets["Fac"])
@@ -48,7 +48,7 @@ def remove_nodes(scene, made: bool) -> None:
         return
     over, surfaces = _found(tree, "over"), _found(tree, "surfaces")
     if over is not None:
-        behind = _sockets(over)[BEHIND]
+        behind = _sockets(over)[BACKGROUND]
         source = behind.links[0].from_socket if behind.is_linked else None
         for link in list(over.outputs["Image"].links):
             if source is not None and source.node != surfaces:
@@ -75,9 +75,9 @@ def compositor_problems(scene, volumes) -> list[str]:
     if layer is None or over is None or output is None or not _upstream(output.inputs[0], over):
         return ["The compositor's output does not show the volumes"]
     sockets, found = _sockets(over), []
-    if layer.mute or over.mute or not _upstream(sockets[BEFORE], layer):
+    if layer.mute or over.mute or not _upstream(sockets[FOREGROUND], layer):
         found.append("The compositor's output does not show the volumes")
-    if not sockets[BEHIND].is_linked:
+    if not sockets[BACKGROUND].is_linked:
         found.append("The compositor's output does not show the surfaces")
     if volumes is not None and layer.scene != volumes:
         found.append(f"The compositor shows the volumes of another scene than \"{volumes.name}\"")

@@ -19,7 +19,7 @@ LONG_NAMES = 0x400
 FLOAT_PIXELS = 2
 ZIP_COMPRESSION = 3
 LINES_PER_BLOCK = 16
-LONGEST_NAME = 255
+MAX_NAME_BYTES = 255
 
 
 def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float],
@@ -74,8 +74,8 @@ def _block(rows: np.ndarray) -> bytes:
 
 def _header(names, width: int, height: int, attributes) -> bytes:
     longest = max(len(name.encode()) for name in [*names, *attributes])
-    if longest > LONGEST_NAME:
-        raise ValueError(f"EXR names hold at most {LONGEST_NAME} bytes, not {longest}")
+    if longest > MAX_NAME_BYTES:
+        raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
     entries = [
         ("channels", "chlist", b"".join(map(_channel, names)) + b"\0"),

@@ -8,9 +8,9 @@ import bpy
 from ...inference.scene import SceneError
 
 # Blender's largest frame.
-MOST_FRAMES = 1 << 20
+MAX_FRAMES = 1 << 20
 # "12", "1-10" and Blender's "1..10"; frames may be negative.
-_SPAN = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
+_RANGE = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
 
 
 def parse_frames(text: str) -> list[int]:
@@ -20,15 +20,15 @@ def parse_frames(text: str) -> list[int]:
     """
     frames = []
     for part in text.split(","):
-        match = _SPAN.fullmatch(part.strip())
+        match = _RANGE.fullmatch(part.strip())
         if match is None:
             raise SceneError(f"cannot read frames {text!r}; write them as 1-10,15")
         first = int(match[1])
         last = first if match[2] is None else int(match[2])
         if last < first:
             raise SceneError(f"frames {part.strip()} run backwards; write {last}-{first}")
-        if last - first >= MOST_FRAMES:
-            raise SceneError(f"{part.strip()} has more than {MOST_FRAMES} frames")
+        if last - first >= MAX_FRAMES:
+            raise SceneError(f"{part.strip()} has more than {MAX_FRAMES} frames")
         frames += range(first, last + 1)
     return list(dict.fromkeys(frames))
 

@@ -70,7 +70,7 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     """
     require_evaluated(depsgraph)
     camera, warnings = read_camera(depsgraph)
-    description = _described(depsgraph, reader, check)
+    description = _describe(depsgraph, reader, check)
     description.camera, description.warnings = camera, warnings + description.warnings
     description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
     if not description.volumes and description.empty:
@@ -89,7 +89,7 @@ def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription
 
     The description may be empty. Without light, volumes are black as in Cycles.
     """
-    description = _described(depsgraph, reader, space=space)
+    description = _describe(depsgraph, reader, space=space)
     if description.volumes and not _has_light(description):
         description.suns.append(Sun((0.0, 0.0, 1.0), 0.0, name="no light"))
         description.refused.append(NO_LIGHT)
@@ -97,7 +97,7 @@ def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription
     return description
 
 
-def _described(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
+def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
     scene = depsgraph.scene
     description = SceneDescription(
         crop=scene.render.use_crop_to_border, view_layer=depsgraph.view_layer.name, frame=scene.frame_current,

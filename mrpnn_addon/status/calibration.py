@@ -14,7 +14,7 @@ from .cost_model import STAGES, Calibration, calibrate
 
 FILE = "mrpnn_speed.json"
 # Smaller changes of a machine's rates are not written.
-SAME = 0.1
+TOLERANCE = 0.1
 
 _known: Calibration | None = None
 
@@ -36,7 +36,7 @@ def calibrate_by(workload: Workload | None, layer) -> None:
     calibrate(known, workload, layer.report, layer.alpha)
     rates, threads = before
     if threads != known.threads or any(
-            abs(rate - rates.get(stage, 0.0)) > SAME * rate for stage, rate in known.rates.items()):
+            abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
         _write(known)
 
 

@@ -61,7 +61,7 @@ class Calibration:
     threads: int = CORES
 
 
-def seconds_of(workload: Workload, threads: int, known: Calibration) -> float:
+def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> float:
     """Estimated wall-clock seconds."""
     shares = _shares(workload, known)
     evaluated = workload.steps * shares.evaluated * workload.channels

@@ -16,7 +16,7 @@ from ..objects.workload import estimate_workload
 from ..volumes.bounding_boxes import box_around
 from ..world.lighting import expected_lights
 from .calibration import calibration
-from .cost_model import is_rough, seconds_of
+from .cost_model import is_rough, estimate_seconds
 
 
 @dataclass
@@ -68,6 +68,6 @@ def forecast(depsgraph) -> Forecast:
     suns = len(merge_parallel(lights)) + world
     workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = workload.window * settings.depth_samples * suns
-    seconds = seconds_of(workload, settings.threads or os.cpu_count() or 1, calibration())
+    seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     return Forecast(len(boxes), suns, workload.window, points, seconds, warnings, lamps=lamps, world=world > 0,
                     rough=is_rough(workload, calibration()))

@@ -25,7 +25,7 @@ INTERPRETER = "" if sys.executable == bpy.app.binary_path else sys.executable
 SECONDS, SECONDS_PER_BYTE = 20, 2e-7
 MEMORY = 16 << 30
 # Wall-clock limit as a multiple of processor seconds, for busy machines.
-PATIENCE = 10
+WALL_CLOCK_FACTOR = 10
 # On Windows, exit statuses from here on are crashes.
 WINDOWS_CRASH = 0xC0000000
 
@@ -51,7 +51,7 @@ def read_in_process(path: str, grid_name: str, most_voxels: int, where: str, col
         return None  # Python cannot be started.
     with process:
         started(process)
-        impatient = threading.Timer(PATIENCE * seconds, process.kill)
+        impatient = threading.Timer(WALL_CLOCK_FACTOR * seconds, process.kill)
         impatient.start()
         try:
             found = _receive(process.stdout, collect)

@@ -19,7 +19,7 @@ from .voxel_points import Probe
 USUAL_PEAK = 2.0
 
 
-class _Ones(Probe):
+class _OnesProbe(Probe):
     """One point where every grid is 1."""
 
     def has(self, name):
@@ -97,7 +97,7 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
         scale = density_scale(shown.object.data.render.space, shown.matrix)
     meshed = shown.object.type != 'VOLUME' and not gas_domain(shown.object)
     try:
-        shading = VolumeMaterial(first_material(shown.object), shown.name).at(_Ones((), fills_its_bounds=meshed))
+        shading = VolumeMaterial(first_material(shown.object), shown.name).at(_OnesProbe((), fills_its_bounds=meshed))
     except SceneError:
         # Rendering reports the problem.
         return np.full(3, scale)

@@ -13,7 +13,7 @@ COLUMNS = 2
 # Columns avoid voxel centres, so that none meets the edges of regular meshes.
 OFFSET = 0.5137, 0.4931
 # Share of columns, or of the surface, that may be a gap.
-OPEN = 0.005
+MAX_GAP = 0.005
 PAIRS_PER_BATCH = 1 << 21
 
 
@@ -45,7 +45,7 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None
     share, gaps = _share(corners, cells, check)
     # The area vectors of a closed surface sum to 0.
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > OPEN:
+    if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > MAX_GAP:
         raise SceneError(f"{where}: the mesh is not closed, so it has no inside; close its holes")
     index = np.eye(4)
     index[:3, :3] = np.diag(size)

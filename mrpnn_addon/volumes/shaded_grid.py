@@ -51,11 +51,11 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
 
     # Two voxels reveal which values are uniform.
     points, shading = at(np.zeros(2, int))
-    plain, placed = _plain(shading), points.placed
+    uniform, placed = _has_uniform_colour(shading), points.placed
     emits = len(shading.emission) > 1 or shading.emission.any()
     if not shading.closures and not emits:
         refuse_nothing(material)
-    if plain and inside is None and shading.closures[0].grid:
+    if uniform and inside is None and shading.closures[0].grid:
         # The shader's coefficients are one grid's values, unchanged.
         closure = shading.closures[0]
         density, phases = grids[closure.grid], {closure.phase: float(closure.scatter.mean())}
@@ -67,7 +67,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
             check()
             points, shading = at(voxels)
             _sum_phases(phases, shading, len(voxels))
-            if plain:
+            if uniform:
                 density[voxels] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
             else:
                 coefficients = _coefficients(shading)
@@ -81,7 +81,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         if not density.max() > 0.0 and not emits:
             _refuse_emptiness(material)
         density = density.reshape(shape)
-    if plain:
+    if uniform:
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
@@ -130,7 +130,7 @@ def _chunks(grids, placed: bool, inside):
             yield start + voxels
 
 
-def _plain(shading) -> bool:
+def _has_uniform_colour(shading) -> bool:
     return len(shading.closures) == 1 and len(shading.closures[0].scatter) == len(shading.closures[0].absorb) == 1
 
 

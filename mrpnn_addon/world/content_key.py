@@ -11,7 +11,7 @@ IRRELEVANT = {
     'outputs', 'node_preview', 'users', 'is_evaluated',
 }
 # Nesting limit of structs in nodes: ramps, curves, mappings, image users.
-DEEPEST = 6
+MAX_DEPTH = 6
 
 
 def world_key(world) -> str:
@@ -42,7 +42,7 @@ def _tree(tree, seen):
 def _values(struct, seen, depth):
     found = [struct.bl_rna.identifier]
     for prop in struct.bl_rna.properties:
-        if prop.identifier in IRRELEVANT or depth > DEEPEST:
+        if prop.identifier in IRRELEVANT or depth > MAX_DEPTH:
             continue
         value = getattr(struct, prop.identifier, None)
         if prop.type == 'COLLECTION':
@@ -52,7 +52,7 @@ def _values(struct, seen, depth):
         elif isinstance(value, bpy.types.ID):
             value = _block(value)
         elif isinstance(value, bpy.types.bpy_struct):
-            value = _values(value, seen, depth + 1) if depth < DEEPEST else None
+            value = _values(value, seen, depth + 1) if depth < MAX_DEPTH else None
         elif getattr(prop, 'is_array', False):
             value = [float(number) for number in value] if prop.type == 'FLOAT' else list(value)
         found.append((prop.identifier, value))

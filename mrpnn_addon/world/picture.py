@@ -11,13 +11,13 @@ from .content_key import trees, world_key
 from .process import SECONDS, PictureFailed, WorldProcess
 
 # Number of Worlds whose light is cached: an animated sky is another World in each frame.
-MOST = 16
+MAX_LIGHTS = 16
 # Numbers of Worlds whose process and views are cached, and of views of each.
-MOST_SOURCES, MOST_VIEWS = 2, 2
+MAX_SOURCES, MAX_VIEWS = 2, 2
 # Samples per second that any machine renders.
-SLOWEST = 500_000
+SAMPLES_PER_SECOND = 500_000
 # Coordinates that depend on the view, not only on the direction.
-OF_THE_VIEW = {'Window', 'Camera'}
+VIEW_COORDINATES = {'Window', 'Camera'}
 
 
 @dataclass
@@ -49,7 +49,7 @@ class WorldSource:
         self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
         links = [link for tree in trees(world) for link in tree.links]
         self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord'
-                                   and link.from_socket.name in OF_THE_VIEW for link in links)
+                                   and link.from_socket.name in VIEW_COORDINATES for link in links)
         self._process = WorldProcess(world, scene)
 
     def read(self, started=lambda process: None, check=lambda: None):
@@ -61,7 +61,7 @@ class WorldSource:
             found = WorldPicture(**self._ask({}, check))
         except PictureFailed as failure:
             found = failure
-        while len(_known) >= MOST:
+        while len(_known) >= MAX_LIGHTS:
             del _known[next(iter(_known))]
         _known[self.key] = found
         return found
@@ -78,9 +78,9 @@ class WorldSource:
         key = repr(job)
         if key not in self._views:
             x0, y0, x1, y1 = camera.window
-            seconds = SECONDS + (x1 - x0) * (y1 - y0) * samples / SLOWEST
+            seconds = SECONDS + (x1 - x0) * (y1 - y0) * samples / SAMPLES_PER_SECOND
             found = np.ascontiguousarray(self._ask({"view": job}, check, seconds)["pixels"][::-1])
-            while len(self._views) >= MOST_VIEWS:
+            while len(self._views) >= MAX_VIEWS:
                 del self._views[next(iter(self._views))]
             self._views[key] = found
         return self._views[key]
@@ -102,7 +102,7 @@ def world_source(world, scene) -> WorldSource:
     """The source of an evaluated World in its scene's frame; shared while the World looks the same."""
     key = _key(world, scene)
     source = _sources.pop(key, None) or WorldSource(key, world, scene)
-    while len(_sources) >= MOST_SOURCES:
+    while len(_sources) >= MAX_SOURCES:
         del _sources[next(iter(_sources))]
     # Least recently used first.
     _sources[key] = source

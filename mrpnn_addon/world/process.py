@@ -93,7 +93,7 @@ class WorldProcess:
 
     def _last_words(self):
         lines = (self._folder / "log.txt").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "its process said nothing"
+        return lines[-1] if lines else "no output"
 
 
 def _end(running):

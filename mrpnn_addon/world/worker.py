@@ -27,14 +27,14 @@ IDLE = 30.0
 ROWS, SAMPLES = 128, 16
 # Discs are located at this minimum size, in radians, and then rendered at their own size through a lens so many times
 # as wide.
-LOCATED, AROUND = math.radians(3.0), 4.0
+LOCATING_SIZE, LENS_WIDTHS = math.radians(3.0), 4.0
 DISC_PIXELS, DISC_SAMPLES = 96, 32
 LUMA = np.array([0.2126, 0.7152, 0.0722])
-# Samples of a view whose neighbouring pixels differ by at most a share UNEVEN. Other pixels form bands so many rows
-# apart, with a rim of the pixel filter's width, at most MOST_BANDS: each band is a render of its own.
-FEW, UNEVEN, APART, RIM, MOST_BANDS = 4, 0.02, 32, 2, 4
+# Samples of a view whose neighbouring pixels differ by at most a share VARIATION. Other pixels form bands so many rows
+# apart, with a rim of the pixel filter's width, at most MAX_BANDS: each band is a render of its own.
+FEW_SAMPLES, VARIATION, BAND_GAP, BAND_RIM, MAX_BANDS = 4, 0.02, 32, 2, 4
 # Sky types without a sun disc.
-WITHOUT_DISC = {'PREETHAM', 'HOSEK_WILKIE'}
+DISCLESS_SKIES = {'PREETHAM', 'HOSEK_WILKIE'}
 # Range of focal length over sensor width: 1 mm over 100 mm, 5000 mm over 1 mm.
 WIDEST, LONGEST = 0.01, 5000.0
 
@@ -92,7 +92,7 @@ def _without_fog(tree):
 
 def _light(scene, trees, target):
     discs = [node for tree in trees for node in tree.nodes if node.bl_idname == 'ShaderNodeTexSky'
-             and node.sky_type not in WITHOUT_DISC and node.sun_disc]
+             and node.sky_type not in DISCLESS_SKIES and node.sun_disc]
     for tree in trees:
         _as_volumes_see(tree)
     scene.world.cycles_visibility.camera = True
@@ -137,8 +137,8 @@ def _view(scene, view, target):
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
     camera = _aimed(scene, view)
     x0, y0, x1, y1 = view["region"] or (0, 0, width, height)
-    pixels = _rendered(scene, camera, (width, height), min(view["samples"], FEW), target, (x0, y0, x1, y1))
-    if view["samples"] > FEW:
+    pixels = _rendered(scene, camera, (width, height), min(view["samples"], FEW_SAMPLES), target, (x0, y0, x1, y1))
+    if view["samples"] > FEW_SAMPLES:
         # Few samples suffice for most of a sky.
         for low, high, left, right in _uneven(pixels):
             part = x0 + left, y1 - high, x0 + right, y1 - low
@@ -151,7 +151,7 @@ def _uneven(pixels):
     level = np.maximum(np.abs(pixels).max(axis=2), 1e-3 * np.abs(pixels).mean())
     uneven = np.zeros(level.shape, bool)
     for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-        steps = np.abs(pixels[one] - pixels[other]).max(axis=2) > UNEVEN * np.minimum(level[one], level[other])
+        steps = np.abs(pixels[one] - pixels[other]).max(axis=2) > VARIATION * np.minimum(level[one], level[other])
         uneven[one] |= steps
         uneven[other] |= steps
     rows = np.flatnonzero(uneven.any(axis=1))
@@ -159,11 +159,11 @@ def _uneven(pixels):
         return []
     height, width = level.shape
     bands = []
-    for band in np.split(rows, np.flatnonzero(np.diff(rows) > APART) + 1):
+    for band in np.split(rows, np.flatnonzero(np.diff(rows) > BAND_GAP) + 1):
         columns = np.flatnonzero(uneven[band].any(axis=0))
-        bands.append((max(band[0] - RIM, 0), min(band[-1] + 1 + RIM, height),
-                      max(columns[0] - RIM, 0), min(columns[-1] + 1 + RIM, width)))
-    return np.array(bands if len(bands) <= MOST_BANDS else [(0, height, 0, width)]).tolist()
+        bands.append((max(band[0] - BAND_RIM, 0), min(band[-1] + 1 + BAND_RIM, height),
+                      max(columns[0] - BAND_RIM, 0), min(columns[-1] + 1 + BAND_RIM, width)))
+    return np.array(bands if len(bands) <= MAX_BANDS else [(0, height, 0, width)]).tolist()
 
 
 def _aimed(scene, view):
@@ -234,7 +234,7 @@ def _rendered(scene, camera, size, samples, target, region=None):
 def _disc(scene, node, sky, target):
     """The disc of one Sky Texture: direction, irradiance and angular diameter; none where it is not visible."""
     size = node.sun_size
-    node.sun_disc, node.sun_size = True, max(size, LOCATED)
+    node.sun_disc, node.sun_size = True, max(size, LOCATING_SIZE)
     found = _rendered(scene, _panorama(scene), (2 * ROWS, ROWS), SAMPLES, target) - sky
     latitude = (np.arange(ROWS) + 0.5) / ROWS * math.pi - math.pi / 2.0
     longitude = (0.5 - (np.arange(2 * ROWS) + 0.5) / (2 * ROWS)) * 2.0 * math.pi
@@ -247,7 +247,7 @@ def _disc(scene, node, sky, target):
         return []
     middle = np.einsum("ij,ijk->k", np.where(light > 0.2 * light.max(), light, 0.0), directions)
     node.sun_size = size
-    extent = min(max(AROUND * size, AROUND * LOCATED / 2.0), 2.0)
+    extent = min(max(LENS_WIDTHS * size, LENS_WIDTHS * LOCATING_SIZE / 2.0), 2.0)
     turn = Vector(-middle).to_track_quat('Z', 'Y').to_matrix()
     camera = _aimed(scene, {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0,
                             "shift": (0.0, 0.0)})
