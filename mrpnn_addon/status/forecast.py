@@ -16,7 +16,7 @@ from ..objects.workload import estimate_workload
 from ..volumes.bounding_boxes import box_around
 from ..world.lighting import expected_lights
 from .calibration import calibration
-from .cost_model import is_rough, estimate_seconds
+from .cost_model import estimate_seconds, is_rough
 
 
 @dataclass
