@@ -18,7 +18,7 @@ import threading
 
 import bpy
 
-from tests import blender_scenes
+from tests.support import blender_scenes
 
 from ..support.extension import load_extension
 

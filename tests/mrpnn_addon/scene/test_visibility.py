@@ -27,7 +27,7 @@ def read(addon):
 
 
 @pytest.mark.parametrize("how, word", [
-    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect light only"),
+    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect-only"),
     ("camera", "hidden from the camera")])
 def test_a_volume_that_the_camera_does_not_see_is_left_out_by_name(addon, two, how, word):
     second, layer = two
