@@ -1,4 +1,4 @@
-"""The shipped network against path-traced references: our own tracer's and independent ones."""
+"""The shipped network against path-traced references, independent ones and our own."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ BIAS, RMSE = 0.10, 0.30
 
 
 def check(layer, a, b, mask, folder):
-    """Assert bias and error; leave the pictures behind where they fail."""
+    """Assert bias and error; write the pictures where that fails."""
     bias, rmse = relative_bias(layer.rgb, a, b, mask), relative_rmse(layer.rgb, a, b, mask)
     picture = folder / "ours-reference-error.png"
     pictures.picture({"ours": layer.rgb}, a, b).save(picture)

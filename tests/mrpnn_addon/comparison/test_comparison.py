@@ -1,4 +1,4 @@
-"""The comparison: its arithmetic against planted images, its operator on a real scene in Blender."""
+"""The comparison: its figures for planted images, and its operator on real scenes in Blender."""
 
 import importlib
 import json
@@ -27,7 +27,7 @@ def kept(addon):
 
 @pytest.fixture
 def planted(kept):
-    """A layer 5 % brighter than a noisy reference of two passes, and three rungs of Cycles: gives (passes, request)."""
+    """A layer 5 % brighter than a noisy reference of two passes, and Cycles at three sample counts."""
     from mrpnn.mrpnn_addon.comparison.plan import Request
 
     rng = np.random.default_rng(3)
@@ -97,7 +97,7 @@ def test_the_same_image_as_layer_and_reference_has_no_error(comparison, kept, pl
     assert any("one image from a file" in mark for mark in given.marks)
 
 
-def test_few_bounces_another_alpha_and_a_busy_machine_are_marked(comparison, kept, planted):
+def test_few_bounces_a_different_alpha_and_a_busy_machine_are_marked(comparison, kept, planted):
     passes, request = planted
     assert comparison.compare(passes, request, 1024, "4.5.15").marks == []
     layer = passes[request.layers[0]]
@@ -110,7 +110,7 @@ def test_few_bounces_another_alpha_and_a_busy_machine_are_marked(comparison, kep
         comparison.compare(passes, request, 1024, "4.5.15", given=layer.image)
 
 
-def test_json_holds_every_figure_and_replaces_the_file_whole(comparison, planted, tmp_path):
+def test_json_holds_every_figure_and_replaces_the_file_atomically(comparison, planted, tmp_path):
     result = comparison.compare(*planted, 1024, "4.5.15")
     path = tmp_path / "figures.json"
     path.write_text("old")
@@ -143,7 +143,7 @@ def test_images_of_different_size_an_empty_view_and_no_reference_are_refused(com
 
 
 def small(folder, **settings):
-    """Arguments of a comparison that takes seconds."""
+    """Options of a comparison that takes seconds."""
     return {"samples": 16, "scale": 50, "ladder": 1, "folder": str(folder / "comparison"), **settings}
 
 
@@ -175,7 +175,7 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
 
 
 def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
-    """Cycles' process has never shown the frame. The second file is four times as dense."""
+    """Cycles' process has never rendered that frame. The second file is four times as dense."""
     cloud = make.cloud_scene(scene, tmp_path, density=1.0)
     folder = tmp_path / "sequence"
     folder.mkdir()
@@ -238,7 +238,7 @@ def started(addon, scene, tmp_path):
     return start
 
 
-def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started, scene, tmp_path):
+def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(started, scene, tmp_path):
     before = state_of_file()
     first = started()
     while sum(job.by_cycles for job in first.job.passes) < 2:
@@ -265,7 +265,7 @@ def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started
     third.job.stop()
 
 
-def test_a_cycles_that_dies_is_a_message_and_leaves_the_file_alone(started):
+def test_a_crash_of_cycles_is_a_message_and_leaves_the_file_alone(started):
     before = state_of_file()
     run = started()
     while run.job._process._process is None:
@@ -278,7 +278,7 @@ def test_a_cycles_that_dies_is_a_message_and_leaves_the_file_alone(started):
     assert state_of_file() == before
 
 
-def test_a_given_image_is_judged_by_and_a_wrong_one_refused(started, scene, tmp_path):
+def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_path):
     first = started()
     first.wait()
     image = bpy.data.images.new("given", 16, 16, alpha=True, float_buffer=True)

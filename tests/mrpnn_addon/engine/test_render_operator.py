@@ -1,4 +1,4 @@
-"""Rendering inside Blender: the operator and the worker thread."""
+"""Rendering in Blender: the operator and the worker thread."""
 
 import threading
 import time
@@ -31,7 +31,7 @@ def image_pixels():
     return values.reshape(image.size[1], image.size[0], 4)[::-1]
 
 
-def test_the_operator_gives_the_layer_of_the_library(addon, scene, cloud, tmp_path):
+def test_the_operator_renders_the_librarys_layer(addon, scene, cloud, tmp_path):
     assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {'FINISHED'}
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     layer = addon.inference.render(
@@ -97,13 +97,13 @@ def test_a_worker_thread_gives_the_same_layer(addon, scene, cloud):
     np.testing.assert_array_equal(image_pixels()[..., :3], job.result.layer.rgb)
 
 
-def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
+def test_a_cancelled_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
     scene.render.resolution_x = scene.render.resolution_y = 256
     settings = addon.inference.Settings(depth_samples=64)
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     path = tmp_path / "layer.exr"
     job = addon.mrpnn_addon.engine.render_job.RenderJob(described, settings, str(path))
-    # Until the network is at work, deep inside the render.
+    # Until the network is evaluated, deep inside the render.
     while "multiple" not in job.message and not job.done:
         time.sleep(0.01)
     job.stop()

@@ -1,4 +1,4 @@
-"""The preview of Rendered shading: its camera, its pictures, its end. Drawing needs a window."""
+"""The preview of Rendered shading: its camera, its refinement and its end. Drawing needs a window."""
 
 import threading
 import time
@@ -23,7 +23,7 @@ def described(addon):
 
 
 @pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
-def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, kind):
+def test_looking_through_the_camera_is_the_renders_view(addon, scene, cloud, kind):
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     camera.rotation_euler = (0.1, 0.2, 0.3)
@@ -39,15 +39,15 @@ def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, ki
 
 
 @pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
-def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
-    """As with a render region, of any place and shape."""
+def test_a_region_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
+    """Of any position and shape, as a render region is."""
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     description = described(addon)
     view = (camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
             kind == 'PERSP', (64, 48))
     make = addon.mrpnn_addon.engine.viewport.viewport_camera
-    # Pixels at the rim of the part have no neighbours outside it that could speak for them.
+    # Pixels at the region's border have no neighbours outside it to interpolate from.
     settings = addon.inference.Settings(depth_samples=1, leave_out=addon.inference.scene.optimizations.ALL - {"shared_pixels"})
     whole, part = (addon.inference.render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
                                           settings).alpha
@@ -61,7 +61,7 @@ def prepared(addon):
 
 
 def pictures(preview):
-    """Every picture it makes, by number."""
+    """Every picture of the preview, by number."""
     found = {}
     while not preview.done:
         if preview.picture is not None:
@@ -70,7 +70,7 @@ def pictures(preview):
     return {**found, preview.number: preview.picture}
 
 
-def test_pictures_get_finer_and_end_as_the_render(addon, scene, cloud):
+def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     description = described(addon)
     large = replace(description.camera, resolution=(160, 120))
     settings, shared = addon.inference.Settings(depth_samples=3), prepared(addon)
@@ -79,7 +79,7 @@ def test_pictures_get_finer_and_end_as_the_render(addon, scene, cloud):
     assert shapes == sorted(shapes) and shapes[0] == (40, 53, 4) and max(first) == 4
     layer = addon.inference.render(description.volumes, description.suns, large, settings)
     np.testing.assert_array_equal(first[4][::-1, :, :3], layer.rgb)
-    # The next view finds all fields there, and begins with multiple scattering.
+    # The next view finds all fields in the cache, and begins with multiple scattering.
     turned = replace(large, fov=0.5)
     second = pictures(addon.mrpnn_addon.engine.preview.Preview(description, turned, settings, shared))
     assert max(second) == 3 and second[1].shape == (40, 53, 4)
@@ -91,7 +91,7 @@ def test_pictures_get_finer_and_end_as_the_render(addon, scene, cloud):
 
 
 def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
-    """Sun, place, density, colour and anisotropy, one after another, with what is kept of the scenes before."""
+    """Sun, position, density, colour and anisotropy, one after another, with one render cache."""
     settings, shared = addon.inference.Settings(depth_samples=1), prepared(addon)
     sun = next(item for item in scene.objects if item.type == 'LIGHT')
     node = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
@@ -124,8 +124,8 @@ def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
 
 
 @pytest.mark.parametrize("pictures_before", [0, 1, 2, 3])
-def test_a_stopped_preview_ends_its_thread(addon, scene, cloud, pictures_before):
-    """While any of its pictures is made, within a second of two threads."""
+def test_a_cancelled_preview_ends_its_thread(addon, scene, cloud, pictures_before):
+    """At any stage of refinement, within a second of two threads."""
     description = described(addon)
     large = replace(description.camera, resolution=(512, 384))
     preview = addon.mrpnn_addon.engine.preview.Preview(

@@ -53,7 +53,7 @@ def test_the_inside_of_a_closed_mesh(addon, scene, make, size):
     lit(scene)
     (volume, medium), = read(addon).volumes
     assert total(volume) == pytest.approx(size, rel=0.01)
-    # Density of a mesh is per world unit, whatever its scale.
+    # A mesh's density is per world unit, whatever its scale.
     np.testing.assert_allclose(medium.sigma_t, 0.5 * (0.5 + 0.5))
     np.testing.assert_allclose(medium.albedo, 0.5)
     middle = np.array([(n - 1) / 2 for n in volume.density.shape] + [1.0])
@@ -75,7 +75,7 @@ def test_modifiers_shape_the_mesh(addon, scene):
 
 
 def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
-    """With smoke: tests/test_program.py, since the bpy module cannot simulate."""
+    """With smoke: tests/package/test_programs.py, since the bpy module cannot simulate."""
     fog, _ = add_mesh(scene, cube)
     modifier = fog.modifiers.new("Fluid", 'FLUID')
     modifier.fluid_type, modifier.domain_settings.domain_type = 'DOMAIN', 'GAS'
@@ -91,14 +91,14 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
 
 @pytest.mark.parametrize("seen", ["homogeneous", "gradient", "noise"])
 def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
-    # Soot: nothing for the network to do.
+    # Purely absorbing: nothing to predict.
     fog, node = add_mesh(scene, ball if seen == "homogeneous" else cube, Density=0.6, Color=(0.0, 0.0, 0.0, 1.0))
     fog.rotation_euler, fog.scale = (0.4, 0.3, 0.2), (1.0, 0.7, 1.3)
     tree = node.id_data
     if seen != "homogeneous":
         coordinates = tree.nodes.new("ShaderNodeTexCoord")
         texture = tree.nodes.new("ShaderNodeTexGradient" if seen == "gradient" else "ShaderNodeTexNoise")
-        # Noise in the coordinates that it has without a link.
+        # Noise in its default coordinates.
         if seen == "gradient":
             texture.gradient_type = 'SPHERICAL'
             tree.links.new(coordinates.outputs["Object"], texture.inputs["Vector"])
