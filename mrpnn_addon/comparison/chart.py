@@ -6,8 +6,8 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 
-from ...inference.network.baselines import OCTAVES, SINGLE
 from ...inference.evaluation.error_vs_time import Rung
+from ...inference.network.baselines import OCTAVES, SINGLE
 from ..cycles.pass_store import CYCLES, DENOISED
 
 WIDTH, HEIGHT = 760, 440

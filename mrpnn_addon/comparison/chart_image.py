@@ -7,9 +7,9 @@ import blf
 import imbuf
 import numpy as np
 
-from .chart import FRAME, HEIGHT, WIDTH, Chart, make_chart, ticks
 from ..cycles.reference import read_image
 from ..output.layer_image import IMAGE_NAME, show_image
+from .chart import FRAME, HEIGHT, WIDTH, Chart, make_chart, ticks
 
 CHART_IMAGE = f"{IMAGE_NAME} chart"
 PAPER, INK, GRID = np.float32([[0.95] * 3, [0.03] * 3, [0.75] * 3])

@@ -5,12 +5,12 @@ from dataclasses import replace
 from typing import Dict, Optional
 
 from ...inference.scene import Cancelled, SceneError, Settings
-from .plan import Request, next_job, remaining_seconds
-from ..cycles.process import CyclesProcess, PassFailed
-from ..output.layer_frame import rgba
 from ..cycles.pass_store import DENOISED, Job, Pass, PassStore
+from ..cycles.process import CyclesProcess, PassFailed
 from ..engine.render_job import RenderJob
+from ..output.layer_frame import rgba
 from ..runtime.background import in_background
+from .plan import Request, next_job, remaining_seconds
 
 ONCE = ("network loading", "fields", "shadows")
 

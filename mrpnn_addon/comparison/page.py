@@ -8,8 +8,8 @@ from string import Template
 from typing import Dict
 
 from ...inference.evaluation.error_vs_time import Rung
-from .results import Comparison
 from .chart import make_chart, svg
+from .results import Comparison
 
 TEMPLATE = Path(__file__).with_name("page.html")
 # Full colour of the signed error map, as a share of the reference's mean.

@@ -10,12 +10,12 @@ import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
-from .chart_image import show_chart
-from .results import MASK_ALPHA, Comparison
-from .page import ERROR_LIMIT, page
-from .pictures import display_png, view_png
 from ..cycles.pass_store import CYCLES, DENOISED
 from ..runtime.whole_file import whole_file
+from .chart_image import show_chart
+from .page import ERROR_LIMIT, page
+from .pictures import display_png, view_png
+from .results import MASK_ALPHA, Comparison
 
 TOO_DARK, TOO_BRIGHT = np.array([0.13, 0.40, 0.67]), np.array([0.70, 0.09, 0.17])
 COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "rmse", "rmse_low", "rmse_high", "bias",

@@ -7,13 +7,21 @@ import numpy as np
 
 from ...inference.evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
 from ...inference.evaluation.error_vs_time import (
-    PathTracing, Reached, Rung, Verdict, cost, error_on_ladder, judge, seconds_on_ladder, variance_at_one,
+    PathTracing,
+    Reached,
+    Rung,
+    Verdict,
+    cost,
+    error_on_ladder,
+    judge,
+    seconds_on_ladder,
+    variance_at_one,
 )
 from ...inference.scene import SceneError
-from .plan import Request
-from ..runtime.json_file import write_json
 from ..cycles.pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
+from ..runtime.json_file import write_json
 from .perceptual import flip
+from .plan import Request
 
 # Below this alpha a pixel holds so little of the volume that ratios are noise.
 MASK_ALPHA = 0.02

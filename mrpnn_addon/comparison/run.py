@@ -13,14 +13,14 @@ import numpy as np
 from ...inference import available_models
 from ...inference.network.baselines import OCTAVES, SINGLE, register_baselines
 from ...inference.scene import SceneError, Settings
-from . import report as comparison_report
-from .results import Comparison, compare, halves
-from .job import ComparisonJob
-from .plan import Request
+from ..cycles.pass_store import Job, PassStore, scene_key
 from ..cycles.process import CyclesProcess
 from ..cycles.reference import read_image, volumes_and_suns
-from ..cycles.pass_store import Job, PassStore, scene_key
 from ..scene.reader import read_scene, require_volumes
+from . import report as comparison_report
+from .job import ComparisonJob
+from .plan import Request
+from .results import Comparison, compare, halves
 
 REPORT_FOLDER = "//mrpnn-comparison"
 # Depth samples of the judged network's ladder besides the scene's own.

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Optional
@@ -10,23 +9,15 @@ from typing import Optional
 import bpy
 
 from ...inference.scene import SceneError
-from .reference import read_image, require_box_alpha
+from ..runtime.blender_process import blender_command
 from .pass_store import DENOISED, REFERENCE, Job, Pass
+from .reference import read_image, require_box_alpha
 from .reference_scene import box_scene, view_scene
 
 WORKER = Path(__file__).with_name("worker.py")
 # Cycles' seeds of the reference's passes begin here, so that no candidate shares one.
 REFERENCE_SEED = 1000
 CHECK = "check"
-
-
-def blender_command(script: Path, arguments) -> list:
-    """A command that runs a script in a Blender of its own, as it comes from the factory."""
-    if not bpy.app.binary_path:
-        # The bpy module has no program of its own.
-        return [sys.executable, str(script), *arguments]
-    return [bpy.app.binary_path, "--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "1",
-            "--python", str(script), "--", *arguments]
 
 
 class PassFailed(Exception):

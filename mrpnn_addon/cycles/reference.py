@@ -10,8 +10,8 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..nodes.material import SURFACES, shows_volume
-from .reference_scene import CHECK_DEPTH, box_scene, view_scene
 from ..objects.visibility import shown_objects
+from .reference_scene import CHECK_DEPTH, box_scene, view_scene
 
 CHECK_TOLERANCE = 0.02
 

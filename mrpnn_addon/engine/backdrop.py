@@ -8,14 +8,14 @@ import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
-from ...inference.scene.camera_rays import camera_rays
 from ...inference.scene import Camera, Cancelled
+from ...inference.scene.camera_rays import camera_rays
 from ..nodes.environment_image import sampler
+from ..runtime.background import Worker
 from ..scene.film import pixel_filter, world_behind
-from .viewport_region import WHOLE, Part, part_pixels
 from ..world.picture import WorldSource
 from ..world.process import PictureFailed
-from ..runtime.background import Worker
+from .viewport_region import WHOLE, Part, part_pixels
 
 # The World from its middle, +X in the middle of the picture and +Z above, as `sampler` takes it.
 PANORAMA = Camera(np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),

@@ -8,22 +8,21 @@ import gpu
 
 from ...inference.image.layer import empty_layer
 from ...inference.scene import Cancelled, SceneError
-from . import builtin_panels, viewport
-from ..objects.camera import read_camera
-from ..scene.film import read_background
-from ..status.last_render import remember_finished
 from ..nodes.material import shows_volume
+from ..objects.camera import read_camera
+from ..objects.visibility import shown_objects
 from ..output.passes import extra_passes
-from .render_job import render_scene, stamp
-from .render_result import RenderResult
+from ..scene.film import read_background
 from ..scene.reader import read_scene
 from ..scene.unrendered import composited, unrendered
-from .viewport import Viewport, viewport_camera
-from .viewport_region import WHOLE, render_region
-from ..objects.visibility import shown_objects
+from ..status.last_render import remember_finished
 from ..volumes.loading import VolumeLoading
 from ..volumes.reader import VolumeReader
-
+from . import builtin_panels, viewport
+from .render_job import render_scene, stamp
+from .render_result import RenderResult
+from .viewport import Viewport, viewport_camera
+from .viewport_region import WHOLE, render_region
 
 POLL_INTERVAL = 0.05
 
@@ -163,9 +162,11 @@ class _Progress:
     """Shows how far a render is in Blender's progress bar and statistics line."""
 
     def __init__(self, engine):
-        self.engine, self.start = engine, time.monotonic()
+        self.engine, self.start = engine, None
 
     def __call__(self, fraction, message):
+        # Fractions count from the first call: a coarse picture comes before.
+        self.start = self.start or time.monotonic()
         self.engine.update_progress(fraction)
         seconds = time.monotonic() - self.start
         # The first seconds say little about the rest.

@@ -9,13 +9,12 @@ import numpy as np
 from ... import inference
 from ...inference.image.layer import Layer, empty_layer
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
-from ..status.cost_model import Work
+from ..objects.workload import Workload
 from ..output.layer_exr import write_layer
 from ..output.layer_frame import in_frame
+from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.reader import SceneDescription
-from ..runtime.background import Worker
-
 
 # Of the first picture, which appears within a second or so.
 COARSE_PIXELS = 8000
@@ -30,7 +29,7 @@ class Finished:
     layer: Layer
     seconds: float
     warnings: List[str]
-    asked: Optional[Work] = None
+    asked: Optional[Workload] = None
 
 
 def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
@@ -61,7 +60,7 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
         raise SceneError("the machine has not enough memory for this render; use fewer depth samples, a smaller image "
                          "or smaller grids, or close other programs") from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
-    asked = scene.work(settings.depth_samples) if scene.volumes else None
+    asked = scene.workload(settings.depth_samples) if scene.volumes else None
     return Finished(layer, layer.report.seconds["total"], warnings, asked)
 
 

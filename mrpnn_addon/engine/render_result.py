@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..scene.film import over
 from ..output.layer_frame import rgba
 from ..output.passes import extra_passes
+from ..scene.film import over
 
 
 class RenderResult:

@@ -8,15 +8,15 @@ from gpu_extras.presets import draw_texture_2d
 
 from ...inference import RenderCache
 from ...inference.scene import Camera, SceneError, Settings
+from ..objects.visibility import visibility_state
+from ..scene.reader import read_view
+from ..scene.unrendered import unrendered
+from ..volumes.loading import VolumeLoading
+from ..volumes.reader import VolumeReader
 from ..world import picture as world_picture
 from .backdrop import Backdrop, texture, view_key
 from .preview import Prepared, Preview
-from ..scene.reader import read_view
-from ..scene.unrendered import unrendered
 from .viewport_region import WHOLE, Part, part_pixels
-from ..objects.visibility import visibility_state
-from ..volumes.loading import VolumeLoading
-from ..volumes.reader import VolumeReader
 
 SECONDS_A_LOOK = 0.05
 # Of waiting for volumes before a picture without them is drawn.

@@ -7,11 +7,11 @@ output. Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
 import numpy as np
 from mathutils import Euler
 
+from .emission import blackbody_colour
 from .environment_image import environment_image
 from .math_operations import MATH, VECTOR_MATH, clamp, divide, smoothstep
-from .textures import gradient, noise
 from .sockets import Unsupported
-from .emission import blackbody_colour
+from .textures import gradient, noise
 
 RAMP_CELLS = 256
 CURVE_CELLS = 256

@@ -5,13 +5,13 @@ from typing import List
 
 import numpy as np
 
-from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene import SceneError
-from .snapshot import copied
+from ...inference.scene.phase_function import PhaseFunction
+from .emission import blackbody, reads_temperature, strength_and_colour
 from .evaluation import NodeValues
 from .phase_functions import phase_function
+from .snapshot import copied
 from .sockets import Unsupported, active_output, input_of, source_of
-from .emission import blackbody, reads_temperature, strength_and_colour
 
 SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
 

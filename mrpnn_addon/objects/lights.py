@@ -8,8 +8,8 @@ from mathutils import Vector
 
 from ...inference.scene import SceneError, Sun
 from ..nodes.evaluation import constant
-from .placement import why_unplaced
 from ..nodes.sockets import Unsupported, active_output, linked_node
+from .placement import why_unplaced
 from .visibility import Shown
 
 # Angles up to which a sun is one direction, a ring of four, or seven; beyond, nineteen. The real

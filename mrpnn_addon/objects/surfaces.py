@@ -6,9 +6,9 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from ...inference.scene import SceneError, Surface
+from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import why_unplaced
-from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from .visibility import Shown
 
 # Kinds that Blender turns into meshes.

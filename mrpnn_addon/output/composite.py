@@ -11,8 +11,8 @@ from typing import List, Optional
 import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
 
-from .composite_nodes import remove_nodes, what_is_wrong, build_nodes
 from ..nodes.material import shows_volume
+from .composite_nodes import build_nodes, remove_nodes, what_is_wrong
 
 ENGINE = 'MRPNN'
 # What differs between the two scenes by design.

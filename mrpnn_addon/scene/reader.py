@@ -5,16 +5,16 @@ from dataclasses import dataclass, field
 from typing import List, Set, Tuple
 
 from ...inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
-from ..objects.camera import read_camera
-from ..status.cost_model import Box, Work, work
-from ..objects.lights import read_suns
 from ..nodes.material import SURFACES, shows_volume
-from .overlap_warnings import overlap_warnings
+from ..objects.camera import read_camera
+from ..objects.lights import read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
 from ..objects.visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
+from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import read_world
+from .overlap_warnings import overlap_warnings
 
 NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)"
 
@@ -49,10 +49,10 @@ class SceneDescription:
     refused: List[str] = field(default_factory=list)
     boxes: List[Tuple[Box, int]] = field(default_factory=list)
 
-    def work(self, depth_samples: int) -> Work:
+    def workload(self, depth_samples: int) -> Workload:
         """What a render has to do."""
         boxes, channels = zip(*self.boxes)
-        return work(boxes, self.camera, len(self.suns), depth_samples, max(channels))
+        return estimate_workload(boxes, self.camera, len(self.suns), depth_samples, max(channels))
 
     @functools.cached_property
     def surfaces(self) -> List[Surface]:

@@ -1,21 +1,18 @@
 """Seconds that a render takes, by what it has to do and by what renders before took; no bpy.
 
 A render marches camera rays, asks the network at points along them and prepares the fields of each volume and light.
-`Work` counts that from boxes around the volumes; constants tell the seconds. What a box does not tell (how much of it
+`Workload` counts that from boxes around the volumes; constants tell the seconds. What a box does not tell (how much of it
 is empty, how much of the image is opaque) is learned from the last render of the same volumes, and the speed of the
 machine from the last render of any.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Dict, FrozenSet, List, Optional
+from typing import Dict, FrozenSet, Optional
 
 import numpy as np
 
-from ...inference.marching.ray_steps import LEAST_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
-from ...inference.numerics.intersection import box_interval
-from ...inference.scene.camera_rays import image_rays, window_around
-from ...inference.scene import Camera
+from ..objects.workload import Workload
 
 # Seconds on two cores of a desktop of 2020. Of a step that is evaluated, by itself and for each light and volume; the
 # second of each where voxels are so thick that light is integrated in them, and of the first where steps are cut again.
@@ -25,8 +22,8 @@ STEP_LIGHT, STEP_LIGHT_THICK = 1.0e-7, 4.0e-7
 PIXEL, POINT = 2.3e-6, 3.6e-6
 # Of each volume, and of each volume and light.
 VOLUME, FIELD = 0.25, 0.3
-# Optical thickness of a voxel above which light is integrated, and of a step above which it is cut again.
-THICK, STIFF = 0.35, 0.6
+# Optical thickness of a voxel above which light is integrated.
+THICK = 0.35
 CORES = 2
 # More cores help a little less than in proportion.
 SCALING = 0.9
@@ -35,54 +32,9 @@ LOOKED_AT, MEETING = 0.25, 0.5
 # Share of points at which the network is asked, for one depth sample and so many pixels that meet density; others take
 # their neighbours' answer, the more the finer the image is, and the fewer samples each pixel has.
 ASKED, ASKED_PIXELS, ASKED_BY_PIXELS, ASKED_BY_SAMPLES = 0.5, 20_000, -0.25, 0.2
-# Share of the density's peak that a ray meets on its mean.
-FILLED = 0.1
-# Rays along each axis of the image that stand for all.
-RAYS = 48
 # Stages below this many seconds tell nothing about the machine.
 TELLING = 0.1
 STAGES = ("march", "network", "fields")
-
-
-@dataclass
-class Box:
-    """Around one volume. name: of its object. matrix: (4, 4), from the box to the world; low, high: (3,), its ends.
-    voxel: edge of a voxel, world units. thickness: largest optical depth of a voxel. cells: along its longest edge.
-    filled: share of the voxels that hold density, None where the volume has not been read.
-    """
-
-    name: str
-    matrix: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    voxel: float
-    thickness: float
-    cells: float
-    filled: Optional[float] = None
-
-
-@dataclass
-class Work:
-    """What a render has to do, as its boxes tell.
-
-    names: of the volumes. window: pixels around their boxes; pixels: in the boxes. steps: that their rays are cut into.
-    opacity: mean square root of the pixels' opacity, a guess. thickness: of a voxel; stiff: whether steps are cut
-    again. volumes, lights, samples: how many. channels: colours that are marched by themselves. filled: share of voxels
-    that hold density, None where some volume has not been read.
-    """
-
-    names: FrozenSet[str] = frozenset()
-    window: int = 0
-    pixels: float = 0.0
-    steps: float = 0.0
-    opacity: float = 1.0
-    thickness: float = 0.0
-    stiff: bool = False
-    volumes: int = 0
-    lights: int = 0
-    samples: int = 1
-    channels: int = 1
-    filled: Optional[float] = None
 
 
 @dataclass
@@ -109,72 +61,7 @@ class Experience:
     threads: int = CORES
 
 
-def work(boxes: List[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Work:
-    """What a render has to do; boxes may overlap."""
-    covered = pixels_around(boxes, camera)
-    found = Work(frozenset(box.name for box in boxes), int(covered.sum()), volumes=len(boxes), lights=lights,
-                 samples=samples, channels=channels)
-    if not found.window:
-        return found
-    x0, y0 = camera.window[:2]
-    across, down = (np.flatnonzero(covered.any(axis=axis)) for axis in (0, 1))
-    left, right, top, bottom = across[0] + x0, across[-1] + 1 + x0, down[0] + y0, down[-1] + 1 + y0
-    columns, rows = min(right - left, RAYS), min(bottom - top, RAYS)
-    x, y = np.meshgrid(left + (np.arange(columns) + 0.5) * (right - left) / columns,
-                       top + (np.arange(rows) + 0.5) * (bottom - top) / rows)
-    origins, directions, cosine = image_rays(camera, x.ravel(), y.ravel())
-    near, far, thickness = _intervals(boxes, origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine)
-    hit = near < far
-    share = (right - left) * (bottom - top) / len(hit)
-    found.pixels = min(float(hit.sum()) * share, float(found.window))
-    filled = [box.filled for box in boxes]
-    found.filled = None if None in filled else float(np.mean(filled))
-    found.thickness = sum(box.thickness for box in boxes)
-    a_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
-                  STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
-    found.stiff = found.thickness / a_voxel > STIFF
-    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), LEAST_VOXELS)
-    found.steps = float(np.ceil(voxels * a_voxel).sum()) * share
-    if hit.any():
-        found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())
-    return found
-
-
-def pixels_around(boxes: List[Box], camera: Camera) -> np.ndarray:
-    """bool (H, W): pixels of the camera's window that may show a box, and those around them."""
-    x0, y0, x1, y1 = camera.window
-    covered = np.zeros((y1 - y0, x1 - x0), bool)
-    for box in boxes:
-        left, top, right, bottom = window_around(camera, _corners(box))
-        covered[top - y0:bottom - y0, left - x0:right - x0] = True
-    return covered
-
-
-def _corners(box: Box) -> np.ndarray:
-    """(8, 3) in the world."""
-    corners = np.array(np.meshgrid(*zip(box.low, box.high), indexing="ij")).reshape(3, -1)
-    return (box.matrix[:3, :3] @ corners + box.matrix[:3, 3:]).T
-
-
-def _intervals(boxes, origins, directions, clip_near, clip_far):
-    """Distances (N,) at which rays enter the first box and leave the last, and optical depths (N,) if all were full."""
-    near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-    thickness = np.zeros(len(origins))
-    for box in boxes:
-        try:
-            inverse = np.linalg.inv(box.matrix)
-        except np.linalg.LinAlgError:
-            continue
-        start = origins @ inverse[:3, :3].T + inverse[:3, 3]
-        first, last = box_interval(start, directions @ inverse[:3, :3].T, box.low, box.high)
-        first, last = np.maximum(first, clip_near), np.minimum(last, clip_far)
-        met = first < last
-        near[met], far[met] = np.minimum(near, first)[met], np.maximum(far, last)[met]
-        thickness[met] += box.thickness * (last - first)[met] / box.voxel
-    return near, far, thickness
-
-
-def seconds_of(asked: Work, threads: int, known: Experience) -> float:
+def seconds_of(asked: Workload, threads: int, known: Experience) -> float:
     """Seconds by the clock, roughly."""
     shares = _shares(asked, known)
     evaluated = asked.steps * shares.evaluated * asked.channels
@@ -183,7 +70,7 @@ def seconds_of(asked: Work, threads: int, known: Experience) -> float:
     return total * (known.threads / max(threads, 1)) ** SCALING
 
 
-def learn(known: Experience, asked: Work, report, alpha: np.ndarray) -> None:
+def learn(known: Experience, asked: Workload, report, alpha: np.ndarray) -> None:
     """Keep what a render tells. asked: what it had to do; report: what it did; alpha: (H, W), its opacity."""
     count = report.counts.get
     lights, evaluated = max(count("suns", 0), 1), count("steps evaluated", 0)
@@ -210,7 +97,7 @@ def learn(known: Experience, asked: Work, report, alpha: np.ndarray) -> None:
             known.rates[stage] = seconds / expected[stage]
 
 
-def _shares(asked: Work, known: Experience) -> Shares:
+def _shares(asked: Workload, known: Experience) -> Shares:
     """Of these volumes; else the means of the constants and of all that are known. Steps are evaluated where voxels are
     filled, about."""
     if asked.names in known.shares:
@@ -220,12 +107,12 @@ def _shares(asked: Work, known: Experience) -> Shares:
     return Shares(evaluated if asked.filled is None else asked.filled, meeting)
 
 
-def is_rough(asked: Work, known: Experience) -> bool:
+def is_rough(asked: Workload, known: Experience) -> bool:
     """Whether neither a render nor a reading has told how dense the volumes are."""
     return asked.filled is None and asked.names not in known.shares
 
 
-def _points(asked: Work, shares: Shares):
+def _points(asked: Workload, shares: Shares):
     """Pixels that meet density, and points at which the network is asked for each light."""
     pixels = asked.pixels * shares.meeting * asked.channels
     opacity = asked.opacity if shares.opacity is None else shares.opacity
@@ -235,7 +122,7 @@ def _points(asked: Work, shares: Shares):
     return pixels, points * min(share, 1.0) * shares.asked
 
 
-def _seconds(asked: Work, evaluated: float, pixels: float, points: float) -> Dict[str, float]:
+def _seconds(asked: Workload, evaluated: float, pixels: float, points: float) -> Dict[str, float]:
     """By stage, by the constants."""
     thick, each = asked.thickness > THICK, asked.lights * max(asked.volumes, 1)
     step = STEP_STIFF if asked.stiff else STEP_THICK if thick else STEP

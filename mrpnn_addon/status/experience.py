@@ -8,9 +8,10 @@ from typing import Optional
 import bpy
 
 from ...inference.scene import SceneError
-from .cost_model import STAGES, Experience, Work, learn
+from ..objects.workload import Workload
 from ..runtime.json_file import write_json
 from ..volumes.bounding_boxes import forget_densities
+from .cost_model import STAGES, Experience, learn
 
 FILE = "mrpnn_speed.json"
 # A machine's rates that differ by less are not written again.
@@ -27,7 +28,7 @@ def experience() -> Experience:
     return _known
 
 
-def learn_from(asked: Optional[Work], layer) -> None:
+def learn_from(asked: Optional[Workload], layer) -> None:
     """Keep what a render tells. asked: what it had to do, or None where nothing was."""
     if asked is None:
         return

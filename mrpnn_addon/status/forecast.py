@@ -8,15 +8,16 @@ import numpy as np
 
 from ...inference.plan.plan import merge_parallel
 from ...inference.scene import SceneError
-from ..objects.camera import read_camera
-from .cost_model import is_rough, seconds_of, work
-from .experience import experience
-from ..objects.lights import read_suns
 from ..nodes.material import shows_volume
+from ..objects.camera import read_camera
+from ..objects.lights import read_suns
 from ..objects.placement import scaled_to_nothing, why_unplaced
 from ..objects.visibility import shown_objects, why_unseen
+from ..objects.workload import estimate_workload
 from ..volumes.bounding_boxes import box_around
 from ..world.lighting import expected_lights
+from .cost_model import is_rough, seconds_of
+from .experience import experience
 
 
 @dataclass
@@ -66,7 +67,7 @@ def forecast(depsgraph) -> Forecast:
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
     suns = len(merge_parallel(lights)) + world
-    asked = work(boxes, camera, suns, settings.depth_samples, channels)
+    asked = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = asked.window * settings.depth_samples * suns
     seconds = seconds_of(asked, settings.threads or os.cpu_count() or 1, experience())
     return Forecast(len(boxes), suns, asked.window, points, seconds, warnings, lamps=lamps, world=world > 0,

@@ -6,8 +6,8 @@ from typing import Dict, List
 from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
 from ..runtime.onnxruntime_version import check_runtime
-from ..scene.reader import read_scene, require_volumes
 from ..scene.changes import scene_state
+from ..scene.reader import read_scene, require_volumes
 
 
 @dataclass

@@ -11,8 +11,8 @@ import numpy as np
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
-from .worker import LEAF, SCALAR_GRIDS, read_grid
 from .process import read_alone
+from .worker import LEAF, SCALAR_GRIDS, read_grid
 
 # Of an array of all voxels, and of leaves that hold something: 2 GiB as float32.
 MAX_VOXELS = 1 << 29

@@ -8,11 +8,11 @@ import numpy as np
 
 from ...inference.plan.resolution import refinement
 from ...inference.scene import Medium, SceneError, Volume
-from ..status.cost_model import Box
-from .fluid_domain import gas_domain
 from ..nodes.material import VolumeMaterial, first_material
-from .mesh_fill import CELLS
 from ..objects.visibility import Shown
+from ..objects.workload import Box
+from .fluid_domain import gas_domain
+from .mesh_fill import CELLS
 from .reader import density_scale
 from .voxel_points import Probe
 

@@ -6,8 +6,8 @@
 from typing import List
 
 from ...inference.scene import Cancelled
-from .source import VolumeSource
 from ..runtime.background import Worker
+from .source import VolumeSource
 
 
 class VolumeLoading(Worker):

@@ -11,16 +11,16 @@ import bpy
 import numpy as np
 
 from ...inference.scene import Medium, SceneError, Volume
-from ..vdb.density_grid import EmptyGrid, unreadable
-from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, probe_grids, read_grids
 from ..nodes.material import EmptyMaterial, VolumeMaterial, first_material, is_animated, shows_volume
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
 from ..objects.placement import scaled_to_nothing, why_unplaced
-from .shaded_grid import ShadedGrid
 from ..objects.visibility import Shown, shown_objects, why_unseen
+from ..vdb.density_grid import EmptyGrid, unreadable
+from ..world.lighting import wanted_world
+from .fluid_domain import FluidSource, checksum, gas_domain, holds_nothing, probe_grids, read_grids
+from .shaded_grid import ShadedGrid
 from .source import FileSource, MeshSource, VolumeSource
 from .voxel_points import Probe
-from ..world.lighting import wanted_world
 
 
 class EmptyVolume(Exception):

@@ -6,8 +6,8 @@ from typing import Dict, List, Optional, Tuple, Union
 import bpy
 import numpy as np
 
-from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene import ANISOTROPY_MOST
+from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
 from ..nodes.phase_functions import phase_function

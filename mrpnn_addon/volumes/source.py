@@ -7,11 +7,11 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import SparseGrid
+from ..nodes.material import VolumeMaterial
+from ..objects.mesh_triangles import Mesh
 from ..vdb.common_blocks import CommonBlocks
 from ..vdb.density_grid import MAX_SPAN, MAX_VOXELS, EmptyGrid, read_density_grid
 from ..vdb.leaf_boxes import boxes, leaves_around
-from ..nodes.material import VolumeMaterial
-from ..objects.mesh_triangles import Mesh
 from .mesh_fill import fill
 from .shaded_grid import VOXELS_ARE_HOT, ShadedGrid, is_linear, refine, refuse_nothing, require_empty_background, shade
 from .voxel_points import Probe

@@ -7,13 +7,13 @@ import numpy as np
 from mathutils import Vector
 
 from ...inference.scene import Sun
-from .quadrature import Sphere, quadrature
-from ..objects.lights import disc_directions
-from ..nodes.evaluation import Nowhere, NodeValues
+from ..nodes.evaluation import NodeValues, Nowhere
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..objects.lights import disc_directions
 from ..objects.visibility import evaluated_world
 from .picture import WorldSource, is_known, world_picture, world_source
 from .process import PictureFailed
+from .quadrature import Sphere, quadrature
 
 # A World hardly counts where it gives less than this share of the suns' light: half the directions do.
 HARDLY = 0.1

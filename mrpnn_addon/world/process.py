@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..cycles.process import blender_command
+from ..runtime.blender_process import blender_command
 
 WORKER = Path(__file__).with_name("worker.py")
 SECONDS, POLL_INTERVAL = 120.0, 0.05

@@ -107,7 +107,7 @@ def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
         alpha = addon.inference.render(
             described.volumes, described.suns, described.camera, addon.inference.Settings(1)).alpha
         boxes = [box for box, _ in described.boxes]
-        covered = addon.mrpnn_addon.status.cost_model.pixels_around(boxes, described.camera)
+        covered = addon.mrpnn_addon.objects.workload.pixels_around(boxes, described.camera)
         assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
         assert covered.sum() < 4 * (alpha > 0).sum()
 

@@ -22,7 +22,7 @@ def named(properties):
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
     settings, comparison = page("docs/settings.md"), page("docs/comparison.md")
-    wanted = [*named(own.settings.properties.MRPNN_PG_scene), *named(own.output.passes.MRPNN_PG_view_layer),
+    wanted = [*named(own.settings.properties.MRPNN_PG_scene), *named(own.settings.view_layer.MRPNN_PG_view_layer),
               *named(own.settings.preferences.PreferenceProperties), *named(addon.operators.composite.MRPNN_OT_composite)]
     assert len(wanted) > 15 and [name for name in wanted if name not in settings] == []
     wanted = named(addon.operators.compare.MRPNN_OT_compare)

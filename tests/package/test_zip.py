@@ -49,6 +49,14 @@ def test_a_wheel_with_another_checksum_is_refused(tmp_path):
     assert not list(tmp_path.glob("build/*.zip"))
 
 
+def test_a_tag_that_is_not_the_version_is_refused():
+    version = build_extension.manifest()["version"]
+    build_extension.check_tag(f"v{version}")
+    for tag in (version, f"v{version}.1", "v999.0.0"):
+        with pytest.raises(SystemExit, match=f"version {version}"):
+            build_extension.check_tag(tag)
+
+
 INSTALLED_RENDER = """
     import importlib.util, pathlib, sys
 

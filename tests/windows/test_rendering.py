@@ -234,13 +234,22 @@ bpy.app.timers.register(watch)
 """
 
 
+def warm(pixels):
+    """Where a picture, (H, W, 3) of bytes, shows the red light of the scene's sun."""
+    red, green, blue = np.moveaxis(pixels.astype(int), 2, 0)
+    return (red > 60) & (red > 1.15 * green) & (green > blue)
+
+
 def test_f12_renders_and_esc_stops(window):
     # Minutes of work, to be stopped at its beginning.
     window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 64; scene.mrpnn.threads = 1")
     # Keycode 96 is F12; the name means Alt+F12 in some keyboard maps.
     window.press("96")
     window.until(RENDERING)
-    time.sleep(1.0)
+    # Its picture appears while it renders: in the window that opens, of the cloud's warm light.
+    start = time.monotonic()
+    while np.count_nonzero(warm(window.shot("rendering"))) < 2000:
+        assert window.do(f"print({RENDERING})") == "True" and time.monotonic() - start < LONG
     window.do(STOPPED)
     window.press("Escape")
     pressed = time.monotonic()
@@ -248,6 +257,10 @@ def test_f12_renders_and_esc_stops(window):
     # A second of this process's own two threads from the key on, whatever else the machine does.
     spent = window.do(f"print(seen[-1][1] - min(work for clock, work in seen if clock >= min({pressed}, seen[-1][0])))")
     assert float(spent) < 2.0, spent
+    # What was shown stays.
+    window.do("bpy.data.images['Render Result'].save_render(WORK + '/window-stopped.png')")
+    with Image.open(window.work / "window-stopped.png") as picture:
+        assert picture.size == (640, 480) and np.count_nonzero(warm(np.array(picture.convert("RGB")))) > 2000
     window.press("Escape")
     window.do("scene.render.resolution_percentage = 100; scene.mrpnn.depth_samples = 4; scene.mrpnn.threads = 0")
     window.press("96")

@@ -58,7 +58,7 @@ def test_the_known_density_gives_the_renderers_step_count(addon, scene, cloud, s
         shader(cloud).inputs["Density"].default_value = density
         found = described(addon)
         report = addon.inference.render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
-        np.testing.assert_allclose(found.work(1).steps, report.counts["steps"], rtol=0.15)
+        np.testing.assert_allclose(found.workload(1).steps, report.counts["steps"], rtol=0.15)
 
 
 def test_black_lights_are_ignored(addon, scene, cloud, said):
@@ -86,7 +86,7 @@ def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
     assert far.pixels < 100 and far.seconds < whole
     scene.camera.location.z = -6.0
     # Behind the camera all pixels might show it, but no ray meets its box.
-    assert addon.mrpnn_addon.status.cost_model.work(
+    assert addon.mrpnn_addon.objects.workload.estimate_workload(
         [addon.mrpnn_addon.volumes.bounding_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
         addon.mrpnn_addon.objects.camera.read_camera(blender_scenes.depsgraph())[0], 1, 1).pixels == 0.0
 
@@ -106,7 +106,7 @@ def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
         scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
         second.data.energy = strength
         found = described(addon)
-        asked = found.work(samples)
+        asked = found.workload(samples)
         assert asked.lights == said().suns or strength == 0.0
         counts = addon.inference.render(
             found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
