@@ -33,7 +33,7 @@ def plane(addon, scene):
     half = EDGE
     mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
     blender_scenes.add_object(scene, "Plane", mesh)
-    material = bpy.data.materials.new("ScatteredEmission")
+    material = bpy.data.materials.new("Emission")
     material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()

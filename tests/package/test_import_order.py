@@ -2,12 +2,11 @@
 
 import ast
 import re
-from pathlib import Path
 from typing import Iterator, List, Tuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.support.paths import ROOT
 
 # What each package may import of the others. Benchmarks render real Blender scenes through the add-on, and take
 # procedural volumes and the reference path tracer from training.
@@ -76,6 +75,11 @@ def test_packages_import_only_those_below(package):
     assert found
     assert [(place, ".".join(path)) for place, _, path in found
             if path[0] in known - {package, *PACKAGES[package]}] == []
+
+
+def test_no_test_imports_a_test():
+    assert [(place, ".".join(path)) for place, _, path in package_imports("tests")
+            if path[0] == "tests" and path[1] != "support"] == []
 
 
 @pytest.mark.parametrize("package", ["inference", "training"])

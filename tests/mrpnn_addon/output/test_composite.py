@@ -19,7 +19,7 @@ def wall(scene, z):
     """An emissive square of edge 4 over the left half of the view."""
     mesh = bpy.data.meshes.new("Wall")
     mesh.from_pydata([(-4, -2, z), (0, -2, z), (0, 2, z), (-4, 2, z)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("ScatteredEmission")
+    material = bpy.data.materials.new("Emission")
     material.use_nodes = True
     nodes = material.node_tree.nodes
     nodes.clear()
