@@ -30,9 +30,10 @@ def random_view(random):
                   shift=tuple(random.normal(size=2) * 0.2), region=(x0, y0, x0 + 38, y0 + 19))
 
 
-def test_no_ray_that_hits_a_volume_is_skipped():
-    random, met = np.random.default_rng(5), 0
-    for _ in range(400):
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6, 7, 8))])
+def test_no_ray_that_hits_a_volume_is_skipped(seed):
+    random, met = np.random.default_rng(seed), 0
+    for _ in range(100):
         volume = placed(random.random((4, 3, 2), np.float32))
         volume.world_from_index[:3, :3] += 0.1 * random.normal(size=(3, 3))
         view, grid = random_view(random), Grid(volume)
@@ -40,7 +41,7 @@ def test_no_ray_that_hits_a_volume_is_skipped():
         met += found.any()
         found[top - first[1] : bottom - first[1], left - first[0] : right - first[0]] = False
         assert not found.any()
-    assert met > 50
+    assert met > 12
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])

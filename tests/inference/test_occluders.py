@@ -112,6 +112,7 @@ def test_a_surface_that_absorbs_scattered_light_darkens_its_surroundings():
     assert 0.3 * alone.multiple.mean() < stopped.multiple.mean() < 0.97 * alone.multiple.mean()
 
 
+@pytest.mark.slow
 def test_the_render_cache_follows_surfaces_and_suns():
     medium, view, cache = Medium(4.0, 0.9, 0.4), camera(), RenderCache()
     first, second = ([Surface(rectangle(-9, edge, -9, 9, 6.0).triangles, covers=False)] for edge in (0.4, 0.9))
@@ -129,6 +130,7 @@ def test_a_network_without_light_inputs_warns_of_surfaces():
     assert "fog: the network rpnn does not know of surfaces" in layer.report.warnings
 
 
+@pytest.mark.slow
 def test_suns_below_a_ground_are_skipped():
     ground, settings = rectangle(-9, 9, -9, 9, -2.0), Settings(2)
     pair = [(fog(), Medium(2.0, 0.9, 0.6))]

@@ -14,6 +14,8 @@ COUNTED = {
     "needless_suns": "suns", "equal_channels": "rays marched", "equal_albedos": "network answers",
     "unread_fields": "cells of lookup fields", "faint_rays": "points", "shared_pixels": "network points",
 }
+# Of each kind one in every run: fewer rays, steps and pixels.
+QUICK = ("faint_rays", "behind_opaque", "shared_pixels")
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +53,8 @@ def change(layer, other):
     return np.sqrt(np.mean((layer.rgb - other.rgb)[shown] ** 2)) / other.rgb[shown].mean()
 
 
-@pytest.mark.parametrize("name", COUNTED)
+@pytest.mark.parametrize("name", [
+    name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COUNTED])
 def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, draw, usual, every_pixel):
     """Each is turned off alone."""
     before, left_out = (usual, ALL) if name == "shared_pixels" else (every_pixel, ALL - {"shared_pixels"})
@@ -61,6 +64,7 @@ def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, draw,
     assert layer.report.counts[COUNTED[name]] > before.report.counts[COUNTED[name]]
 
 
+@pytest.mark.slow
 def test_without_a_render_cache_fields_serve_one_view(draw, every_pixel):
     """Fields for any view hold more cells than those for a single one."""
     cache, left_out = RenderCache(), ALL - {"shared_pixels"}
@@ -70,6 +74,7 @@ def test_without_a_render_cache_fields_serve_one_view(draw, every_pixel):
     assert cells[0] == cells[1] < cells[2]
 
 
+@pytest.mark.slow
 def test_all_optimizations_together_stay_within_the_budget(draw, every_pixel):
     layer = draw(frozenset())
     assert change(layer, every_pixel) <= sum(omission.budget for omission in OPTIMIZATIONS.values())

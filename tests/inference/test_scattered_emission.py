@@ -63,7 +63,8 @@ def test_deep_in_homogeneous_fog_emission_is_absorbed_locally(anisotropy):
     np.testing.assert_allclose(layer.rgb, 2.0 / 12.0, rtol=0.03)
 
 
-@pytest.mark.parametrize("sigma, anisotropy", [(2.0, 0.0), (12.0, 0.0), (12.0, 0.6)])
+@pytest.mark.parametrize("sigma, anisotropy", [
+    *(pytest.param(sigma, 0.0, marks=pytest.mark.slow) for sigma in (2.0, 12.0)), (12.0, 0.6)])
 def test_white_fog_lets_all_emission_escape(sigma, anisotropy):
     """The escaping power is 4 pi e, integrated over the fire in the fog."""
     r = radius(48)
@@ -93,6 +94,7 @@ def test_a_small_emitter_in_thin_fog_equals_a_direct_sum():
     assert np.sqrt(((found / expected - 1.0) ** 2).mean()) < 0.25
 
 
+@pytest.mark.slow
 def test_fire_illuminates_smoke_of_another_volume():
     """A flame without smoke inside smoke without fire equals both in one volume."""
     r = radius(32)

@@ -131,6 +131,7 @@ def data():
     }
 
 
+@pytest.mark.slow
 def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     """RPNN on a file's rows in PyTorch, and the exported RPNN on the same volume, points and suns."""
     rows = lattice_rows.lattice_rows(SEED, data)

@@ -124,13 +124,15 @@ def compare(found, expected):
     assert np.abs(difference).max() < 0.02 * expected.multiple.max()
 
 
-@pytest.mark.parametrize("sigma_t", [20.0, (100.0, 300.0, 900.0)], ids=["thin", "three colours"])
+@pytest.mark.parametrize("sigma_t", [
+    pytest.param(20.0, id="thin"), pytest.param((100.0, 300.0, 900.0), id="three colours", marks=pytest.mark.slow)])
 def test_a_layer_equals_that_of_the_dense_grid(sigma_t):
     dense, medium = placed(puffs(count=20)), Medium(sigma_t, 0.9, 0.6)
     suns = [Sun((0.4, 0.3, 0.8)), Sun((-0.7, 0.5, -0.4), 0.5)]
     compare(rendered([(kept_sparsely(dense), medium)], suns), rendered([(dense, medium)], suns))
 
 
+@pytest.mark.slow
 def test_emissive_and_overlapping_volumes_equal_dense_ones():
     glow = np.stack([puffs(seed) for seed in (3, 4, 5)], axis=3)
     first, second = placed(puffs(1, count=20), emission=glow), placed(puffs(2, count=20), SHEARED)
@@ -140,6 +142,7 @@ def test_emissive_and_overlapping_volumes_equal_dense_ones():
     compare(rendered(list(zip(map(kept_sparsely, (first, second)), media)), sun), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cumulus", "smoke"])
 def test_real_volumes_equal_dense_ones(name):
     path = SHARED / "fidelity" / "volumes" / f"{name}.npz"

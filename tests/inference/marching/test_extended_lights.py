@@ -80,6 +80,7 @@ def test_means_interpolated_between_nodes_equal_those_at_pixels():
     np.testing.assert_allclose(every, turned + ahead, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy, most", [(0.5, 0.11), (0.857, 0.06), (0.95, 0.05)])
 def test_light_from_behind_is_occluded_as_the_camera_ray_is(anisotropy, most):
     """A hemisphere as one sun, whose axis is not behind the cloud, against many small suns."""

@@ -66,6 +66,7 @@ def test_rendering_does_not_depend_on_threads(rpnn, ball):
     np.testing.assert_array_equal(layers[0].rgb, layers[1].rgb)
 
 
+@pytest.mark.slow
 def test_the_reference_equals_the_path_tracers_image(ball):
     """Rendered at depth samples or traced from the camera: one image up to noise."""
     volume, medium = cube_volume(ball), Medium(30.0, (1.0, 0.8, 0.5), 0.5)
