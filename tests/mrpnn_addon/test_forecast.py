@@ -7,6 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import render
+
 from tests.support import blender_scenes
 
 
@@ -57,7 +59,7 @@ def test_the_known_density_gives_the_renderers_step_count(addon, scene, cloud, s
     for density in (4.0, 200.0):
         shader(cloud).inputs["Density"].default_value = density
         found = described(addon)
-        report = addon.inference.render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
+        report = render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
         np.testing.assert_allclose(found.workload(1).steps, report.counts["steps"], rtol=0.15)
 
 
@@ -108,7 +110,7 @@ def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
         found = described(addon)
         asked = found.workload(samples)
         assert asked.lights == said().suns or strength == 0.0
-        counts = addon.inference.render(
+        counts = render(
             found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
         shares = known.shares[asked.names]
         _, points = cost_model._points(asked, shares)

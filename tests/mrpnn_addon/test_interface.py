@@ -9,6 +9,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, Settings, render
+from inference.network.provider import PROVIDERS
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+
 from tests.support import blender_scenes
 
 
@@ -30,8 +34,7 @@ def test_presets_set_the_samples_and_samples_show_the_preset(scene):
 
 
 def test_optimizations_are_chosen_one_by_one(addon, scene):
-    omissions = addon.inference.scene.optimizations
-    assert scene.mrpnn.leave_out == set(omissions.OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == omissions.ALL
+    assert scene.mrpnn.leave_out == set(OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == ALL
     scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
     assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
     scene.mrpnn.leave_out = set()
@@ -57,7 +60,7 @@ def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
 
 def test_the_preferences_offer_every_provider(addon, scene):
     items = addon.mrpnn_addon.settings.preferences._PROVIDER_ITEMS
-    assert [item[0] for item in items] == list(addon.inference.network.provider.PROVIDERS)
+    assert [item[0] for item in items] == list(PROVIDERS)
 
 
 def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_path, capfd):
@@ -104,8 +107,8 @@ def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
         scene.camera.rotation_euler = (0.1, 0.15, 0.4)
         graph = blender_scenes.depsgraph()
         described = addon.mrpnn_addon.scene.reader.read_scene(graph)
-        alpha = addon.inference.render(
-            described.volumes, described.suns, described.camera, addon.inference.Settings(1)).alpha
+        alpha = render(
+            described.volumes, described.suns, described.camera, Settings(1)).alpha
         boxes = [box for box, _ in described.boxes]
         covered = addon.mrpnn_addon.objects.workload.pixels_around(boxes, described.camera)
         assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
@@ -141,7 +144,7 @@ def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.delitem(__import__("sys").modules, "onnxruntime", raising=False)
     metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.9.0\n")
-    with pytest.raises(addon.inference.SceneError, match="1.9.0.*too old"):
+    with pytest.raises(SceneError, match="1.9.0.*too old"):
         runtime.check_runtime()
     metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.30.1\n")
     (warning,) = runtime.check_runtime()

@@ -8,6 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, render
+
 from tests.support import blender_scenes
 
 CELLS, EDGE = 12, 3.0
@@ -231,7 +233,7 @@ def test_phase_functions_equal_those_of_cycles(addon, scene, box, tmp_path, phas
         sun.rotation_euler = (math.pi - angle, 0.0, 0.0)
         seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=256)[..., 0].mean())
         described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-        layer = addon.inference.render(described.volumes, described.suns, described.camera)
+        layer = render(described.volumes, described.suns, described.camera)
         assert layer.single[..., 0].mean() == pytest.approx(seen[-1], rel=0.06)
     assert seen[0] / seen[1] == pytest.approx(density(math.cos(0.3)) / density(math.cos(2.4)), rel=0.06)
     assert described.volumes[0][1].anisotropy == pytest.approx(mean)
@@ -278,7 +280,7 @@ def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, n
 
 
 def assert_refused(addon, named):
-    with pytest.raises(addon.inference.SceneError, match="Cloud") as refusal:
+    with pytest.raises(SceneError, match="Cloud") as refusal:
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     assert "Cloud fog" in str(refusal.value) and named in str(refusal.value)
 

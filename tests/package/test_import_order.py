@@ -63,7 +63,7 @@ def test_imports_are_found_wherever_they_stand():
               "from ..b.c import d\n"
               "def f():\n"
               "    import e.f\n"
-              "    from mrpnn.inference import g\n")
+              "    from inference import g\n")
     assert [path for _, path in sorted(imports(source, ("x", "y", "z")))] == [
         ("x", "y", "a"), ("x", "b", "c", "d"), ("e", "f"), ("inference", "g")]
 

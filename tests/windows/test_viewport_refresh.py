@@ -2,9 +2,7 @@
 
 import time
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, THREADS
 
@@ -55,10 +53,7 @@ def shown(window, places=None):  # noqa: F811
     # Two answers from the main loop lie two drawings apart.
     window.do("area('VIEW_3D').tag_redraw()")
     window.do("pass")
-    name = f"refresh-{window.suite}.png"
-    window._tool("gui", "shot", window.suite, name)
-    with Image.open(window.work / name) as picture:
-        picture = np.array(picture.convert("RGB")).astype(int)
+    picture = window.screen().astype(int)
     found = [picture[y - 4:y + 5, x - 4:x + 5].mean(axis=(0, 1)) for x, y in places or window.places]
     return tuple(bool(red > blue + 10) for red, _, blue in found)
 

@@ -9,6 +9,8 @@ import bpy
 import numpy as np
 import pytest
 
+from inference import SceneError
+
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -106,7 +108,7 @@ def test_few_bounces_a_different_alpha_and_a_busy_machine_are_marked(comparison,
     assert len(marks) == 3
     for words in ("after 16 bounces", "different volumes", "busy with other work"):
         assert any(words in mark for mark in marks), marks
-    with pytest.raises(comparison.SceneError, match="different volumes; render the file"):
+    with pytest.raises(SceneError, match="different volumes; render the file"):
         comparison.compare(passes, request, 1024, "4.5.15", given=layer.image)
 
 
@@ -126,19 +128,19 @@ def test_json_holds_every_figure_and_replaces_the_file_atomically(comparison, pl
 def test_json_that_cannot_be_written_is_a_plain_error(comparison, planted, tmp_path):
     (tmp_path / "file").write_text("")
     result = comparison.compare(*planted, 1024, "4.5.15")
-    with pytest.raises(comparison.SceneError, match="cannot write"):
+    with pytest.raises(SceneError, match="cannot write"):
         result.write_json(str(tmp_path / "file" / "figures.json"))
 
 
 def test_images_of_different_size_an_empty_view_and_no_reference_are_refused(comparison, kept, planted):
     passes, request = planted
     layer = passes[request.layers[0]]
-    with pytest.raises(comparison.SceneError, match="48 x 48 pixels and the reference 48 x 47"):
+    with pytest.raises(SceneError, match="48 x 48 pixels and the reference 48 x 47"):
         comparison.compare(passes, request, 1024, "4.5.15", given=layer.image[:-1])
     empty = {**passes, request.layers[0]: kept.Pass(0 * layer.image, 1.0, 1.0)}
-    with pytest.raises(comparison.SceneError, match="nothing to compare"):
+    with pytest.raises(SceneError, match="nothing to compare"):
         comparison.compare(empty, request, 1024, "4.5.15")
-    with pytest.raises(comparison.SceneError, match="no reference yet"):
+    with pytest.raises(SceneError, match="no reference yet"):
         comparison.compare({request.layers[0]: layer}, request, 1024, "4.5.15")
 
 

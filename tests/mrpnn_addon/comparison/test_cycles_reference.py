@@ -6,6 +6,8 @@ import bpy
 import numpy as np
 import pytest
 
+from inference import SceneError
+
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -146,14 +148,14 @@ def test_a_scene_without_camera_is_refused_by_name(reference, box_scene):
     scene, _, objects = box_scene
     scene.camera = None
     before = state_of_file()
-    with pytest.raises(reference.SceneError, match="no active camera"):
+    with pytest.raises(SceneError, match="no active camera"):
         reference.render_reference(scene, objects)
     assert state_of_file() == before
 
 
 def test_this_blender_renders_the_test_box_and_a_wrong_alpha_would_be_refused(reference, addon):
     assert reference.check_homogeneous_box() == pytest.approx(1 - np.exp(-1.5), abs=0.005)
-    with pytest.raises(reference.SceneError, match="does not render volumes correctly"):
+    with pytest.raises(SceneError, match="does not render volumes correctly"):
         reference.require_box_alpha(0.05)
-    with pytest.raises(reference.SceneError, match="does not render volumes correctly"):
+    with pytest.raises(SceneError, match="does not render volumes correctly"):
         reference.require_box_alpha(float("nan"))

@@ -87,7 +87,7 @@ def test_a_store_returns_what_it_was_given_and_ignores_damaged_files(kept, tmp_p
 
 
 def test_the_key_differs_for_scenes_that_render_differently(addon, kept):
-    from mrpnn.inference import Camera, Medium, Sun, Volume
+    from inference import Camera, Medium, Sun, Volume
     from mrpnn.mrpnn_addon.scene.reader import SceneDescription
 
     def key(density=1.0, albedo=0.9, anisotropy=0.5, sun=(0, 0, 1), size=8, moved=0.0, bounces=1024, frame=1):

@@ -10,6 +10,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import RenderCache, SceneError
+from inference.network import network
 from inference.network.baselines import SingleScattering
 
 from tests.support import blender_scenes
@@ -61,8 +63,8 @@ def test_a_scene_cannot_name_a_model_that_is_not_shipped(addon, scene, cloud):
     scene.mrpnn["model"] = 12345
     assert scene.mrpnn.settings().model == "mrpnn"
     bpy.ops.mrpnn.render()
-    with pytest.raises(addon.inference.SceneError, match="no network called"):
-        addon.inference.network.network.load_network(str(addon.inference.network.network.WEIGHTS / "mrpnn"))
+    with pytest.raises(SceneError, match="no network called"):
+        network.load_network(str(network.WEIGHTS / "mrpnn"))
 
 
 @pytest.mark.parametrize("name", ["bashrc", "authorized_keys", "startup.py", "layer.exr.py"])
@@ -144,7 +146,7 @@ class Breaks(SingleScattering):
 
 @pytest.fixture
 def breaks(addon, monkeypatch):
-    monkeypatch.setitem(addon.inference.network.network._systems, "breaks", Breaks)
+    monkeypatch.setitem(network._systems, "breaks", Breaks)
 
 
 def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):
@@ -159,7 +161,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     module = addon.mrpnn_addon.engine.preview
     preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
-                             module.Prepared(addon.inference.RenderCache()))
+                             module.Prepared(RenderCache()))
     while not preview.done:
         time.sleep(0.01)
     assert "which is a bug" in preview.message
@@ -181,7 +183,7 @@ def test_too_little_memory_is_a_message(addon, scene, cloud):
         held = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 30), before[1]))
     try:
-        with pytest.raises(addon.inference.SceneError, match="not enough memory"):
+        with pytest.raises(SceneError, match="not enough memory"):
             addon.mrpnn_addon.engine.render_job.render_scene(described, scene.mrpnn.settings())
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)

@@ -11,6 +11,8 @@ bpy = pytest.importorskip("bpy")
 # After bpy: the other way round, the process hangs when it ends.
 import OpenEXR
 
+from inference import Layer
+
 from tests.support import blender_scenes
 
 
@@ -23,7 +25,7 @@ def layer(addon):
     alpha = random.uniform(0.1, 1, shape).astype(np.float32)
     depth = np.where(random.random(shape) < 0.3, np.inf, random.uniform(1, 9, shape)).astype(np.float32)
     single[:5], multiple[:5], alpha[:5] = 0.0, 0.0, 0.0
-    return addon.inference.Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
+    return Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
                                  emission=0.2 * single)
 
 

@@ -12,6 +12,9 @@ bpy = pytest.importorskip("bpy")
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
+from inference import SceneError, Settings, render
+from inference.scene.camera_rays import camera_rays
+
 from tests.support import blender_scenes
 
 
@@ -20,7 +23,7 @@ def read(addon):
 
 
 def refusal(addon) -> str:
-    with pytest.raises(addon.inference.SceneError) as caught:
+    with pytest.raises(SceneError) as caught:
         read(addon)
     return str(caught.value)
 
@@ -373,7 +376,7 @@ def test_rays_pass_through_the_pixels_that_blender_projects_to(addon, scene, tmp
         scene.render.resolution_y * scene.render.resolution_percentage // 100)
     # Blender's projection in full-size pixels of the same aspect.
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
-    origins, directions, *_ = addon.inference.scene.camera_rays.camera_rays(camera)
+    origins, directions, *_ = camera_rays(camera)
     bpy.context.view_layer.update()
     for pixel in random.integers(0, width * height, 20):
         point = Vector(origins[pixel] + random.uniform(2, 9) * directions[pixel])
@@ -419,8 +422,8 @@ def test_a_panorama_shows_a_volume_where_cycles_does(addon, scene, tmp_path, end
     scene.render.resolution_x, scene.render.resolution_y = 64, 32
     bpy.context.view_layer.update()
     described = read(addon)
-    layer = addon.inference.render(described.volumes, described.suns, described.camera,
-                                   addon.inference.Settings(depth_samples=1))
+    layer = render(described.volumes, described.suns, described.camera,
+                                   Settings(depth_samples=1))
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=128)[..., 3]
     assert expected.sum() > 5.0
     assert np.abs(layer.alpha - expected).max() < 0.15

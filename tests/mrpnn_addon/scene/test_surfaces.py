@@ -8,6 +8,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from mathutils import Vector
 
+from inference import Cancelled, Settings, render
+
 from tests.support import blender_scenes
 
 
@@ -49,8 +51,8 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     assert len(described.surfaces) == 1
     [warning] = described.warnings
     assert "\"Ball\"" in warning and "hides and shades volumes" in warning
-    settings = addon.inference.Settings(multiple=False)
-    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+    settings = Settings(multiple=False)
+    layer, alone = (render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
     hidden.is_holdout = True
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=256)
@@ -134,8 +136,8 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
         shown.visible_shadow, shown.visible_camera = True, False
     described = read(addon)
     assert any("shade" in warning for warning in described.warnings)
-    settings = addon.inference.Settings(multiple=False)
-    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+    settings = Settings(multiple=False)
+    layer, alone = (render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=512)
     level, seen = expected[..., :3].mean(), expected[..., 3] > 0.005
@@ -162,9 +164,9 @@ def test_reading_and_rasterizing_surfaces_can_be_cancelled(addon, scene, tmp_pat
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), check=look)
     assert [len(surface.triangles) for surface in described.surfaces] == [500_000] * 2
     read = len(looks)
-    with pytest.raises(addon.inference.scene.Cancelled):
-        addon.inference.render(
-            described.volumes, described.suns, described.camera, addon.inference.Settings(multiple=False), cancelled=look,
+    with pytest.raises(Cancelled):
+        render(
+            described.volumes, described.suns, described.camera, Settings(multiple=False), cancelled=look,
             progress=lambda share, message: "single" in message and marching.append(message), surfaces=described.surfaces)
     assert marching and 4 < read < len(looks) - 10
     assert max(np.diff(looks)) < 2.0

@@ -14,6 +14,8 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
 
@@ -42,7 +44,7 @@ def read(addon):
 
 
 def refusal(addon) -> str:
-    with pytest.raises(addon.inference.SceneError) as caught:
+    with pytest.raises(SceneError) as caught:
         read(addon)
     return str(caught.value)
 

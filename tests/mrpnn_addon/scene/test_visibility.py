@@ -5,6 +5,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
@@ -51,7 +53,7 @@ def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, t
     second, layer = two
     layer.holdout = True
     scene.objects["Cloud"].visible_camera = False
-    with pytest.raises(addon.inference.SceneError) as problem:
+    with pytest.raises(SceneError) as problem:
         read(addon)
     assert "\"Cloud\" is hidden from the camera" in str(problem.value)
     assert "\"Second\" is a holdout" in str(problem.value)

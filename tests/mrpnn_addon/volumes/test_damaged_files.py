@@ -12,6 +12,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
 from inference.network import network
 from inference.scene import SceneError
 
@@ -31,7 +32,7 @@ def trial(addon):
 
 
 def refusal(addon):
-    with pytest.raises(addon.inference.SceneError) as caught:
+    with pytest.raises(SceneError) as caught:
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     return str(caught.value)
 
@@ -90,7 +91,7 @@ def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
             grid = read(str(path), "density", "Cloud")
             assert grid.density.ndim == 3 and np.isfinite(grid.density).all() and grid.density.min() >= 0.0
             outcomes.append("read")
-        except addon.inference.SceneError as error:
+        except SceneError as error:
             assert "\"Cloud\"" in str(error)
             outcomes.append("refused")
         path.unlink()

@@ -5,6 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, Settings, render
 from inference.evaluation.error import relative_bias, relative_rmse
 
 from tests.support import blender_scenes
@@ -91,8 +92,8 @@ def read(addon):
 
 
 def layer_of(addon, described):
-    return addon.inference.render(described.volumes, described.suns, described.camera,
-                                  addon.inference.Settings(depth_samples=1))
+    return render(described.volumes, described.suns, described.camera,
+                                  Settings(depth_samples=1))
 
 
 def assert_cycles_agrees(addon, scene, folder, bias):
@@ -142,7 +143,7 @@ def test_smoke_that_scatters_its_own_emission_equals_cycles(addon, scene, fire, 
     flames(node)
     described = read(addon)
     assert not described.warnings
-    layer = addon.inference.render(described.volumes, [], described.camera, addon.inference.Settings(depth_samples=8))
+    layer = render(described.volumes, [], described.camera, Settings(depth_samples=8))
     shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
     found = addon.mrpnn_addon.cycles.reference.render_reference(scene, shown, samples=32)
     a, b, mask = found.a[..., :3], found.b[..., :3], layer.alpha > 0.02
@@ -174,5 +175,5 @@ def test_an_extinct_flame_emits_nothing(addon, scene, fire):
     assert layer_of(addon, described).alpha.max() > 0.1
     assert described.volumes[0][0].emission is None
     node.inputs["Density Attribute"].default_value = "nothing"
-    with pytest.raises(addon.inference.SceneError, match="Cloud.*empty"):
+    with pytest.raises(SceneError, match="Cloud.*empty"):
         read(addon)

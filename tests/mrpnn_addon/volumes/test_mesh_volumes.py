@@ -10,6 +10,8 @@ bpy = pytest.importorskip("bpy")
 import bmesh
 from mathutils import Matrix
 
+from inference import SceneError, Settings, render
+
 from tests.support import blender_scenes
 
 
@@ -82,7 +84,7 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
     lit(scene)
     described = read(addon)
     assert not described.volumes and not addon.mrpnn_addon.engine.render_job.render_scene(
-        described, addon.inference.Settings()).layer.alpha.any()
+        described, Settings()).layer.alpha.any()
     assert f"volume \"{fog.name}\" holds no smoke in frame 1 and is left out" in described.warnings
     # Liquids are meshes.
     modifier.domain_settings.domain_type = 'LIQUID'
@@ -112,9 +114,9 @@ def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
     scene.render.resolution_x = scene.render.resolution_y = 32
     scene.cycles.volume_step_rate = 0.1
     bpy.context.view_layer.update()
-    settings = addon.inference.Settings(depth_samples=1)
+    settings = Settings(depth_samples=1)
     described = read(addon)
-    layer = addon.inference.render(described.volumes, described.suns, described.camera, settings)
+    layer = render(described.volumes, described.suns, described.camera, settings)
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=64)[..., 3]
     assert expected.mean() > 0.03
     assert layer.alpha.mean() == pytest.approx(expected.mean(), rel=0.01)
@@ -134,7 +136,7 @@ def sheet(shape):
 def test_meshes_without_an_inside_are_refused_by_name(addon, scene, make, said):
     add_mesh(scene, make)
     lit(scene)
-    with pytest.raises(addon.inference.SceneError, match=f"\"Fog\".*{said}"):
+    with pytest.raises(SceneError, match=f"\"Fog\".*{said}"):
         read(addon)
 
 
@@ -143,7 +145,7 @@ def test_an_attribute_that_a_mesh_lacks_is_refused(addon, scene):
     tree = node.id_data
     tree.links.new(tree.nodes.new("ShaderNodeVolumeInfo").outputs["Density"], node.inputs["Density"])
     lit(scene)
-    with pytest.raises(addon.inference.SceneError, match="\"density\", which does not exist inside a mesh"):
+    with pytest.raises(SceneError, match="\"density\", which does not exist inside a mesh"):
         read(addon)
 
 

@@ -7,6 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import Medium, SceneError, Settings, render
+
 from tests.support import blender_scenes
 
 
@@ -64,7 +66,7 @@ def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
     scene.frame_set(9)
     described = read(addon)
     assert described.warnings == ["volume \"Cloud\" has no file for frame 9 and is left out"]
-    finished = addon.mrpnn_addon.engine.render_job.render_scene(described, addon.inference.Settings(), str(tmp_path / "9.exr"))
+    finished = addon.mrpnn_addon.engine.render_job.render_scene(described, Settings(), str(tmp_path / "9.exr"))
     assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
     width, height = described.camera.resolution
     assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
@@ -74,7 +76,7 @@ def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
     scene.frame_set(10)
     assert read(addon).volumes
     scene.objects["Cloud"].visible_camera = False
-    with pytest.raises(addon.inference.SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
+    with pytest.raises(SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
         read(addon)
 
 
@@ -83,7 +85,7 @@ def test_a_missing_file_of_a_sequence_is_named(addon, scene, tmp_path):
     lit(scene)
     scene.frame_set(11)
     message = "\"Cloud\": this frame.s file of its sequence cannot be read .*fog_002.vdb"
-    with pytest.raises(addon.inference.SceneError, match=message):
+    with pytest.raises(SceneError, match=message):
         read(addon)
 
 
@@ -160,8 +162,8 @@ def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     assert "Made" in volume.name
     np.testing.assert_allclose(medium.sigma_t, 3.0 * 1.0)
     suns = described.suns
-    black = [(volume, addon.inference.Medium(medium.sigma_t, 0.0))]
-    layer = addon.inference.render(black, suns, described.camera, addon.inference.Settings(depth_samples=1))
+    black = [(volume, Medium(medium.sigma_t, 0.0))]
+    layer = render(black, suns, described.camera, Settings(depth_samples=1))
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 3]
     assert expected.mean() > 0.05
     # Cycles 4.5 cuts off the half voxel over which the outermost voxels fade.

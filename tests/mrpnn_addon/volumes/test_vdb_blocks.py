@@ -5,6 +5,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
@@ -90,7 +92,7 @@ def test_negative_and_nan_voxels_become_0_in_blocks(density_grid, everything_spa
 def test_too_many_voxels_are_refused(addon, density_grid, everything_sparse, monkeypatch, tmp_path):
     path = write(uneven_grid(), tmp_path / "many.vdb")
     monkeypatch.setattr(density_grid, "MAX_VOXELS", 1 << 20)
-    with pytest.raises(addon.inference.SceneError, match="holds more than the 1048576 voxels"):
+    with pytest.raises(SceneError, match="holds more than the 1048576 voxels"):
         density_grid.read_density_grid(path, "density", "Cloud")
 
 

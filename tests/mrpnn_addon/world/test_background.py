@@ -10,6 +10,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import Cancelled
+
 from tests.support import blender_scenes
 from tests.support.exr_files import combined
 
@@ -307,9 +309,9 @@ def test_cancelling_ends_the_process(addon, veil, scene):
     def check():
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > 3.0:
-            raise addon.inference.Cancelled()
+            raise Cancelled()
 
-    with pytest.raises(addon.inference.Cancelled):
+    with pytest.raises(Cancelled):
         addon.mrpnn_addon.scene.film.read_background(depsgraph, camera, check)
     assert time.monotonic() - asked[-1] < 1.0
     assert not addon.mrpnn_addon.scene.film.world_behind(depsgraph)._process._running

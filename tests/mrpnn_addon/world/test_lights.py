@@ -8,6 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
@@ -126,7 +128,7 @@ def test_a_coloured_world_is_light_from_all_directions(addon, scene, tmp_path):
     scene.mrpnn.world_directions = 5
     assert len(read(addon).suns) == 5
     scene.world.cycles_visibility.scatter = False
-    with pytest.raises(addon.inference.SceneError, match="no sun"):
+    with pytest.raises(SceneError, match="no sun"):
         read(addon)
 
 

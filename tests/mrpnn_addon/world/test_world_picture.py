@@ -8,6 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
@@ -85,7 +87,7 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     brightest = max(described.suns, key=lambda sun: sun.irradiance.sum())
     assert brightest is discs[0]
     scene.mrpnn.world_directions = 0
-    with pytest.raises(addon.inference.SceneError, match="no sun"):
+    with pytest.raises(SceneError, match="no sun"):
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
