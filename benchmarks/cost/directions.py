@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from inference import Camera, Medium, Settings, render
+from inference import Settings, render
 
-from ..fidelity.views import cube_volume, look_at, shared_views
+from ..fidelity.views import independent_views
 from ..support.extension import extension
 from ..support.page import replace
 
@@ -41,14 +41,13 @@ def rows(view, size: int):
     """Lines of the table."""
     environment = extension().mrpnn_addon.environment
     sphere = environment.Sphere()
-    camera = Camera(look_at(view.position, view.up), resolution=(size, size), fov=np.radians(view.fov))
-    scene = [(cube_volume(view.density(), view.volume), Medium(view.sigma_hat, view.albedo, view.anisotropy))]
+    camera, volumes = view.camera(size), view.volumes()
     for name, radiance in worlds(sphere.directions).items():
         layers, seconds = {}, {}
         for count in (*COUNTS, MANY):
             suns = environment.quadrature(sphere, radiance, count)
             start = time.process_time()
-            layers[count] = render(scene, suns, camera, Settings(DEPTH_SAMPLES))
+            layers[count] = render(volumes, suns, camera, Settings(DEPTH_SAMPLES))
             seconds[count] = time.process_time() - start
         truth = layers[MANY]
         seen = truth.alpha > 0.02
@@ -65,7 +64,7 @@ def main():
     parser.add_argument("--size", type=int, default=48)
     arguments = parser.parse_args()
     lines = ["| view | World | directions | single | multiple | together | processor seconds |", "|---" * 7 + "|"]
-    for view in shared_views():
+    for view in independent_views():
         if view.name in VIEWS:
             for line in rows(view, arguments.size):
                 lines.append(line)

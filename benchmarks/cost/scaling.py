@@ -19,7 +19,7 @@ import numpy as np
 from inference import Camera, Medium, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
-from ..fidelity.views import MASK_ALPHA, shared_views
+from ..fidelity.views import MASK_ALPHA, independent_views
 from ..support.extension import ROOT
 from ..support.page import replace
 from .speed import camera_covering, cloud
@@ -108,7 +108,7 @@ def omissions_table(size: int) -> str:
 
 def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
-    for view in shared_views():
+    for view in independent_views():
         truth = view.render(Settings(64, leave_out=EVERY_PIXEL))
         cells = [error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
                  for samples in (1, 2, 3, 4, 8, 16)]
@@ -128,12 +128,12 @@ def sharing_table() -> str:
     choices = [(samples, share) for samples in (4, 8) for share in (EVERY_PIXEL, ALL)]
     lines = ["| view | pixels | " + " | ".join(f"{n}, {'shared' if share == ALL else 'each'}" for n, share in choices) + " |",
              "|---" * (2 + len(choices)) + "|"]
-    views = {view.name: view for view in shared_views()}
+    views = {view.name: view for view in independent_views()}
     for name in SHARING_VIEWS:
         for size in SHARING_SIZES:
-            view = dataclasses.replace(views[name], size=size)
-            truth = view.render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL))
-            cells = [error_and_points(view.render(Settings(n, leave_out=share)), truth) for n, share in choices]
+            truth = views[name].render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL), size)
+            layers = [views[name].render(Settings(n, leave_out=share), size) for n, share in choices]
+            cells = [error_and_points(layer, truth) for layer in layers]
             lines.append(f"| {name} | {size}² | {' | '.join(cells)} |")
             print(lines[-1], flush=True)
     return "\n".join(lines)

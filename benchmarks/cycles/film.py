@@ -1,10 +1,11 @@
 """A film of a volume sequence, and how far its frames are from Cycles: makes docs/film.md.
 
-    python -m benchmarks.cycles.film [--files ../shared/volumes/plume] [--out build/film] [--compare 3]
+    python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--compare 3]
 
 Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
-OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures what a frame changes by
-where nothing in the picture does. Figures go to OUT/film.json.
+OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures by how much a frame
+changes where nothing in the scene does. Figures go to OUT/film.json. Without --files it takes the plume that
+benchmarks/data/README.md names, which the repository may not contain.
 """
 
 import argparse
@@ -20,10 +21,11 @@ import numpy as np
 from ..demo import scene as demo_scene
 from ..demo.__main__ import pixels
 from ..support import pictures
+from ..support.data import EXTRA_VOLUMES
 from ..support.extension import ROOT, extension
 from ..support.page import replace
 
-PLUME = ROOT.parent / "shared" / "volumes" / "plume"
+PLUME = EXTRA_VOLUMES / "plume"
 PAGE = ROOT / "docs" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
 FRAMES_A_SECOND = 12
@@ -156,7 +158,7 @@ def main(arguments=None) -> int:
     options.out = options.out.resolve()
     files = sorted(path.resolve() for path in options.files.glob("*.vdb"))
     if not files:
-        print(f"no .vdb files in {options.files}", file=sys.stderr)
+        print(f"no .vdb files in {options.files}: name a folder of numbered files with --files", file=sys.stderr)
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
     extension()

@@ -23,7 +23,7 @@ import bpy
 from ..support.extension import ROOT, extension
 from ..support.page import replace as replace_file
 from . import page, plots
-from .cases import cases, make
+from .cases import absent_files, cases, make
 
 DOCS = ROOT / "docs"
 # Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
@@ -43,6 +43,9 @@ def main(arguments=None) -> int:
     results = json.loads(file.read_text()) if file.is_file() else {}
     scenes = cases(options.size)
     if not options.table:
+        for path in absent_files():
+            print(f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                  file=sys.stderr)
         extension()
         for case in scenes:
             if not (options.only in case.name or options.only in case.growth):

@@ -6,7 +6,7 @@ from inference.evaluation.error import Estimate
 from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
 from ..fidelity.tables import table
-from .cases import ENLARGED
+from .cases import ENLARGED, EXTRAS
 
 CYCLES, DENOISED = "cycles", "cycles denoised"
 NOISY = "too noisy"
@@ -53,9 +53,19 @@ def rung(result, method: str):
     return next((one for one in result["rungs"] if one["method"] == method), None)
 
 
+def of_the_set(results) -> list:
+    """Without those that show how costs grow."""
+    return [result for result in results if not result["case"]["growth"]]
+
+
+def counted(results) -> list:
+    """Those that anyone can measure from the repository alone; no mean is over others."""
+    return [result for result in results if result["case"]["volume"] not in EXTRAS]
+
+
 def page(results, wanted: int) -> str:
     """results: of the cases measured so far, of `wanted`."""
-    main = [result for result in results if not result["case"]["growth"]]
+    main = of_the_set(results)
     model = results[0]["judged"]["method"]
     size = results[0]["case"]["size"]
     parts = [
@@ -72,7 +82,7 @@ def page(results, wanted: int) -> str:
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if main:
-        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(main, results),
+        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(counted(main), results),
                   "![Error against time, a scene a panel](images/error-vs-time.png)\n",
                   "## Every scene\n", scenes(main, model)]
     parts += [filtered(results), "## How costs grow\n",
@@ -101,9 +111,10 @@ def headline(main, results) -> str:
             "scenes", "aim reached"]
     return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
             "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. "
-            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds a sample are those measured there; the "
+            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
             f"samples that Cycles needs are those at {size}², as if the layer's error were the same. Denoised Cycles is "
-            "not among those rows: what a filter leaves depends on the size (see below). "
+            "not among those rows: what a filter leaves depends on the size (see below). Scenes of volumes that the "
+            f"repository lacks ({', '.join(EXTRAS)}) count in no row. "
             "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
             "scenes, is what it would be were each error as large as its 95 % interval allows. An aim counts as "
             "reached where that mean reaches it, and as missed where even the first falls short.\n\n"
@@ -125,7 +136,7 @@ def filtered(results) -> str:
                          "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×"])
     if not rows:
         return ""
-    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples a pixel",
+    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples per pixel",
             "denoised to the layer's error: times first / frame"]
     return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less a filter costs it: of two scenes with "
             "little noise errors were measured in larger images too.\n\n" + table(head, rows))
