@@ -1,7 +1,7 @@
 """The benchmark that measures systems: its views, its figures on known errors, and a small run of it all."""
 
-import csv
 import dataclasses
+import hashlib
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from benchmarks.fidelity import __main__ as fidelity
 from benchmarks.fidelity import real_volumes, tables, views
 from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
+from benchmarks.support import pages
 from inference.network import network
 from training.export import export, save
 from training.networks import MRPNN, RPNN
@@ -28,6 +29,7 @@ def weights(tmp_path, monkeypatch):
     for net in (MRPNN(), RPNN()):
         save(export(net, RANGES), str(folder / f"{net.name}.onnx"))
     monkeypatch.setattr(network, "WEIGHTS", folder)
+    return folder
 
 
 def test_views_are_held_back_and_lit_as_they_say():
@@ -71,8 +73,12 @@ def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
         "--models", "mrpnn-paper", "rpnn", "--match", "cloud1-side-g0.857", "--depth-samples", "2", "--size", "16",
         "--samples", "16", "--cells", "32",
     ])
-    with open(tmp_path / "out" / "fidelity.csv") as file:
-        rows = list(csv.DictReader(file))
+    path = tmp_path / "out" / "fidelity.csv"
+    rows = pages.read_csv(path)
+    (source,) = pages.csv_made_by(path)
+    assert source.startswith("`python -m benchmarks.fidelity --out ") and "commit" in source
+    checksum = hashlib.sha256((weights / "rpnn.onnx").read_bytes()).hexdigest()[:12]
+    assert f"rpnn {checksum}" in source and f"rpnn {checksum}" in path.with_suffix(".md").read_text()
     # Two more albedos beside the usual view, which is all that RPNN knows.
     assert [row["system"] for row in rows] == ["mrpnn-paper", "rpnn", "mrpnn-paper", "mrpnn-paper"]
     assert all(float(row["rmse_low"]) <= float(row["rmse"]) <= float(row["rmse_high"]) for row in rows)
@@ -99,7 +105,7 @@ def test_boosts_and_means_compare_like_with_like():
         measurement("rpnn", seconds=60.0, reference_seconds=30.0, rmse=0.3),
         measurement("mrpnn", view="cloud-g0", anisotropy=0.0, rmse=0.5),
     ]
-    text = tables.document(found, {}, 8)
+    text = tables.document(found, {}, "")
     assert "| cloud | side | 2 s · 30 × · 250 × | 60 s · 1 × · 0.5 × |" in text
     lines = [line.split(" | ")[:3] for line in text.splitlines() if line.startswith("| mrpnn")]
     assert lines == [["| mrpnn", "all it knows, 2", "0.300"], ["| mrpnn", "common to all, 1", "0.100"]]
@@ -110,7 +116,7 @@ def test_real_volumes_have_a_table_of_their_own():
         measurement("mrpnn", view=f"torus-{light}-{g}", volume="torus", light=light, anisotropy=g, rmse=rmse, bias=bias)
         for light, g, rmse, bias in (("side", 0.857, 0.1, 0.04), ("back", 0.857, 0.3, -0.06), ("side", 0.0, 0.2, 0.05))
     ]
-    text = tables.document(found, {}, 8)
+    text = tables.document(found, {}, "")
     assert "mrpnn: 0.200 on the mean, bias +1.0 %, within 5 % on 2 of 3 views" in text
     assert "| torus | 100 | 0.100 +4.0 % | 0.300 -6.0 % | 0.200 +5.0 % |" in text
     assert "| torus | side |" not in text and "Table 2" not in text

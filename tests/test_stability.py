@@ -1,6 +1,5 @@
 """The quick part of the stability benchmark, each case within its bound; all of them stand in docs/stability.md."""
 
-import csv
 import pathlib
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from benchmarks.stability import files
 from benchmarks.stability.__main__ import CASES, measure
 from benchmarks.stability.case import Case, Outcome, violations
+from benchmarks.support import pages
 
 DOCS = pathlib.Path(__file__).resolve().parents[1] / "docs"
 QUICK = [case for case in CASES if case.quick]
@@ -30,8 +30,7 @@ def test_what_is_beyond_a_bound_or_missing_is_told():
 
 
 def test_the_published_table_is_of_these_cases():
-    with open(DOCS / "stability.csv", newline="") as file:
-        published = {(row["group"], row["case"], row["quantity"]): row for row in csv.DictReader(file)}
+    published = {(row["group"], row["case"], row["quantity"]): row for row in pages.read_csv(DOCS / "stability.csv")}
     wanted = {(case.group, case.name, quantity): bound for case in CASES for quantity, bound in case.bounds.items()}
     assert set(published) == set(wanted)
     for key, bound in wanted.items():

@@ -19,18 +19,20 @@ from inference import available_models
 from inference.network.network import register_system
 from training.reference import PATHS, PathTracer
 
+from ..support.provenance import made_by
 from . import tables
 from .measurements import applies, measure, published_network, write_csv
 from .real_volumes import real_views
 from .views import independent_views, procedural_views
 
+PROGRAM = "benchmarks.fidelity"
 #: In the order of the tables.
 SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
 
 
 def main(options=None):
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.fidelity", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True)
     present = [system for system in SYSTEMS if system in available_models()]
     parser.add_argument("--models", nargs="+", default=present, choices=available_models(), metavar="NAME")
@@ -58,7 +60,7 @@ def main(options=None):
     if not views:
         parser.error(f"no view's name contains {arguments.match!r}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    measured = []
+    measured, source = [], made_by(PROGRAM, options, arguments.models)
     for view in views:
         systems = [system for system in arguments.models if applies(system, view)]
         if not systems:
@@ -70,8 +72,9 @@ def main(options=None):
             print(f"{one.view:44} {one.system:13} {interval} bias {one.bias:+.3f} {one.seconds:6.1f} s", flush=True)
         measured += found
         # After each view, so that a run that is stopped leaves what it has.
-        write_csv(arguments.out / "fidelity.csv", measured)
-        text = tables.document(measured, published_network(), arguments.depth_samples)
+        write_csv(arguments.out / "fidelity.csv", measured, source)
+        facts = f"Made by {source}. {arguments.depth_samples} depth samples."
+        text = tables.document(measured, published_network(), facts)
         (arguments.out / "fidelity.md").write_text(text)
 
 

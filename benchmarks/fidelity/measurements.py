@@ -1,6 +1,5 @@
 """Systems measured on views, and their figures as CSV."""
 
-import csv
 import json
 import pathlib
 from dataclasses import asdict, dataclass
@@ -13,6 +12,7 @@ from inference.network.network import load_network
 from inference.scene.optimizations import ALL
 
 from ..support.data import REFERENCES
+from ..support.pages import csv_text, replace
 from . import pictures
 from .references import relative_variance, seconds_per_sample
 from .views import MASK_ALPHA, View
@@ -80,9 +80,7 @@ def published_network() -> dict:
     return {view: {"rmse": f["rel_rmse"], "bias": f["rel_bias"], "paper": f["paper"]} for view, f in figures.items()}
 
 
-def write_csv(path: pathlib.Path, measured):
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, asdict(measured[0]))
-        writer.writeheader()
-        for one in measured:
-            writer.writerow({**asdict(one), "albedo": " ".join(f"{value:g}" for value in one.albedo)})
+def write_csv(path: pathlib.Path, measured, made_by: str) -> None:
+    """A row for each measurement."""
+    rows = [{**asdict(one), "albedo": " ".join(f"{value:g}" for value in one.albedo)} for one in measured]
+    replace(path, csv_text([made_by], list(rows[0]), [row.values() for row in rows]))

@@ -168,12 +168,13 @@ def table2(measured: Measured) -> str:
     return table(head, rows) if rows else ""
 
 
-def document(measurements, published: dict, depth_samples: int) -> str:
-    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}."""
+def document(measurements, published: dict, source: str) -> str:
+    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}; source: what made the figures."""
     measured = Measured(measurements)
     parts = [
         "# Fidelity\n",
-        f"{depth_samples} depth samples. Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
+        f"{source}\n",
+        "Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
         "metric is RMSE × 100 of tone-mapped luma. 0: less than the references can resolve. n/a: the system does not "
         "know that albedo or anisotropy, or was not measured. The error of `reference`, the path tracer at the "
         "depth samples, is its noise.\n",

@@ -7,7 +7,7 @@ from .extension import ROOT
 #: See benchmarks/data/README.md for what they are, their sources and their licences.
 VOLUMES = ROOT / "benchmarks" / "data" / "volumes"
 REFERENCES = ROOT / "benchmarks" / "data" / "references"
-#: Volumes without a licence to copy them, beside the repository. Optional: what needs one is left out where it is absent.
+#: Volumes without a licence to copy them, beside the repository. Optional: programs leave out what needs an absent one.
 EXTRA_VOLUMES = ROOT.parent / "shared" / "volumes"
 
 
