@@ -124,9 +124,9 @@ def page(found, options) -> str:
         "# A film", "",
         f"Made by {found['made_by']}.", "",
         "A sequence of `.vdb` files, rendered by the extension in Blender. Some of its frames are compared with Cycles",
-        f"{bpy.app.version_string} at {options.scale} % of the size, in two renders of {options.samples} samples per "
-        "pixel each, so that Cycles' own",
-        "noise does not count. Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
+        f"{bpy.app.version_string} at {options.scale} % of the size, in two renders with {options.samples} samples",
+        "per pixel each, so that Cycles' own noise does not count.",
+        "Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
         "", "![Frames of the plume, ours and Cycles'](images/film.png)", "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples, "
         f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s per frame (median).", "",

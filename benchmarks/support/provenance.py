@@ -35,7 +35,7 @@ def weights_checksum(model: str) -> str:
 
 
 def commit() -> str:
-    """The commit of the repository, and whether the code differs from it; docs, where tables are written, do not count."""
+    """The commit of the repository, and whether files other than docs, where tables are written, differ from it."""
     try:
         head = _git("rev-parse", f"--short={DIGITS}", "HEAD").strip()
         changed = _git("status", "--porcelain", "--", ".", ":!docs").strip()
