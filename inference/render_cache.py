@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import dataclass
-from typing import List, Optional
 
 from .grids.grid import Grid
 from .grids.merge import merge
@@ -42,7 +41,7 @@ class RenderCache:
                 self._networks = {(name, provider): load_network(name, provider)}
             return self._networks[name, provider]
 
-    def grids(self, volumes: List[Volume], cancel: CancelToken = NEVER) -> List[Grid]:
+    def grids(self, volumes: list[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
         """A Grid of each volume."""
         with cancel.locked(self._lock):
             found = []
@@ -53,7 +52,7 @@ class RenderCache:
             self._grids = found
             return [grid for _, grid in found]
 
-    def group(self, network, members, grids: List[Grid], number: int, cancel: CancelToken = NEVER) -> ScatteringGroup:
+    def group(self, network, members, grids: list[Grid], number: int, cancel: CancelToken = NEVER) -> ScatteringGroup:
         """One group of volumes.
 
         members: pairs of Volume and Medium; grids: a Grid of each; number: of the group in its render, whose predecessor
@@ -61,7 +60,7 @@ class RenderCache:
         """
         with cancel.locked(self._lock):
             volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
-            known: Optional[VolumePredictor] = self._predictors.get(number)
+            known: VolumePredictor | None = self._predictors.get(number)
             if known is None or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
                 known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel)

@@ -39,7 +39,7 @@ def worlds(directions):
 
 def rows(view, size: int):
     """Lines of the table."""
-    environment = extension().mrpnn_addon.environment
+    environment = extension().mrpnn_addon.world.quadrature
     sphere = environment.Sphere()
     camera, volumes = view.camera(size), view.volumes()
     for name, radiance in worlds(sphere.directions).items():

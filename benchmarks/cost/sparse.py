@@ -37,8 +37,8 @@ POLL_INTERVAL = 0.005
 def write_cloud(path: Path, cells: int, share: float) -> None:
     """A trilinearly finer cloud above the threshold that leaves `share`, with a puff in either corner of its box."""
     from inference.grids.dense_grid import DenseGrid
-    from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
-    from training.volumes import make_volume
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+    from training.data.volumes import make_volume
 
     density = make_volume(SEED, cells // SPLIT).density
     density[:2, :2, :2] = density[-2:, -2:, -2:] = density.max()
@@ -100,7 +100,7 @@ def measure(path: Path, cells: int, size) -> dict:
     import bpy
     from mrpnn.inference import Settings, render
     from mrpnn.inference.plan.plan import make_plan
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     from ..demo import scene as demo_scene
 

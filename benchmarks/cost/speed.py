@@ -18,8 +18,8 @@ from inference import Camera, Medium, Settings, Sun, render
 from inference.network.predictor import POINTS_PER_TASK
 from inference.network.network import WEIGHTS, load_network
 from inference.runtime.report import process_peak_memory
-from training.seeded_volume import cube_volume
-from training.volumes import HELD_BACK, make_volume
+from training.data.seeded_volume import cube_volume
+from training.data.volumes import HELD_BACK, make_volume
 
 from ..fidelity.views import look_at
 from ..support.provenance import made_by

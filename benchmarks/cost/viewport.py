@@ -17,7 +17,7 @@ from pathlib import Path
 
 import bpy
 
-from training.volumes import make_volume
+from training.data.volumes import make_volume
 
 from ..demo.scene import CLOUD_SEED, fit, make_scene, write_grid
 from ..support.extension import load_extension
@@ -39,7 +39,7 @@ def since(start):
 def pictures(addon, description, camera, settings, prepared):
     """(wall, processor) seconds to the first and to the last picture of a preview."""
     start, first = clock(), None
-    preview = addon.mrpnn_addon.preview.Preview(description, camera, settings, prepared)
+    preview = addon.mrpnn_addon.engine.preview.Preview(description, camera, settings, prepared)
     while not preview.done:
         if first is None and preview.number:
             first = since(start)
@@ -52,16 +52,16 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     """Print the table."""
     package = addon.mrpnn_addon
     path = Path(folder) / "cloud.vdb"
-    write_grid(path, make_volume(CLOUD_SEED, voxels).density, package.openvdb_module.load_openvdb())
+    write_grid(path, make_volume(CLOUD_SEED, voxels).density, package.vdb.openvdb_module.load_openvdb())
     scene, volume, shader = make_scene(path, size, "density", y_up=False)
-    fit(scene, volume, shader, package.scene.read_scene, OPTICAL_DEPTH)
+    fit(scene, volume, shader, package.scene.reader.read_scene, OPTICAL_DEPTH)
     sun = next(item for item in scene.objects if item.type == 'LIGHT')
-    reader, prepared = package.volumes.VolumeReader(), package.preview.Prepared(addon.inference.RenderCache())
+    reader, prepared = package.volumes.reader.VolumeReader(), package.engine.preview.Prepared(addon.inference.RenderCache())
 
     def read():
         bpy.context.view_layer.update()
         start = clock()
-        description = package.scene.read_scene(bpy.context.evaluated_depsgraph_get(), reader)
+        description = package.scene.reader.read_scene(bpy.context.evaluated_depsgraph_get(), reader)
         return description, since(start)
 
     description, opened = read()
@@ -75,7 +75,7 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     description, again = read()
     rows.append(("sun turned", *pictures(addon, description, turned, settings, prepared)))
     shader.inputs["Density"].default_value *= 0.8
-    reader = package.volumes.VolumeReader()
+    reader = package.volumes.reader.VolumeReader()
     description, shaded = read()
     rows.append(("density changed", *pictures(addon, description, turned, settings, prepared)))
     start = clock()

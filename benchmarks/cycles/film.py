@@ -34,7 +34,7 @@ FRAMES_PER_SECOND = 12
 
 def make_film(files, options) -> dict:
     """Render and compare; gives the figures by frame, and of steadiness."""
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     scene, volume, shader = demo_scene.make_scene(files[0], options.size, options.grid, y_up=True)
     # The sun alone: each direction of a World's light would take as long as the sun.

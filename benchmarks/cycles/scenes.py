@@ -58,8 +58,8 @@ def main(arguments=None) -> int:
 
 
 def write_cloud(path: Path) -> None:
-    from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
-    from training.volumes import make_volume
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+    from training.data.volumes import make_volume
 
     demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
 
@@ -68,8 +68,8 @@ def measured(name, stage, options) -> dict:
     """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
     from mrpnn import inference
     from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
-    from mrpnn.mrpnn_addon.cycles_reference import render_reference, volumes_and_suns
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.cycles.reference import render_reference, volumes_and_suns
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
@@ -111,7 +111,7 @@ def measured(name, stage, options) -> dict:
 def named(stage) -> dict:
     """What the extension says of a scene that it does not render as Cycles does."""
     from mrpnn import inference
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     try:
         described = read_scene(bpy.context.evaluated_depsgraph_get())

@@ -28,7 +28,7 @@ LADDER = 16
 
 def demo(path: Path, out: Path, options) -> str:
     """Render and compare one volume; gives the table. Raises RuntimeError with the operator's message."""
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     scene, volume, shader = demo_scene.make_scene(path, options.size, options.grid, options.y_up)
     demo_scene.fit(scene, volume, shader, read_scene, options.optical_depth)
@@ -108,7 +108,7 @@ def main(arguments=None) -> int:
     extension()
     paths = options.volumes or [options.out / "cloud.vdb"]
     if not options.volumes:
-        from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
+        from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
         say("making a cloud")
         demo_scene.write_cloud(paths[0], load_openvdb())
     failed = 0

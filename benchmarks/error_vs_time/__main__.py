@@ -81,9 +81,9 @@ def weights() -> str:
 
 def measured(case, options) -> dict:
     """The comparison's figures."""
-    from mrpnn.mrpnn_addon.comparison_run import ComparisonRun, Options
-    from mrpnn.mrpnn_addon.openvdb_module import load_openvdb
-    from mrpnn.mrpnn_addon.scene import read_scene
+    from mrpnn.mrpnn_addon.comparison.run import ComparisonRun, Options
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     scene = make(case, options.out, load_openvdb(), read_scene)
     bpy.context.view_layer.update()

@@ -26,7 +26,7 @@ SIGMA_HATS = (50.0, 100.0, 400.0)
 def real_density(name: str) -> np.ndarray:
     """float32 (n, n, n): the active voxels in the middle of a cube, a voxel of zeros around their longest side."""
     file, grid_name, y_up = FILES[name]
-    openvdb = extension().mrpnn_addon.openvdb_module.load_openvdb()
+    openvdb = extension().mrpnn_addon.vdb.openvdb_module.load_openvdb()
     grid = openvdb.read(str(volume_file(file)), grid_name)
     low, high = grid.evalActiveVoxelBoundingBox()
     active = np.zeros(np.subtract(high, low) + 1, np.float32)

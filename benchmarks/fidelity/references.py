@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 
-from training.path_tracer import trace_pixels
-from training.transport import prepare
+from training.tracer.path_tracer import trace_pixels
+from training.tracer.transport import prepare
 
 #: Paths per pixel by which the tracer's time is measured.
 TIMED_SAMPLES = 4

@@ -11,8 +11,8 @@ from typing import Callable, Tuple
 import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, render
-from training.seeded_volume import cube_volume
-from training.volumes import HELD_BACK, make_volume
+from training.data.seeded_volume import cube_volume
+from training.data.volumes import HELD_BACK, make_volume
 
 from ..support.data import REFERENCES
 from .references import traced_halves

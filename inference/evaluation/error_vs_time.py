@@ -6,7 +6,6 @@ and is marked as extrapolated.
 """
 
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class Rung:
     once_cpu: float
     rmse: Estimate
     bias: Estimate
-    flip: Optional[float] = None
+    flip: float | None = None
 
     @property
     def error(self) -> float:
@@ -97,7 +96,7 @@ def variance_at_one(a, b, mask, samples: float) -> float:
     return float(0.5 * np.mean((a - b)[mask] ** 2) * samples / (0.5 * np.mean((a + b)[mask])) ** 2)
 
 
-def seconds_on_ladder(rungs: List[Rung], error: float, clock: str = "seconds") -> Reached:
+def seconds_on_ladder(rungs: list[Rung], error: float, clock: str = "seconds") -> Reached:
     """Seconds in which a ladder of one method, by ascending samples, gets down to `error`.
 
     Between rungs on the straight line of the logarithms. Beyond the last the error is taken to fall with
@@ -117,7 +116,7 @@ def seconds_on_ladder(rungs: List[Rung], error: float, clock: str = "seconds") -
     return Reached(start + each * rungs[best].samples * (errors[best] / error) ** 2, AT_LEAST)
 
 
-def error_on_ladder(rungs: List[Rung], seconds: float, clock: str = "seconds") -> Reached:
+def error_on_ladder(rungs: list[Rung], seconds: float, clock: str = "seconds") -> Reached:
     """Error of a ladder of one method after so many seconds: its best rung that is done by then."""
     done = [r.error for r in rungs if getattr(r, clock) <= seconds]
     return Reached(min(done), MEASURED) if done else Reached(rungs[0].error, AT_LEAST)

@@ -8,7 +8,6 @@ what A.3's redirection to the boundary would give.
 """
 
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 
@@ -34,7 +33,7 @@ SHADE = 10.0
 LIT_PARTS = (1, 1, 1, 2, 4, 4, 4)
 
 
-def density_pyramid(level0: np.ndarray) -> List[np.ndarray]:
+def density_pyramid(level0: np.ndarray) -> list[np.ndarray]:
     """Levels 0..8 by 2x2x2 means, float32; level m has 2^(8 - m) cells along an edge."""
     levels = [level0]
     while levels[-1].shape[0] > 1:
@@ -45,7 +44,7 @@ def density_pyramid(level0: np.ndarray) -> List[np.ndarray]:
     return levels
 
 
-def margins(stencil: Stencil) -> List[int]:
+def margins(stencil: Stencil) -> list[int]:
     """Cells that each mip's lattice needs beyond every face of the cube."""
     cells = [LEVEL0_CELLS >> m for m in range(MIPS)]
     reach = [stencil.reach(m) for m in range(MIPS)]
@@ -53,12 +52,12 @@ def margins(stencil: Stencil) -> List[int]:
     return [int(np.ceil(r * n)) + 1 for r, n in zip(reach, cells)]
 
 
-def padded_levels(pyramid: List[np.ndarray], stencil: Stencil) -> List[np.ndarray]:
+def padded_levels(pyramid: list[np.ndarray], stencil: Stencil) -> list[np.ndarray]:
     """Levels 0..7 with their margins of zeros."""
     return [np.pad(level, margin) for level, margin in zip(pyramid, margins(stencil))]
 
 
-def unit_optical_depths(padded: List[np.ndarray], direction: np.ndarray) -> List[np.ndarray]:
+def unit_optical_depths(padded: list[np.ndarray], direction: np.ndarray) -> list[np.ndarray]:
     """Optical depth towards the sun through levels 1..7 for sigma_hat = 1, on the padded lattices.
 
     direction: (3,) unit vector towards the sun in the cube's frame.
@@ -69,7 +68,7 @@ def unit_optical_depths(padded: List[np.ndarray], direction: np.ndarray) -> List
     ]
 
 
-def visibility_levels(stencil: Stencil, shadow_map) -> List[np.ndarray]:
+def visibility_levels(stencil: Stencil, shadow_map) -> list[np.ndarray]:
     """Share of the sun's light that surfaces let through to the cells of levels 1..7, on the padded lattices.
 
     shadow_map: ShadowMap in the cube's frame.
@@ -110,7 +109,7 @@ class Lattices:
     """
 
     values: np.ndarray
-    levels: List[Lattice]
+    levels: list[Lattice]
     density_step: np.float32
 
     @property
@@ -181,13 +180,13 @@ class SunLevels:
     unit_depths: from `unit_optical_depths`. visibility: from `visibility_levels` where surfaces shade, or None.
     """
 
-    unit_depths: List[np.ndarray]
-    visibility: Optional[List[np.ndarray]] = None
+    unit_depths: list[np.ndarray]
+    visibility: list[np.ndarray] | None = None
 
 
 def build_lattices(
-    padded, sigma_hat: float, stencil: Stencil, sun: Optional[SunLevels] = None, bounds=(-0.5, 0.5), mapper=map,
-    earlier: Optional[Lattices] = None,
+    padded, sigma_hat: float, stencil: Stencil, sun: SunLevels | None = None, bounds=(-0.5, 0.5), mapper=map,
+    earlier: Lattices | None = None,
 ) -> Lattices:
     """Lattices of mips 0..7 for one optical thickness and one sun.
 

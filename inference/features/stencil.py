@@ -2,7 +2,7 @@
 
 160 low-frequency points live in a frame that follows the camera ray: z along
 omega, the sun in the half-plane x > 0, y = 0. 32 high-frequency points lie on the ray to
-the sun. The points were computed once (`training/stencil.py`) and travel inside the weights file.
+the sun. The points were computed once (`training/data/stencil.py`) and travel inside the weights file.
 """
 
 import hashlib

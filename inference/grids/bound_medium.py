@@ -1,7 +1,6 @@
 """A medium bound to its grid and to the extinction of some colour channels: what rays march through."""
 
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -21,7 +20,7 @@ class BoundMedium:
     grid: Grid
     medium: Medium
     sigma_t: float
-    sun_depths: List[SunOpticalDepth]
+    sun_depths: list[SunOpticalDepth]
 
     @property
     def linear(self) -> np.ndarray:

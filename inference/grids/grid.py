@@ -1,7 +1,6 @@
 """A volume at the density's own resolution: what camera rays and single scattering read."""
 
 import threading
-from typing import List
 
 import numpy as np
 
@@ -55,7 +54,7 @@ class Grid:
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
         self._sun_depths, self._preparing = {}, threading.Lock()
 
-    def sun_depths(self, directions, cancel: CancelToken = NEVER) -> List[SunOpticalDepth]:
+    def sun_depths(self, directions, cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
         """Optical depth towards each sun; directions: unit vectors (3,) in the world.
 
         Those of the last call are kept and used again. Raises Cancelled.

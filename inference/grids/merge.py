@@ -1,6 +1,5 @@
 """Several overlapping volumes as one medium."""
 
-from typing import List, Tuple
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from ..scene.description import Medium, Volume
 POINTS_PER_BATCH = 1 << 20
 
 
-def merge(grids, media: List[Medium], name: str, cancel: CancelToken = NEVER) -> Tuple[Volume, Medium]:
+def merge(grids, media: list[Medium], name: str, cancel: CancelToken = NEVER) -> tuple[Volume, Medium]:
     """One Volume and Medium with the extinction of all of them, and their mean albedo and mean cosine.
 
     grids: a Grid of each. Voxels are those of the grid with the finest, or as many of

@@ -1,7 +1,6 @@
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
 from dataclasses import dataclass, replace
-from typing import Optional
 
 import numpy as np
 
@@ -24,7 +23,7 @@ STEPS_PER_TASK = 200_000
 # Steps of one ray beyond which a task's memory would no longer be small.
 MOST_STEPS = 1 << 18
 # Pixels along each axis of which one stands for all when the work ahead is estimated.
-PILOT = 8
+PILOT = 12
 
 
 def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
@@ -57,7 +56,7 @@ class _TileRays:
 
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
-) -> Optional[DepthSamples]:
+) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None where no ray meets a volume. Raises Cancelled, and SceneError where
@@ -75,12 +74,10 @@ def march_tile(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
             "another; render volumes of so different sizes in view layers of their own"
         )
-    evaluated = longest * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
-    size = int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
+    size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
     shade = _Shading(scene, channel_pass, tile.camera)
-    options = MarchOptions(settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps, scene.plan.groups,
-                           settings.leave_out)
+    options = _march_options(context, scene, channel_pass)
 
     def task(some):
         batch = rays.batch.take(some)
@@ -90,7 +87,7 @@ def march_tile(
 
     parts, features = [], []
     context.progress.message("single scattering")
-    with report.stage("march"):
+    with report.stage("march"), context.progress.stage("march"):
         for some, segment, single, emission in context.tasks.map(
                 task, [hit[start : start + size] for start in range(0, len(hit), size)]):
             report.count("steps evaluated", segment.steps_evaluated)
@@ -99,7 +96,7 @@ def march_tile(
             ray = some[segment.sample_ray].astype(np.int32)
             parts.append((ray, segment.sample_distance, segment.sample_weight * rays.share[ray], segment.sample_fraction))
             features.append(segment.sample_features)
-            context.progress.advance("march", counts[some].sum())
+            context.progress.advance("march", segment.steps_evaluated)
     columns = (np.concatenate(column) for column in zip(*parts))
     gathered = None
     if channel_pass.fluence is not None:
@@ -109,8 +106,11 @@ def march_tile(
     return samples
 
 
-def estimate_steps(scene: PreparedScene, media, camera: Camera) -> float:
-    """About how many steps the rays of a camera's window take, from one pixel in PILOT x PILOT."""
+def estimate_march(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
+) -> tuple[float, float]:
+    """About how many steps are evaluated on a camera's rays, and how many depth samples they get, from one pixel in
+    PILOT x PILOT."""
     x0, y0, x1, y1 = camera.window
     width, height = max((x1 - x0) // PILOT, 1), max((y1 - y0) // PILOT, 1)
     sparse = np.array([(x1 - x0) / width, (y1 - y0) / height])
@@ -118,14 +118,29 @@ def estimate_steps(scene: PreparedScene, media, camera: Camera) -> float:
     left, top = (np.array([x0, y0]) / sparse).astype(int)
     right, bottom = min(left + width, pilot.resolution[0]), min(top + height, pilot.resolution[1])
     if left >= right or top >= bottom:
-        return 0.0
+        return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far, _ = _ray_intervals(scene.plan, media, origins, directions, near, far)
-    hit = near < far
-    if not hit.any():
-        return 0.0
+    near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, near, far)
+    hit = np.flatnonzero(near < far)
     batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-    return float(step_counts(media, batch).sum() * sparse.prod())
+    options, steps, samples = _march_options(context, scene, channel_pass), 0, 0
+    size = _rays_per_task(scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
+    for start in range(0, len(hit), size):
+        context.cancel.check()
+        segment = march(channel_pass.media, batch.take(slice(start, start + size)), options)
+        steps, samples = steps + segment.steps_evaluated, samples + len(segment.sample_ray)
+    return float(steps * sparse.prod()), float(samples * sparse.prod())
+
+
+def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
+    return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
+                        scene.plan.groups, context.settings.leave_out)
+
+
+def _rays_per_task(scene: PreparedScene, counts) -> int:
+    """Rays that are marched at a time; counts: (R,) steps of each."""
+    evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
+    return int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
 
 
 def _add(framebuffer, scene, channel_pass, pixel, weight, segment, single, emission):
@@ -170,7 +185,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(context, scene, channel_pass, tile) -> Optional[_TileRays]:
+def _tile_rays(context, scene, channel_pass, tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None where none does."""
     report, settings = context.report, context.settings
     # Rays through pixels that lie away from every volume are not even made.

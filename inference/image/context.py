@@ -1,7 +1,6 @@
 """What a render holds while it runs."""
 
 from dataclasses import dataclass, replace
-from typing import List, Optional
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
@@ -46,15 +45,15 @@ class PreparedScene:
     """
 
     plan: Plan
-    grids: List[Grid]
-    sun_depths: List[List[SunOpticalDepth]]
+    grids: list[Grid]
+    sun_depths: list[list[SunOpticalDepth]]
     occluders: Occluders
-    depth_buffer: Optional[DepthBuffer]
-    extended_lights: Optional[ExtendedLights]
-    groups: List[Optional[ScatteringGroup]]
+    depth_buffer: DepthBuffer | None
+    extended_lights: ExtendedLights | None
+    groups: list[ScatteringGroup | None]
     network: object = None
 
-    def media(self, channels: Channels) -> List[BoundMedium]:
+    def media(self, channels: Channels) -> list[BoundMedium]:
         """The volumes as rays see them in some colour channels."""
         return [BoundMedium(grid, medium, float(sigma_t), depths) for grid, (_, medium), sigma_t, depths
                 in zip(self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths)]
@@ -69,8 +68,8 @@ class ChannelPass:
     """
 
     channels: Channels
-    media: List[BoundMedium]
-    fluence: Optional[List[Optional[ScatteredFluence]]]
+    media: list[BoundMedium]
+    fluence: list[ScatteredFluence | None] | None
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class Tile:
     framebuffer: Framebuffer
 
 
-def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> List[Tile]:
+def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> list[Tile]:
     """The plan's tiles, each a part of the framebuffer's memory."""
     x0, y0, x1, _ = camera.window
     width = x1 - x0

@@ -1,7 +1,6 @@
 """The result of a render."""
 
 from dataclasses import dataclass
-from typing import Optional
 
 import numpy as np
 
@@ -32,10 +31,10 @@ class Layer:
     multiple: np.ndarray
     uncertainty: np.ndarray
     emission: np.ndarray
-    report: Optional[Report] = None
+    report: Report | None = None
 
 
-def compose_layer(framebuffer: Framebuffer, shape, report: Optional[Report] = None) -> Layer:
+def compose_layer(framebuffer: Framebuffer, shape, report: Report | None = None) -> Layer:
     """The Layer of a framebuffer's pixels; shape: (H, W)."""
     single, multiple, emission = (
         colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission))

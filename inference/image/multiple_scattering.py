@@ -1,6 +1,5 @@
 """Adds predicted multiple scattering: what each group of volumes makes of each sun, at the camera rays' depth samples."""
 
-from typing import List, Optional
 
 import numpy as np
 
@@ -12,9 +11,10 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .adaptive_interpolation import LEVELS, SURPRISE, Squares, agreeing
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .work_estimate import WorkEstimate
 
 
-def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> Optional[List[Optional[ScatteredFluence]]]:
+def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted, for networks that need ray features."""
     network, plan = scene.network, scene.plan
     if network is None or not network.needs_ray_features:
@@ -25,14 +25,15 @@ def solve_transport(context: RenderContext, scene: PreparedScene, channels) -> O
             fluence = None
             if plan.predicts(g, channels):
                 sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-                fluence = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
-                context.progress.advance("fields", len(directions))
+                with context.progress.stage("transport", len(directions)):
+                    fluence = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
             found.append(fluence)
     return found
 
 
 def add_multiple_scattering(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples,
+    work: WorkEstimate,
 ) -> None:
     """Add the predicted multiple scattering of every group and sun to the tile, and its uncertainty. Raises Cancelled."""
     if scene.network is None:
@@ -42,6 +43,7 @@ def add_multiple_scattering(
         if plan.predicts(g, channel_pass.channels):
             for l in range(len(plan.suns)):
                 _add_one(context, scene, channel_pass, tile, samples, (g, l))
+                work.job_predicted(tile)
 
 
 def _add_one(context, scene, channel_pass, tile, samples, group_and_sun):
@@ -55,15 +57,16 @@ def _add_one(context, scene, channel_pass, tile, samples, group_and_sun):
     context.progress.message(f"multiple scattering of {plan.group_name(g)}")
     with report.stage("fields"):
         bounds = _bounds(context, scene, group.predictor, samples, inside)
-        prepared = group.predictor.prepare(
-            float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
+        with context.progress.stage("lattices", 1):
+            prepared = group.predictor.prepare(
+                float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
         report.count("cells of lookup fields", prepared.lattice_cells)
         context.cancel.check()
     report.count("network points wanted", len(inside))
     estimate = _Estimate(context, samples, len(tile.framebuffer.alpha), prepared, _Source(plan, g, l, indices, group.medium))
     if sun.spread is not None:
         estimate.directions = turned(tile.camera, samples.pixel, samples.directions, sun, group.medium.anisotropy)
-    with report.stage("network"):
+    with report.stage("network"), context.progress.stage("network"):
         if "shared_pixels" not in context.settings.leave_out:
             estimate.evaluate(inside)
         else:
@@ -94,7 +97,7 @@ class _Source:
     times irradiance of each of the group's volumes.
     """
 
-    def __init__(self, plan, g: int, l: int, indices: List[int], medium):
+    def __init__(self, plan, g: int, l: int, indices: list[int], medium):
         self.group, self.sun, self.members, self.indices = g, l, plan.groups[g], indices
         self.albedos = distinct_albedos(medium, indices, plan.leave_out)
         irradiance = plan.suns[l].irradiance

@@ -6,7 +6,6 @@ polynomial of degree 2n - 1 has, where as many even strata give no more than a s
 
 import functools
 from dataclasses import dataclass
-from typing import Optional
 
 import numpy as np
 
@@ -71,7 +70,7 @@ class DepthSamples:
     distance: np.ndarray
     weight: np.ndarray
     fraction: np.ndarray
-    features: Optional[RayFeatures] = None
+    features: RayFeatures | None = None
 
     def __post_init__(self):
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))

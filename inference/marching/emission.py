@@ -1,6 +1,5 @@
 """Light that volumes emit, as it reaches the camera."""
 
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 
@@ -11,8 +10,8 @@ from .ray_steps import RayBatch, RaySteps, blocks_near_density, step_counts, sum
 
 
 def emitted_radiance(
-    media: List[BoundMedium], rays: RayBatch, channels: List[int], leave_out: FrozenSet[str] = ALL
-) -> Optional[np.ndarray]:
+    media: list[BoundMedium], rays: RayBatch, channels: list[int], leave_out: frozenset[str] = ALL
+) -> np.ndarray | None:
     """(R, C): the integral of T(t) e(x(t)) dt along rays for C colour channels; None where nothing emits.
 
     T is the transmittance through all media and e their emission; both are constant within a step.

@@ -5,7 +5,6 @@ the integrals over a step are exact. Blocks of steps, (P, STEPS), are those of `
 """
 
 from dataclasses import dataclass
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 
@@ -42,10 +41,10 @@ class MarchOptions:
     """
 
     depth_samples: int
-    fluence: Optional[List[Optional[ScatteredFluence]]] = None
-    shadow_maps: Optional[List[ShadowMap]] = None
-    groups: Optional[List[List[int]]] = None
-    leave_out: FrozenSet[str] = ALL
+    fluence: list[ScatteredFluence | None] | None = None
+    shadow_maps: list[ShadowMap] | None = None
+    groups: list[list[int]] | None = None
+    leave_out: frozenset[str] = ALL
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class RaySegment:
     sample_distance: np.ndarray
     sample_weight: np.ndarray
     sample_fraction: np.ndarray
-    sample_features: Optional[RayFeatures] = None
+    sample_features: RayFeatures | None = None
     steps_evaluated: int = 0
 
 
@@ -116,7 +115,7 @@ class _MarchedMedium:
         return steps.near + first * dt, np.where(last < steps.count, steps.near + last * dt, steps.far)
 
 
-def march(media: List[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
+def march(media: list[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
     """March rays, whose intervals hold all media, through all of them."""
     behind = BEHIND if options.fluence is None else REACH
     if "behind_opaque" not in options.leave_out:
@@ -192,7 +191,7 @@ def _of_blocks(values: np.ndarray) -> np.ndarray:
     return product(values, np.ones(STEPS, values.dtype))
 
 
-def extinction(media: List[BoundMedium], steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
+def extinction(media: list[BoundMedium], steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
     """Mean extinction (V, P, STEPS) of each step, 0 behind what is opaque and beyond the ray's end.
 
     Goes front to back, some blocks of each ray at a time, with the rays that still see through.
@@ -256,7 +255,7 @@ def _of_groups(values, groups):
     return np.stack([values[group].sum(axis=0) for group in groups])
 
 
-def _reduced_fractions(fluence) -> List[float]:
+def _reduced_fractions(fluence) -> list[float]:
     """Share of scattering outside the phase function's forward peak in each group; any where nothing is predicted."""
     return [1.0 if one is None else one.reduced_fraction for one in fluence]
 

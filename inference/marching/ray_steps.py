@@ -6,7 +6,6 @@ ray alone, so that an image does not depend on which rays are marched together.
 """
 
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -45,23 +44,23 @@ class RayBatch:
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays])
 
 
-def voxel_thickness(media: List[BoundMedium]) -> float:
+def voxel_thickness(media: list[BoundMedium]) -> float:
     """Largest optical thickness of a voxel, as if the densest voxels of all media overlapped."""
     return sum(medium.voxel_thickness for medium in media)
 
 
-def steps_per_voxel(media: List[BoundMedium]) -> float:
+def steps_per_voxel(media: list[BoundMedium]) -> float:
     """By the largest optical thickness of a voxel, within bounds."""
     coarse = STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media)
     return max(float(np.clip(STEPS_PER_DEPTH * voxel_thickness(media), *STEPS_PER_VOXEL)), coarse)
 
 
-def step_thickness(media: List[BoundMedium]) -> float:
+def step_thickness(media: list[BoundMedium]) -> float:
     """Largest optical thickness of a step."""
     return voxel_thickness(media) / steps_per_voxel(media)
 
 
-def step_counts(media: List[BoundMedium], rays: RayBatch) -> np.ndarray:
+def step_counts(media: list[BoundMedium], rays: RayBatch) -> np.ndarray:
     """Steps (R,) that each ray is cut into, by the medium that needs most."""
     crossed = [
         np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * (rays.far - rays.near)

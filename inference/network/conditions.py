@@ -1,7 +1,6 @@
 """The conditions under which a volume's multiple scattering is predicted."""
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
 
 import numpy as np
 
@@ -19,9 +18,9 @@ class Conditions:
 
     sigma_hat: float
     sun: np.ndarray
-    bounds: Tuple[np.ndarray, np.ndarray]
-    shadow_map: Optional[ShadowMap] = None
-    triangles: Optional[np.ndarray] = None
+    bounds: tuple[np.ndarray, np.ndarray]
+    shadow_map: ShadowMap | None = None
+    triangles: np.ndarray | None = None
     occluders: bytes = b""
 
     @property

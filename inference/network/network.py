@@ -10,7 +10,6 @@ import hashlib
 import json
 import pathlib
 from dataclasses import dataclass, field
-from typing import List
 
 import numpy as np
 
@@ -61,7 +60,7 @@ class Network:
     checksum: str
     name: str
     provider: str = "CPU"
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     alone: object = field(default_factory=contextlib.nullcontext)
 
     @property

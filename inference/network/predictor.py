@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -46,7 +45,7 @@ class VolumePredictor:
         self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         self._lock, self._last = threading.Lock(), (None, None)
 
-    def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> List[str]:
+    def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
         """What the network does not know of a medium or of surfaces; name: of the volume, for messages."""
         found, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:

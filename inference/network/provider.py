@@ -3,7 +3,6 @@
 import contextlib
 import threading
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class Opened:
 
     session: object
     provider: str
-    warnings: List[str]
+    warnings: list[str]
     alone: object
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..numerics.rasterization import rasterize
+from .rasterization import rasterize
 
 # Cells' middles are moved so far, in cells, when surfaces are looked for: none runs through the edges of regular meshes.
 OFF = np.array([0.00137, -0.00241, 0.00173])

@@ -4,14 +4,13 @@ Triangles are drawn at several places in each pixel; the nearest wins. A pixel t
 as several rays, one for each distance at which parts of it end.
 """
 
-from typing import List
 
 import numpy as np
 
-from ..numerics.rasterization import rasterize
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
+from .rasterization import rasterize
 
 #: Places across a pixel, an axis, at which surfaces are looked for.
 PLACES = 4
@@ -24,7 +23,7 @@ CLOSEST = 1e-6
 class DepthBuffer:
     """Surfaces as a perspective or orthographic camera sees them."""
 
-    def __init__(self, surfaces: List[Surface], camera: Camera, cancel: CancelToken = NEVER):
+    def __init__(self, surfaces: list[Surface], camera: Camera, cancel: CancelToken = NEVER):
         """Raises Cancelled."""
         self.camera = camera
         # Only what lies beyond the near clipping plane is seen, by every camera.

@@ -3,7 +3,6 @@
 import functools
 import hashlib
 from dataclasses import dataclass
-from typing import List, Optional
 
 import numpy as np
 
@@ -20,15 +19,15 @@ class Occluders:
     shading: triangles (N, 3, 3) of each surface that shades, empty where shadow_maps is None.
     """
 
-    directions: List[np.ndarray]
-    shadow_maps: Optional[List[ShadowMap]]
+    directions: list[np.ndarray]
+    shadow_maps: list[ShadowMap] | None
     triangles: np.ndarray
-    shading: List[np.ndarray]
+    shading: list[np.ndarray]
 
     def __bool__(self):
         return bool(self.shadow_maps) or len(self.triangles) > 0
 
-    def shadow_map(self, direction) -> Optional[ShadowMap]:
+    def shadow_map(self, direction) -> ShadowMap | None:
         """The ShadowMap of the sun in a direction, or None."""
         for known, shadow_map in zip(self.directions, self.shadow_maps or ()):
             if np.array_equal(known, direction):
@@ -72,7 +71,7 @@ def find_occluders(surfaces, directions, corners, cancel: CancelToken = NEVER):
         [surface.triangles for surface in shading] if maps else []), lit
 
 
-def of_suns(occluders: Occluders, numbers: List[int], corners) -> Occluders:
+def of_suns(occluders: Occluders, numbers: list[int], corners) -> Occluders:
     """The same for some of the suns."""
     maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
     shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)

@@ -5,8 +5,8 @@ import copy
 import numpy as np
 
 from ..numerics.intersection import box_interval
-from ..numerics.rasterization import rasterize
 from ..runtime.cancellation import NEVER, CancelToken
+from .rasterization import rasterize
 
 # Cells along the longer side of the volumes, as the sun sees them.
 CELLS = 1024

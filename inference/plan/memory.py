@@ -1,6 +1,5 @@
 """Estimated peak memory of a render, on top of its input."""
 
-from typing import List
 
 import numpy as np
 
@@ -25,7 +24,7 @@ IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
-def grid_bytes(volume: Volume, emits: bool, suns: List[Sun]) -> int:
+def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
     """Bytes of a volume's grid and of its optical depths towards suns."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits

@@ -1,6 +1,5 @@
 """Volumes that overlap: what the network sees as one medium."""
 
-from typing import List, Tuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ..scene.description import Volume
 MOST_EXTENT = 4.0
 
 
-def overlapping(volumes: List[Volume]) -> Tuple[List[List[int]], List[Tuple[int, int]]]:
+def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int, int]]]:
     """Numbers of volumes that are seen as one, and pairs that overlap and are too different in size for it.
 
     Every volume is in one group; groups and their members are in the order of the volumes.

@@ -1,7 +1,7 @@
 """What a scene needs: pure functions of its description."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import FrozenSet, List, Sequence, Tuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Channels:
     indices: of the RGB channels. sigma_t: (V,), of each volume, per unit density and world unit.
     """
 
-    indices: List[int]
+    indices: list[int]
     sigma_t: np.ndarray
 
 
@@ -51,19 +51,19 @@ class Plan:
     tiles: rows, first and end, of the image that are rendered together.
     """
 
-    volumes: List[Tuple[Volume, Medium]]
-    suns: List[Sun]
-    channels: List[Channels]
-    groups: List[List[int]]
-    multiple: List[bool]
-    scattered_emission: List[bool]
-    planned: List[str] = field(default_factory=list)
-    left_out: List[str] = field(default_factory=list)
-    leave_out: FrozenSet[str] = ALL
+    volumes: list[tuple[Volume, Medium]]
+    suns: list[Sun]
+    channels: list[Channels]
+    groups: list[list[int]]
+    multiple: list[bool]
+    scattered_emission: list[bool]
+    planned: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    leave_out: frozenset[str] = ALL
     memory: int = 0
-    tiles: List[Tuple[int, int]] = field(default_factory=list)
+    tiles: list[tuple[int, int]] = field(default_factory=list)
 
-    def members(self, group: int) -> List[Tuple[Volume, Medium]]:
+    def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
         return [self.volumes[v] for v in self.groups[group]]
 
@@ -92,7 +92,7 @@ class Plan:
                        left_out=[*self.left_out, dark])
 
 
-def distinct_albedos(medium: Medium, indices: List[int], leave_out: FrozenSet[str] = ALL):
+def distinct_albedos(medium: Medium, indices: list[int], leave_out: frozenset[str] = ALL):
     """Albedos above 0 among some channels, and the channels of each; or those of all channels."""
     if "equal_albedos" not in leave_out:
         return [(float(medium.albedo[c]), [c]) for c in indices]
@@ -100,7 +100,7 @@ def distinct_albedos(medium: Medium, indices: List[int], leave_out: FrozenSet[st
     return [(value, [c for c in indices if medium.albedo[c] == value]) for value in values]
 
 
-def merge_parallel(suns: List[Sun]) -> List[Sun]:
+def merge_parallel(suns: list[Sun]) -> list[Sun]:
     """Suns with one direction become one, since light is linear."""
     merged = []
     for sun in suns:
@@ -113,7 +113,7 @@ def merge_parallel(suns: List[Sun]) -> List[Sun]:
     return merged
 
 
-def in_range(volume: Volume, medium: Medium) -> Tuple[Volume, Medium]:
+def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
     """The same picture from numbers that single precision holds.
 
     Raises SceneError for a grid of more voxels than can be counted.
@@ -149,7 +149,7 @@ def attenuates(volume: Volume, medium: Medium) -> bool:
     return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
 
 
-def make_tiles(y0: int, y1: int, rows: int) -> List[Tuple[int, int]]:
+def make_tiles(y0: int, y1: int, rows: int) -> list[tuple[int, int]]:
     """Rows of pixels from y0 to y1 in tiles of about `rows`, each of whole bands of the image."""
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
@@ -206,7 +206,7 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
                 settings.leave_out, needed, tiles)
 
 
-def _needed_suns(suns, settings: Settings, left_out: List[str]) -> List[Sun]:
+def _needed_suns(suns, settings: Settings, left_out: list[str]) -> list[Sun]:
     """Suns that give light, parallel ones merged; what is left out is said."""
     if "needless_suns" not in settings.leave_out:
         return list(suns)
@@ -218,7 +218,7 @@ def _needed_suns(suns, settings: Settings, left_out: List[str]) -> List[Sun]:
     return merged
 
 
-def _channel_groups(volumes, settings: Settings) -> List[Channels]:
+def _channel_groups(volumes, settings: Settings) -> list[Channels]:
     """Channels in which every volume has the same extinction share rays, fields and feature stage."""
     groups = []
     for c in range(3):
@@ -232,7 +232,7 @@ def _channel_groups(volumes, settings: Settings) -> List[Channels]:
     return groups
 
 
-def _plan_group(members, lit: bool, settings: Settings, planned: List[str], left_out: List[str]):
+def _plan_group(members, lit: bool, settings: Settings, planned: list[str], left_out: list[str]):
     """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission."""
     names = " and ".join(volume.name for volume, _ in members)
     scatters = any(attenuates(*pair) and bool(distinct_albedos(pair[1], [0, 1, 2], settings.leave_out)) for pair in members)

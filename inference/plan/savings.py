@@ -1,9 +1,8 @@
 """About how long what was left out would have taken, from what the rest took."""
 
-from typing import Dict
 
 
-def estimated_savings(report, plan, settings) -> Dict[str, float]:
+def estimated_savings(report, plan, settings) -> dict[str, float]:
     """Seconds by the clock for each of `plan.leave_out` of which the report's counts and times tell; without those that
     saved less than a hundredth of a second.
     """

@@ -4,7 +4,6 @@ import contextlib
 import sys
 import time
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional
 
 
 @dataclass
@@ -23,14 +22,14 @@ class Report:
     checksum: str = ""
     provider: str = ""
     threads: int = 0
-    planned: List[str] = field(default_factory=list)
-    left_out: List[str] = field(default_factory=list)
-    warnings: List[str] = field(default_factory=list)
-    counts: Dict[str, int] = field(default_factory=dict)
-    saved: Dict[str, float] = field(default_factory=dict)
-    seconds: Dict[str, float] = field(default_factory=dict)
-    cpu_seconds: Dict[str, float] = field(default_factory=dict)
-    peak_memory: Optional[int] = None
+    planned: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    saved: dict[str, float] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    cpu_seconds: dict[str, float] = field(default_factory=dict)
+    peak_memory: int | None = None
 
     def __post_init__(self):
         self._running = {}
@@ -60,7 +59,7 @@ class Report:
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
 
-def process_peak_memory() -> Optional[int]:
+def process_peak_memory() -> int | None:
     """Largest resident size of this process so far in bytes; None on Windows."""
     try:
         import resource

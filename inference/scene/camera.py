@@ -1,7 +1,7 @@
 """The camera."""
 
 from dataclasses import dataclass
-from typing import Literal, Optional, Tuple
+from typing import Literal
 
 import numpy as np
 
@@ -29,14 +29,14 @@ class Camera:
 
     world_matrix: np.ndarray
     projection: Literal["perspective", "orthographic", "equirectangular"] = "perspective"
-    resolution: Tuple[int, int] = (1920, 1080)
+    resolution: tuple[int, int] = (1920, 1080)
     fov: float = 0.6911112070083618
     ortho_scale: float = 6.0
-    shift: Tuple[float, float] = (0.0, 0.0)
-    longitude: Tuple[float, float] = (-np.pi, np.pi)
-    latitude: Tuple[float, float] = (-np.pi / 2.0, np.pi / 2.0)
-    clip: Tuple[float, float] = (0.0, np.inf)
-    region: Optional[Tuple[int, int, int, int]] = None
+    shift: tuple[float, float] = (0.0, 0.0)
+    longitude: tuple[float, float] = (-np.pi, np.pi)
+    latitude: tuple[float, float] = (-np.pi / 2.0, np.pi / 2.0)
+    clip: tuple[float, float] = (0.0, np.inf)
+    region: tuple[int, int, int, int] | None = None
 
     def __post_init__(self):
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")
@@ -64,6 +64,6 @@ class Camera:
             self.region = (x0, y0, x1, y1)
 
     @property
-    def window(self) -> Tuple[int, int, int, int]:
+    def window(self) -> tuple[int, int, int, int]:
         """(x0, y0, x1, y1) of the pixels to render."""
         return self.region or (0, 0, *self.resolution)

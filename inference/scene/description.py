@@ -5,7 +5,6 @@ unless stated otherwise; nothing here knows Blender.
 """
 
 from dataclasses import dataclass
-from typing import Optional, Tuple, Union
 
 import numpy as np
 
@@ -39,10 +38,10 @@ class Volume:
     singular transform.
     """
 
-    density: Union[np.ndarray, SparseGrid]
+    density: np.ndarray | SparseGrid
     world_from_index: np.ndarray
     name: str = "volume"
-    emission: Union[None, np.ndarray, Tuple[SparseGrid, SparseGrid, SparseGrid]] = None
+    emission: None | np.ndarray | tuple[SparseGrid, SparseGrid, SparseGrid] = None
     emission_power: int = 1
 
     def __post_init__(self):
@@ -106,7 +105,7 @@ class Medium:
     albedo: np.ndarray = 1.0
     anisotropy: float = 0.0
     emission: float = 1.0
-    phase: Optional[PhaseFunction] = None
+    phase: PhaseFunction | None = None
 
     def __post_init__(self):
         self.sigma_t = rgb_triple(self.sigma_t, "extinction")
@@ -147,7 +146,7 @@ class Sun:
     direction: np.ndarray
     irradiance: np.ndarray = 1.0
     name: str = "sun"
-    spread: Optional[Tuple[np.ndarray, np.ndarray]] = None
+    spread: tuple[np.ndarray, np.ndarray] | None = None
 
     def __post_init__(self):
         direction = np.asarray(self.direction, dtype=np.float64)

@@ -1,7 +1,6 @@
 """Phase functions of single scattering: Henyey-Greenstein and others, and mixtures of them."""
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -25,7 +24,7 @@ class PhaseFunction:
     lobes: (share, name, parameters) of each, name of LOBES; the shares add up to 1.
     """
 
-    lobes: Tuple[Tuple[float, str, Tuple[float, ...]], ...]
+    lobes: tuple[tuple[float, str, tuple[float, ...]], ...]
 
     def __call__(self, cosine):
         """Value, 1/sr, at cosines between the directions before and after scattering; its integral is 1."""

@@ -1,7 +1,6 @@
 """How to render."""
 
 from dataclasses import dataclass
-from typing import FrozenSet
 
 from .errors import SceneError
 from .optimizations import ALL
@@ -29,7 +28,7 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
-    leave_out: FrozenSet[str] = ALL
+    leave_out: frozenset[str] = ALL
 
     def __post_init__(self):
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):

@@ -1,7 +1,7 @@
 """A grid of which only blocks that hold anything are kept."""
 
 import functools
-from typing import Iterator, Tuple
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -113,7 +113,7 @@ class SparseGrid:
             return None
         return np.array([planes[0] for planes in found]), np.array([planes[-1] + 1 for planes in found])
 
-    def slabs(self) -> Iterator[Tuple[np.ndarray, np.ndarray]]:
+    def slabs(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield boxes of values, a row of blocks along the first axis at a time, and of each its first voxel (3,).
 
         All that is not 0 lies in one of them. The next one overwrites an array.

@@ -12,7 +12,6 @@ fluence phi and flux J are kept, and what a point scatters towards the camera, a
     albedo / (4 pi) (phi - 3 G J . omega).
 """
 
-from typing import List
 
 import numpy as np
 
@@ -38,7 +37,7 @@ class ScatteredEmission:
     grids: a Grid of each; media: of each. thickest: the largest reduced optical depth of a cell.
     """
 
-    def __init__(self, grids, media: List[Medium], cancel: CancelToken = NEVER):
+    def __init__(self, grids, media: list[Medium], cancel: CancelToken = NEVER):
         corners = np.concatenate([grid.corners() for grid in grids])
         low, high = corners.min(axis=0), corners.max(axis=0)
         self.edge = float((high - low).max())
@@ -102,7 +101,7 @@ class ScatteredEmission:
         field = np.concatenate([fluence[None], flux])
         return np.pad(field, [(0, 0), (1, 2), (1, 2), (1, 2)], mode="edge").astype(np.float32)
 
-    def warnings(self, name: str) -> List[str]:
+    def warnings(self, name: str) -> list[str]:
         if self.thickest < THICK:
             return []
         return [f"{name}: light that it emits and scatters is less accurate in smoke as dense as this, with an optical "

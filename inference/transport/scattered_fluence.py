@@ -1,7 +1,6 @@
 """The light that has been scattered, on coarse cells: as networks read it at points, and camera rays on their way."""
 
 from dataclasses import dataclass
-from typing import List
 
 import numpy as np
 
@@ -92,7 +91,7 @@ class ScatteredFluence:
 
     linear: np.ndarray
     offset: np.ndarray
-    lights: List[np.ndarray]
+    lights: list[np.ndarray]
     anisotropy: float
 
     @classmethod
