@@ -256,7 +256,7 @@ def test_help_is_status_0(command, capsys):
 SCRIPT = """
 import sys
 import bpy
-from benchmarks.extension import load_extension
+from benchmarks.support.extension import load_extension
 package = load_extension()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 status = package.operators.command.main(["render", "--output", sys.argv[2]])

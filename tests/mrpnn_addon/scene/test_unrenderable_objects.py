@@ -406,7 +406,7 @@ def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_pat
 PROCESS = """
 import sys
 import bpy
-from benchmarks.extension import load_extension
+from benchmarks.support.extension import load_extension
 package = load_extension()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 bpy.context.scene.render.filepath = sys.argv[2]
