@@ -90,7 +90,7 @@ def check_tag(tag: str) -> None:
     version = manifest()["version"]
     if tag != f"v{version}":
         raise SystemExit(
-            f"the tag is {tag}, but blender_manifest.toml says version {version}: tag v{version}, or change the version")
+            f"the tag is {tag}, but blender_manifest.toml has version {version}: tag v{version}, or change that")
 
 
 if __name__ == "__main__":
