@@ -1,4 +1,4 @@
-"""The benchmark that measures systems: its views, its figures on known errors, and a small run of it all."""
+"""The fidelity benchmark: its views, its figures for known errors, and a small run."""
 
 import csv
 
@@ -19,7 +19,7 @@ RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 
 @pytest.fixture
 def weights(tmp_path, monkeypatch):
-    """Untrained networks; their errors are large, which is no matter here."""
+    """Untrained networks: their large errors do not matter here."""
     folder = tmp_path / "weights"
     folder.mkdir()
     torch.manual_seed(0)
@@ -28,7 +28,7 @@ def weights(tmp_path, monkeypatch):
     monkeypatch.setattr(network, "WEIGHTS", folder)
 
 
-def test_views_are_held_back_and_lit_as_they_say():
+def test_views_use_validation_seeds_and_the_stated_light():
     made = views.procedural_views(8, 1, 16, None)
     assert len({view.name for view in made}) == len(made) == 42
     assert all(seed in HELD_BACK for seed in views.VOLUMES.values())
@@ -89,8 +89,8 @@ def measurement(system, **facts):
     return fidelity.Measurement(system=system, **{**usual, **facts})
 
 
-def test_boosts_and_means_compare_like_with_like():
-    """RPNN's seconds over a system's, the path tracer's over a system's; means over the views of both."""
+def test_speedups_and_means_compare_the_same_views():
+    """RPNN's and the path tracer's seconds over a model's; means over the views of both."""
     found = [
         measurement("mrpnn", seconds=2.0, reference_seconds=500.0, rmse=0.1),
         measurement("rpnn", seconds=60.0, reference_seconds=30.0, rmse=0.3),
@@ -114,7 +114,7 @@ def test_real_volumes_have_a_table_of_their_own():
 
 
 @pytest.mark.skipif(not real_volumes.FOLDER.exists(), reason="the real volumes beside the project are absent")
-def test_real_volumes_are_whole_and_in_the_middle_of_their_cubes():
+def test_real_volumes_are_complete_and_centred_in_their_cubes():
     for name in real_volumes.FILES:
         density = real_volumes.real_density(name)
         assert density.max() == 1.0 and density.min() == 0.0 and len(set(density.shape)) == 1, name

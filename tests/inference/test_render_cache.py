@@ -1,4 +1,4 @@
-"""What is kept from one render to the next changes nothing but the time."""
+"""The render cache changes nothing but the time."""
 
 import threading
 from dataclasses import replace
@@ -26,7 +26,7 @@ def camera(size=12):
 
 
 
-def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
+def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
@@ -40,7 +40,7 @@ def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
         np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
 
 
-def test_two_threads_share_what_is_kept():
+def test_two_threads_share_the_render_cache():
     volume, cache = ball(), RenderCache()
     scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
               for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
@@ -59,7 +59,7 @@ def test_two_threads_share_what_is_kept():
         np.testing.assert_array_equal(found[number], expected[number])
 
 
-def test_without_multiple_scattering_the_rest_is_as_it_was():
+def test_without_multiple_scattering_the_other_passes_are_unchanged():
     volume, sun = ball(), [Sun((0.3, 0.5, 0.8))]
     whole = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), SETTINGS)
     single = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), replace(SETTINGS, multiple=False))
