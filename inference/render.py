@@ -13,7 +13,7 @@ from .image.scattered_emission_pass import add_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .marching.extended_lights import ExtendedLights
 from .occluders.depth_buffer import DepthBuffer
-from .occluders.occluders import NO_OCCLUDERS, find_occluders, of_suns
+from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .plan.plan import Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
@@ -110,8 +110,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         if surfaces and grids:
             corners = np.concatenate([grid.corners() for grid in grids])
             occluders, lit = find_occluders(surfaces, [sun.direction for sun in plan.suns], corners, cancel)
-            if len(lit) < len(plan.suns) and "needless_suns" in plan.leave_out:
-                plan, occluders = plan.with_suns(lit), of_suns(occluders, lit or [0], corners)
+            if len(lit) < len(plan.suns) and "needless_suns" in plan.optimizations:
+                plan, occluders = plan.with_suns(lit), select_suns(occluders, lit or [0], corners)
     with report.stage("shadows"):
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):

@@ -12,7 +12,7 @@ from typing import Dict, FrozenSet, List, Optional
 
 import numpy as np
 
-from ..inference.marching.ray_steps import LEAST_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
+from ..inference.marching.ray_steps import MIN_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
 from ..inference.numerics.intersection import box_interval
 from ..inference.scene.camera_rays import image_rays, window_around
 from ..inference.scene import Camera
@@ -26,7 +26,7 @@ PIXEL, POINT = 2.3e-6, 3.6e-6
 # Of each volume, and of each volume and light.
 VOLUME, FIELD = 0.25, 0.3
 # Optical thickness of a voxel above which light is integrated, and of a step above which it is cut again.
-THICK, STIFF = 0.35, 0.6
+THICK, MAX_STEP_THICKNESS = 0.35, 0.6
 CORES = 2
 # More cores help a little less than in proportion.
 SCALING = 0.9
@@ -132,8 +132,8 @@ def work(boxes: List[Box], camera: Camera, lights: int, samples: int, channels: 
     found.thickness = sum(box.thickness for box in boxes)
     a_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
                   STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
-    found.stiff = found.thickness / a_voxel > STIFF
-    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), LEAST_VOXELS)
+    found.stiff = found.thickness / a_voxel > MAX_STEP_THICKNESS
+    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
     found.steps = float(np.ceil(voxels * a_voxel).sum()) * share
     if hit.any():
         found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())
