@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon.scene_check import check_scene
+from ..mrpnn_addon.status.scene_check import check_scene
 from .waiting import WaitsForVolumes
 
 

@@ -10,11 +10,11 @@ import time
 import bpy
 
 from ..inference import available_models
-from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
 from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
-from ..mrpnn_addon.comparison_run import REPORT_FOLDER
-from ..mrpnn_addon.json_file import write_json
+from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
+from ..mrpnn_addon.comparison.run import REPORT_FOLDER
+from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
 from .console import Console
 

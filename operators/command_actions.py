@@ -8,11 +8,11 @@ import bpy
 
 from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
-from ..mrpnn_addon.comparison_run import ComparisonRun, Options
-from ..mrpnn_addon.frames import frame_path, parse_frames
-from ..mrpnn_addon.layer_image import save_view_transformed, show_in_image
-from ..mrpnn_addon.render_job import render_scene
-from ..mrpnn_addon.scene import read_scene, require_all, require_volumes
+from ..mrpnn_addon.comparison.run import ComparisonRun, Options
+from ..mrpnn_addon.engine.render_job import render_scene
+from ..mrpnn_addon.output.frames import frame_path, parse_frames
+from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
+from ..mrpnn_addon.scene.reader import read_scene, require_all, require_volumes
 
 ENDINGS = (".exr", ".png")
 

@@ -7,12 +7,12 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..inference.scene import SceneError
-from ..mrpnn_addon.comparison_pictures import view_png
-from ..mrpnn_addon.comparison_run import REPORT_FOLDER, ComparisonRun, Options
-from ..mrpnn_addon.last_comparison import remember
-from ..mrpnn_addon.layer_image import IMAGE_NAME, show_image
-from ..mrpnn_addon.properties import RELATIVE_PATH
-from ..mrpnn_addon.worker import in_background
+from ..mrpnn_addon.comparison.pictures import view_png
+from ..mrpnn_addon.comparison.run import REPORT_FOLDER, ComparisonRun, Options
+from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_image
+from ..mrpnn_addon.runtime.background import in_background
+from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.status.last_comparison import remember
 from .waiting import WaitsForVolumes
 
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"

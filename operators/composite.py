@@ -3,8 +3,8 @@
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..mrpnn_addon.composite import composite, remove_composite
-from ..mrpnn_addon.material import shows_volume
+from ..mrpnn_addon.nodes.material import shows_volume
+from ..mrpnn_addon.output.composite import composite, remove_composite
 
 
 class MRPNN_OT_composite(bpy.types.Operator):

@@ -7,11 +7,11 @@ import bpy
 from bpy.props import StringProperty
 
 from ..inference.scene import SceneError
-from ..mrpnn_addon.last_render import LastRender, remember, remember_finished
-from ..mrpnn_addon.layer_image import show_in_image
-from ..mrpnn_addon.properties import RELATIVE_PATH
-from ..mrpnn_addon.render_job import RenderJob, render_scene
-from ..mrpnn_addon.scene import read_scene
+from ..mrpnn_addon.engine.render_job import RenderJob, render_scene
+from ..mrpnn_addon.output.layer_image import show_in_image
+from ..mrpnn_addon.scene.reader import read_scene
+from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
 from .waiting import SceneLoading
 
 SECONDS_A_TICK = 0.1

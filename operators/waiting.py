@@ -1,8 +1,8 @@
 """Operators whose work begins once a thread has read the scene's volumes; Blender stays usable meanwhile."""
 
-from ..mrpnn_addon.scene_watch import scene_state
-from ..mrpnn_addon.volume_loading import VolumeLoading
-from ..mrpnn_addon.volumes import VolumeReader
+from ..mrpnn_addon.scene.changes import scene_state
+from ..mrpnn_addon.volumes.loading import VolumeLoading
+from ..mrpnn_addon.volumes.reader import VolumeReader
 
 SECONDS_A_TICK = 0.1
 

@@ -2,8 +2,18 @@
 
 import bpy
 
-from . import (camera_panel, composite_panel, light_panel, material_panel, object_panel, preferences_panel, render_panel,
-               view_layer_panel, visibility_panel, world_panel)
+from . import (
+    camera_panel,
+    composite_panel,
+    light_panel,
+    material_panel,
+    object_panel,
+    preferences_panel,
+    render_panel,
+    view_layer_panel,
+    visibility_panel,
+    world_panel,
+)
 
 # Panels are drawn in the order of their registration, the parent first.
 _parent, *_children = render_panel.classes

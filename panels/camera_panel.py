@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon.camera import panorama_settings
+from ..mrpnn_addon.objects.camera import panorama_settings
 from .engine_panel import EnginePanel
 from .text import draw_text
 

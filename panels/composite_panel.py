@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon.composite import out_of_date, volume_scene
+from ..mrpnn_addon.output.composite import out_of_date, volume_scene
 from ..operators.composite import MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene
 from .text import draw_text
 

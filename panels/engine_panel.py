@@ -2,8 +2,8 @@
 
 from bpy_extras.node_utils import find_node_input
 
-from ..mrpnn_addon.engine import MRPNNRenderEngine
-from ..mrpnn_addon.sockets import active_output, always_has_nodes, has_nodes
+from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
+from ..mrpnn_addon.nodes.sockets import active_output, always_has_nodes, has_nodes
 
 
 class EnginePanel:

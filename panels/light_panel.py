@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon.unrendered import RENDERED_LIGHTS
+from ..mrpnn_addon.scene.unrendered import RENDERED_LIGHTS
 from .engine_panel import EnginePanel, draw_shader
 from .text import draw_text
 

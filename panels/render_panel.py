@@ -2,14 +2,14 @@
 
 import bpy
 
-from ..mrpnn_addon.engine import MRPNNRenderEngine
-from ..mrpnn_addon.forecast import forecast
-from ..mrpnn_addon.last_comparison import last_comparison
-from ..mrpnn_addon.last_render import last_render
-from ..mrpnn_addon.preferences import machine
-from ..mrpnn_addon.scene_check import last_check
-from ..mrpnn_addon.scene_watch import scene_state
-from ..mrpnn_addon.unrendered import composited, unrendered
+from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
+from ..mrpnn_addon.scene.changes import scene_state
+from ..mrpnn_addon.scene.unrendered import composited, unrendered
+from ..mrpnn_addon.settings.preferences import machine
+from ..mrpnn_addon.status.forecast import forecast
+from ..mrpnn_addon.status.last_comparison import last_comparison
+from ..mrpnn_addon.status.last_render import last_render
+from ..mrpnn_addon.status.scene_check import last_check
 from ..operators.check import MRPNN_OT_check
 from ..operators.compare import MRPNN_OT_compare
 from ..operators.composite import MRPNN_OT_composite

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..mrpnn_addon.material import SURFACES, shows_volume
+from ..mrpnn_addon.nodes.material import SURFACES, shows_volume
 from .engine_panel import EnginePanel
 
 

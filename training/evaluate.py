@@ -15,9 +15,9 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from training.networks import NETWORKS
-from training.targets import SUNS
+from training.data.targets import SUNS
 from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
-from training.volumes import make_volume
+from training.data.volumes import make_volume
 
 BINS = {
     "gamma": (0.0, 0.3, 0.6, 1.0, 1.57, 2.2, 2.8, 3.15),

@@ -21,7 +21,7 @@ import torch
 from inference.features.rpnn_lattice import make_sun_lattice
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
-from training.stencil import load_stencil
+from training.data.stencil import load_stencil
 from training.train import start_from
 
 

@@ -16,11 +16,11 @@ import numpy as np
 from inference.grids.working_cube import fit_cube
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.evaluate import load_weights, predictions
-from training.path_tracer import trace_points
-from training.seeded_volume import seeded_volume
-from training.targets import SUNS
+from training.tracer.path_tracer import trace_points
+from training.data.seeded_volume import seeded_volume
+from training.data.targets import SUNS
 from training.train import RADIANCE_EPS, load
-from training.transport import prepare
+from training.tracer.transport import prepare
 
 PATHS = 512
 #: Of a volume's points, every so many.
@@ -30,7 +30,7 @@ AGAIN = 50_000_000
 
 
 def trace_again(file: pathlib.Path, paths: int = PATHS):
-    """Rows of a file of `training.targets` that are traced anew, int (R,), and their radiance float32 (halves, R) at albedo 1."""
+    """Rows of a file of `training.data.targets` that are traced anew, int (R,), and their radiance float32 (halves, R) at albedo 1."""
     seed = int(file.stem)
     volume, _ = seeded_volume(seed)
     density, edge = volume.density, fit_cube(volume).edge

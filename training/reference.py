@@ -16,8 +16,8 @@ from inference.runtime.cancellation import NEVER
 from inference.runtime.tasks import SERIAL
 from inference.scene import SceneError
 from inference.scene.sparse_grid import SparseGrid
-from training.path_tracer import trace_points
-from training.transport import prepare
+from training.tracer.path_tracer import trace_points
+from training.tracer.transport import prepare
 
 #: Paths a point; a render averages over its depth samples too.
 PATHS = 8

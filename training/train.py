@@ -1,4 +1,4 @@
-"""Train one of the networks on the files of training.targets (or, for RPNN, of training.lattice_rows).
+"""Train one of the networks on the files of training.data.targets (or, for RPNN, of training.data.lattice_rows).
 
     nice python -m training.train --network mrpnn --data data/train --held data/test --run runs/mrpnn
     nice python -m training.train --network mrpnn --data data/train data/solids --shares 0.6 0.4 --held data/test \\
@@ -27,7 +27,7 @@ import torch
 
 from training.networks import NETWORKS
 from training.onnx_graph import linear_layers
-from training.targets import ANISOTROPY_RANGE, SIGMA_HAT_RANGE, SUNS
+from training.data.targets import ANISOTROPY_RANGE, SIGMA_HAT_RANGE, SUNS
 
 STEPS = 12000
 BATCH = 4096

@@ -9,7 +9,7 @@ import numpy as np
 
 from inference import SceneError, Volume
 
-from ..extension import extension
+from ..support.extension import extension
 from .case import refused
 from .scenes import blob, placed
 from .shots import shot
@@ -48,8 +48,8 @@ def read(make, told: str = "") -> Volume:
     """
     package = extension()
     with tempfile.TemporaryDirectory() as folder:
-        reader = package.mrpnn_addon.density_grid
-        openvdb = package.mrpnn_addon.openvdb_module.load_openvdb()
+        reader = package.mrpnn_addon.vdb.density_grid
+        openvdb = package.mrpnn_addon.vdb.openvdb_module.load_openvdb()
         grid, path = make(openvdb), folder + "/volume.vdb"
         grid.name = "density"
         if grid.gridClass != "level set":

@@ -1,8 +1,8 @@
 """The stencil of appendix A.2 of the paper: 192 points around x at which the medium is described.
 
-160 low-frequency points live in a frame that follows the camera ray: z along omega, the sun in the half-plane x > 0, y
-= 0. 32 high-frequency points lie on the ray to the sun. The points are computed once (`training/stencil.py`) and stored
-in the weights file.
+160 low-frequency points live in a frame that follows the camera ray: z along omega, the sun in the half-plane x > 0,
+y = 0. 32 high-frequency points lie on the ray to the sun. The points are computed once (`training/data/stencil.py`) and
+stored in the weights file.
 """
 
 import hashlib

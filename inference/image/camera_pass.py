@@ -27,7 +27,7 @@ STEPS_PER_TASK = 200_000
 # Steps of one ray above which a task would need too much memory.
 MAX_STEPS = 1 << 18
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
-PILOT = 8
+PILOT = 12
 
 
 def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
@@ -78,12 +78,10 @@ def march_tile(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
             "another; render volumes of so different sizes in view layers of their own"
         )
-    evaluated = longest * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
-    size = int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
+    size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
     shade = _Shading(scene, channel_pass, tile.camera)
-    options = MarchOptions(settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps, scene.plan.groups,
-                           settings.leave_out)
+    options = _march_options(context, scene, channel_pass)
 
     def task(some: np.ndarray) -> _MarchedRays:
         batch = rays.batch.take(some)
@@ -94,7 +92,7 @@ def march_tile(
 
     parts, features = [], []
     context.progress.message("single scattering")
-    with report.stage("march"):
+    with report.stage("march"), context.progress.stage("march"):
         batches = [hit[start : start + size] for start in range(0, len(hit), size)]
         for marched in context.tasks.map(task, batches):
             some, segment = marched.rays, marched.segment
@@ -106,7 +104,7 @@ def march_tile(
             parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
             if segment.sample_features is not None:
                 features.append(segment.sample_features.values)
-            context.progress.advance("march", counts[some].sum())
+            context.progress.advance("march", segment.steps_evaluated)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     gathered = RayFeatures(np.concatenate(features)) if features else None
     samples = DepthSamples(
@@ -115,8 +113,13 @@ def march_tile(
     return samples
 
 
-def estimate_steps(scene: PreparedScene, media: Sequence[BoundMedium], camera: Camera) -> float:
-    """Approximate number of steps of the rays in a camera's window, from one pixel in PILOT x PILOT."""
+def estimate_march(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
+) -> tuple[float, float]:
+    """Approximate number of steps evaluated on a camera's rays, and of their depth samples.
+
+    Marches one pixel in PILOT x PILOT. Raises Cancelled.
+    """
     x0, y0, x1, y1 = camera.window
     width, height = max((x1 - x0) // PILOT, 1), max((y1 - y0) // PILOT, 1)
     sparse = np.array([(x1 - x0) / width, (y1 - y0) / height])
@@ -125,14 +128,29 @@ def estimate_steps(scene: PreparedScene, media: Sequence[BoundMedium], camera: C
     left, top = (np.array([x0, y0]) / sparse).astype(int)
     right, bottom = min(left + width, pilot.resolution[0]), min(top + height, pilot.resolution[1])
     if left >= right or top >= bottom:
-        return 0.0
+        return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far, _ = _ray_intervals(scene.plan, media, origins, directions, (near, far))
-    hit = near < far
-    if not hit.any():
-        return 0.0
+    near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
+    hit = np.flatnonzero(near < far)
     batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-    return float(step_counts(media, batch).sum() * sparse.prod())
+    options, steps, samples = _march_options(context, scene, channel_pass), 0, 0
+    size = _rays_per_task(scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
+    for start in range(0, len(hit), size):
+        context.cancel.check()
+        segment = march(channel_pass.media, batch.take(slice(start, start + size)), options)
+        steps, samples = steps + segment.steps_evaluated, samples + len(segment.sample_ray)
+    return float(steps * sparse.prod()), float(samples * sparse.prod())
+
+
+def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
+    return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
+                        scene.plan.groups, context.settings.leave_out)
+
+
+def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
+    """Number of rays that are marched together; counts: int (R,), steps of each ray."""
+    evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
+    return int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .adaptive_interpolation import CENTRE_ERROR, LEVELS, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .work_estimate import WorkEstimate
 
 
 def solve_transport(
@@ -22,30 +23,32 @@ def solve_transport(
 
     None for networks that need no ray features. Raises Cancelled.
     """
-    network, plan = scene.network, scene.plan
+    network = scene.network
     if network is None or not network.needs_ray_features:
         return None
-    directions = [sun.direction for sun in plan.suns]
+    directions = [sun.direction for sun in scene.plan.suns]
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-            found[g] = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
-            context.progress.advance("fields", len(directions))
+            with context.progress.stage("transport", len(directions)):
+                found[g] = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
     return found
 
 
 def add_multiple_scattering(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples,
+    work: WorkEstimate,
 ) -> None:
     """Add the predicted multiple scattering of every group and sun to the tile, and its uncertainty.
 
-    Raises Cancelled.
+    work: is told of each prediction. Raises Cancelled.
     """
     for g, group in scene.predicted(channel_pass.channels):
         for l in range(len(scene.plan.suns)):
             source = _Source(scene.plan, g, l, channel_pass.channels.indices, group.medium)
             _add_source(context, scene, group, tile, samples, source)
+            work.job_predicted(tile)
 
 
 def _add_source(
@@ -61,8 +64,9 @@ def _add_source(
     context.progress.message(f"multiple scattering of {plan.group_name(source.group)}")
     with report.stage("fields"):
         bounds = _bounds(context, scene, group.predictor, samples, inside)
-        prepared = group.predictor.prepare(
-            float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
+        with context.progress.stage("lattices", 1):
+            prepared = group.predictor.prepare(
+                float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
         report.count("cells of lookup fields", prepared.lattice_cells)
         context.cancel.check()
     report.count("network points wanted", len(inside))
@@ -71,7 +75,7 @@ def _add_source(
         directions = equivalent_directions(
             tile.camera, samples.pixel, directions, sun, group.medium.anisotropy)
     estimate = _Estimate(context, samples, directions, tile, prepared, source)
-    with report.stage("network"):
+    with report.stage("network"), context.progress.stage("network"):
         if "shared_pixels" not in context.settings.leave_out:
             estimate.evaluate(inside)
         else:

@@ -53,7 +53,7 @@ class RayBatch:
     near: np.ndarray
     far: np.ndarray
 
-    def take(self, rays: np.ndarray) -> "RayBatch":
+    def take(self, rays: np.ndarray | slice) -> "RayBatch":
         """Some of the rays, by number."""
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays])
 

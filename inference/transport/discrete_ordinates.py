@@ -43,7 +43,7 @@ MIN_DEPTH = np.float32(1e-6)
 
 def _directions(axis: int) -> np.ndarray:
     """Steps int (D, 3) that rise along an axis and are 0 along those before it, nearest neighbours first."""
-    steps = np.array([step for step in np.ndindex(3, 3, 3)]) - 1
+    steps = np.array(list(np.ndindex(3, 3, 3))) - 1
     steps = steps[(steps[:, axis] == 1) & (steps[:, :axis] == 0).all(axis=1)]
     return steps[np.argsort(np.abs(steps).sum(axis=1), kind="stable")]
 

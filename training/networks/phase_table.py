@@ -6,7 +6,7 @@ import torch
 
 from inference.features.phase_features import PhaseFeatures
 from inference.features.stencil import POINTS
-from training.stencil import load_stencil
+from training.data.stencil import load_stencil
 
 
 class PhaseTable:

@@ -33,7 +33,7 @@ class RPNN(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of training.lattice_rows' data: density features (N, 10, 225), gamma (N,), float32."""
+        """Of some rows of training.data.lattice_rows' data: density features (N, 10, 225), gamma (N,), float32."""
         return data["lattice"][rows].float(), data["gamma"][rows]
 
     def forward(self, lattice, gamma, albedo):

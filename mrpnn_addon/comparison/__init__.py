@@ -1,0 +1,1 @@
+"""Comparisons of MRPNN with Cycles: their plan, their passes, and the report."""

@@ -1,0 +1,1 @@
+"""Finished layers in Blender and on disk: images, passes, OpenEXR files and compositing."""

@@ -1,0 +1,1 @@
+"""Threads, processes and files: what every other room may need; nothing of the renderer."""

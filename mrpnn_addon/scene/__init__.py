@@ -1,0 +1,1 @@
+"""The evaluated scene as the descriptions that `inference.render` takes."""

@@ -1,0 +1,52 @@
+"""The OpenVDB Python module that ships inside Blender."""
+
+import importlib
+import importlib.util
+import sys
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+import bpy
+
+from ...inference.scene import SceneError
+
+# Blender before 4.4 calls it pyopenvdb.
+MODULE_NAMES = ("openvdb", "pyopenvdb")
+
+
+def load_openvdb():
+    """The module object, imported once.
+
+    The Blender program has the module on its search path. The bpy wheels carry it in a folder
+    that is not, so there it is loaded by its file; sys.path stays as it is.
+
+    Raises SceneError where this build of Blender carries no OpenVDB module.
+    """
+    for name in MODULE_NAMES:
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError:
+            pass
+    for name in MODULE_NAMES:
+        spec = PathFinder.find_spec(name, FOLDERS)
+        if spec is not None:
+            module = importlib.util.module_from_spec(spec)
+            # Registered first: a compiled module must not be loaded twice in one process.
+            sys.modules[name] = module
+            spec.loader.exec_module(module)
+            return module
+    raise SceneError(
+        f"this build of Blender ({bpy.app.version_string}) has no OpenVDB module for Python, "
+        "so volume files cannot be read; use Blender from blender.org, or bpy 4.4 or later"
+    )
+
+
+def bundled_folders() -> list:
+    """Folders that hold the module in Blenders whose search path lacks it."""
+    library = Path(bpy.utils.system_resource('PYTHON') or "") / "lib"
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    return [str(library / version / "site-packages"), str(library / "site-packages")]
+
+
+# Asked of Blender once, since threads read grids.
+FOLDERS = bundled_folders()

@@ -1,0 +1,18 @@
+"""Many renders in one Blender process leave nothing behind: a short run of benchmarks/stability/soak."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.paths import ROOT
+
+pytest.importorskip("bpy")
+pytestmark = pytest.mark.blender
+
+
+def test_forty_renders_need_no_more_memory_than_twenty(tmp_path):
+    run = subprocess.run([sys.executable, "-m", "benchmarks.stability.soak", "--renders", "40", "--figures", tmp_path / "soak.csv"],
+                         cwd=ROOT, capture_output=True, text=True, timeout=900)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert len((tmp_path / "soak.csv").read_text().splitlines()) == 41

@@ -1,0 +1,1 @@
+"""Training data: procedural volumes, and rows of descriptors with path-traced targets."""

@@ -1,0 +1,1 @@
+"""Volumetric path tracer: delta tracking, ratio tracking and next-event estimation."""
