@@ -11,10 +11,13 @@ from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, solve_transport
 from .image.scattered_emission_pass import add_scattered_emission
 from .image.work_estimate import WorkEstimate
+from .kernels.library import Kernels, Unavailable, load_kernels, wanted
 from .marching.extended_lights import ExtendedLights
+from .marching.marcher import prepare_march
+from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
-from .plan.plan import Plan, make_plan
+from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
 from .runtime.cancellation import CancelToken
@@ -23,6 +26,7 @@ from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
 from .scene.settings import Settings
+from .transport.scattered_fluence import ScatteredFluence
 
 
 def render(
@@ -59,7 +63,8 @@ def render_tiles(
             plan = make_plan(volumes, lights, camera, settings)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
-            context = RenderContext(settings, cache, tasks, Progress(progress), report)
+            kernels = _load_kernels(settings, report)
+            context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
@@ -80,7 +85,7 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
     work = WorkEstimate(context, scene, tiles)
     for channels in scene.plan.channels if tiles else []:
         fluence = solve_transport(context, scene, channels)
-        channel_pass = ChannelPass(channels, scene.media(channels), fluence)
+        channel_pass = _channel_pass(context, scene, channels, fluence)
         work.survey(channel_pass)
         for tile in tiles:
             samples = march_tile(context, scene, channel_pass, tile)
@@ -91,6 +96,29 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
             if channels is scene.plan.channels[-1]:
                 x0, y0, x1, y1 = tile.camera.window
                 yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))
+
+
+def _channel_pass(
+    context: RenderContext, scene: PreparedScene, channels: Channels, fluence: list[ScatteredFluence | None] | None
+) -> ChannelPass:
+    """Some colour channels, ready to be marched."""
+    settings, media = context.settings, scene.media(channels)
+    options = MarchOptions(
+        settings.depth_samples, fluence, scene.occluders.shadow_maps, scene.plan.groups, settings.leave_out)
+    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping)
+    return ChannelPass(channels, media, fluence, march)
+
+
+def _load_kernels(settings: Settings, report: Report) -> Kernels | None:
+    """The compiled kernels, or None where they are not wanted, or missing, which causes a warning."""
+    kernels = None
+    if wanted(settings.compiled):
+        try:
+            kernels = load_kernels()
+        except Unavailable as error:
+            report.warnings.append(f"rendering is many times slower than it could be without compiled code: {error}")
+    report.kernels = "numpy" if kernels is None else kernels.name
+    return kernels
 
 
 def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:

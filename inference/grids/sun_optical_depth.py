@@ -6,6 +6,8 @@ blurs the edge of a shadow. Where voxels are optically thick even that is too mu
 instead.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..numerics.interpolation import lerp_into
@@ -29,6 +31,19 @@ GAUSS_NODES = (np.float32(0.5 - 0.5 / np.sqrt(3.0)), np.float32(0.5 + 0.5 / np.s
 ZERO = np.float32(0.0)
 
 
+@dataclass(frozen=True)
+class Integration:
+    """How the optical depth is found where voxels have some optical thickness.
+
+    slices: that are integrated, 0 for none. everywhere: whether at every point, or only where the sun and the camera
+    are visible. steep: whether integrals are split at planes of voxel centres.
+    """
+
+    slices: int
+    everywhere: bool
+    steep: bool
+
+
 class SunOpticalDepth:
     """Optical depth through one grid towards one sun, for an extinction of 1 per unit density and world unit.
 
@@ -49,33 +64,40 @@ class SunOpticalDepth:
         else:
             self.columns = DenseColumns(grid.padded, direction, cancel)
 
+    def integration(self, sigma_t: float) -> Integration:
+        """How the optical depth is found for an extinction per unit density and world unit."""
+        thickest = self.peak * sigma_t * float(self.length)
+        if thickest < THIN_SLICE:
+            return Integration(0, everywhere=False, steep=False)
+        slices = int(np.ceil(min(SLICES_PER_DEPTH * thickest, MAX_SLICES)))
+        return Integration(slices, everywhere=thickest >= STEEP_SLICE, steep=thickest > STEEP_SLICE)
+
     def __call__(self, index: np.ndarray, sigma_t: float, camera_depth: np.ndarray | np.float32 = ZERO) -> np.ndarray:
         """Optical depth float32 (N,) at continuous indices float32 (3, N).
 
         camera_depth: (N,) optical depth between the point and the camera; the larger it is, the less accurate the
         result needs to be.
         """
-        extinction, thickest = np.float32(sigma_t), self.peak * sigma_t * float(self.length)
+        extinction, integration = np.float32(sigma_t), self.integration(sigma_t)
+        slices = integration.slices
         place = index + np.float32(1.0)
         along = place[self.main]
         slice_below = np.floor(along)
         ahead = slice_below + np.float32(1.0) - along if self.step > 0 else along - slice_below
         following = slice_below.astype(np.int32) + (1 if self.step > 0 else 0)
-        if thickest < STEEP_SLICE:
+        if not integration.everywhere:
             # Linear between the adjacent slices.
             after = self._on_slice(place, ahead, following)
             before = self._on_slice(place, ahead - np.float32(1.0), following - self.step)
             depth = lerp_into(after, before, ahead)
             depth *= extinction
-            if thickest < THIN_SLICE:
+            if not slices:
                 return depth
             left = np.flatnonzero((depth > 0.0) & (depth + camera_depth < VISIBLE))
             if not len(left):
                 return depth
-            slices = int(np.ceil(min(SLICES_PER_DEPTH * thickest, MAX_SLICES)))
         else:
             # Points that are dark beyond the slices to integrate are dark.
-            slices = MAX_SLICES
             ahead_of_last, last = ahead + np.float32(slices - 1), following + self.step * (slices - 1)
             depth = self._on_slice(place, ahead_of_last, last, lowest=True) * extinction
             left = np.flatnonzero(depth < MAX_DEPTH)
@@ -83,7 +105,7 @@ class SunOpticalDepth:
         start, way = place[:, left], ahead[left]
         highest = np.array(self.grid.shape, np.float32)[:, None] + 1
         for _ in range(slices):
-            depth[left] += self._through(start, way, thickest > STEEP_SLICE) * extinction
+            depth[left] += self._through(start, way, integration.steep) * extinction
             start = start + way * self.move[:, None]
             # A ray that starts on a face by which the sun's rays enter has not left the grid.
             past = np.where(self.move[:, None] > 0.0, start >= highest, start <= 0.0).any(axis=0)

@@ -8,9 +8,8 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..marching.depth_samples import DepthSamples
-from ..marching.emission import emitted_radiance
 from ..marching.ray_features import RayFeatures
-from ..marching.ray_march import MarchOptions, RaySegment, march
+from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import SAMPLES, DepthBuffer, split_rays_at_surfaces
@@ -66,7 +65,7 @@ def march_tile(
     Returns the depth samples of all its rays, or None if no ray meets a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
     """
-    report, settings = context.report, context.settings
+    report = context.report
     rays = _tile_rays(context, scene, channel_pass, tile)
     if rays is None:
         return None
@@ -81,14 +80,11 @@ def march_tile(
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
     shade = _Shading(scene, channel_pass, tile.camera)
-    options = _march_options(context, scene, channel_pass)
 
     def task(some: np.ndarray) -> _MarchedRays:
         batch = rays.batch.take(some)
-        segment = march(channel_pass.media, batch, options)
-        emission = emitted_radiance(channel_pass.media, batch, channel_pass.channels.indices, settings.leave_out)
-        single = shade.single(segment, batch, rays.pixel[some], rays.free[some])
-        return _MarchedRays(some, segment, single, emission)
+        segment = channel_pass.march(batch)
+        return _MarchedRays(some, segment, shade.single(segment, batch, rays.pixel[some], rays.free[some]))
 
     parts, features = [], []
     context.progress.message("single scattering")
@@ -133,18 +129,13 @@ def estimate_march(
     near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-    options, steps, samples = _march_options(context, scene, channel_pass), 0, 0
+    steps, samples = 0, 0
     size = _rays_per_task(scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
         context.cancel.check()
-        segment = march(channel_pass.media, batch.take(slice(start, start + size)), options)
+        segment = channel_pass.march(batch.take(slice(start, start + size)))
         steps, samples = steps + segment.steps_evaluated, samples + len(segment.sample_ray)
     return float(steps * sparse.prod()), float(samples * sparse.prod())
-
-
-def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
-    return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
-                        scene.plan.groups, context.settings.leave_out)
 
 
 def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
@@ -157,14 +148,12 @@ def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
 class _MarchedRays:
     """What a batch of R rays gathered.
 
-    rays: int (R,), numbers of the tile's rays. single: (R, V, L), for albedo 1 and irradiance 1. emission: (R, C) or
-    None.
+    rays: int (R,), numbers of the tile's rays. single: (R, V, L), for albedo 1 and irradiance 1.
     """
 
     rays: np.ndarray
     segment: RaySegment
     single: np.ndarray
-    emission: np.ndarray | None
 
 
 def _add(
@@ -172,7 +161,7 @@ def _add(
 ) -> None:
     """Add what a batch of rays gathered to the tile."""
     pixel, weight = rays.pixel[marched.rays], rays.share[marched.rays]
-    segment, single, emission = marched.segment, marched.single, marched.emission
+    segment, single, emission = marched.segment, marched.single, marched.segment.emission
     indices = channel_pass.channels.indices
     if emission is not None:
         for number, c in enumerate(indices):

@@ -6,6 +6,8 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..marching.extended_lights import ExtendedLights
+from ..kernels.library import Kernels
+from ..marching.marcher import Marcher
 from ..network.interfaces import System
 from ..occluders.depth_buffer import DepthBuffer
 from ..occluders.occluders import Occluders
@@ -23,13 +25,17 @@ from .framebuffer import Framebuffer
 
 @dataclass(frozen=True)
 class RenderContext:
-    """How a render works, whatever the scene."""
+    """How a render works, whatever the scene.
+
+    kernels: compiled kernels, or None where numpy does the work.
+    """
 
     settings: Settings
     cache: RenderCache
     tasks: Tasks
     progress: Progress
     report: Report
+    kernels: Kernels | None = None
 
     @property
     def cancel(self) -> CancelToken:
@@ -71,12 +77,13 @@ class ChannelPass:
     """Colour channels that are rendered together.
 
     media: of each volume, with its extinction in these channels. fluence: of each group, None for groups without
-    prediction; None altogether for networks that need no ray features.
+    prediction; None altogether for networks that need no ray features. march: marches camera rays through the media.
     """
 
     channels: Channels
     media: list[BoundMedium]
     fluence: list[ScatteredFluence | None] | None
+    march: Marcher
 
 
 @dataclass(frozen=True)

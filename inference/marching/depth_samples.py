@@ -40,6 +40,11 @@ def sample_counts(alpha: np.ndarray, most: int, adaptive: bool = True) -> np.nda
     return np.where(alpha > MIN_ALPHA, np.clip(counts, min(2, most), most), 0)
 
 
+def possible_counts(most: int) -> list[int]:
+    """Every number of depths above 0 that `sample_counts` may give, for at most `most`."""
+    return [*range(1, min(most, COARSE_COUNT + 1)), *range(2 * COARSE_COUNT, most, COARSE_COUNT), most]
+
+
 def sample_opacities(
     alpha: np.ndarray, most: int, adaptive: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

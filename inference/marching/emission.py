@@ -29,8 +29,9 @@ def emitted_radiance(
     behind = MAX_OPTICAL_DEPTH if "behind_opaque" in optimizations else np.inf
     tau = extinction(media, steps, blocks, behind).sum(axis=0) * steps.dt[blocks.ray][:, None]
     within = sums_within(tau)
-    through = np.exp(-blocks.before(within[:, -1])[:, None] - (within - tau)) * mean_transmittance(np.float32(0.0), tau)
-    through *= steps.dt[blocks.ray][:, None] * (blocks.steps() < steps.count[blocks.ray][:, None])
+    before = blocks.before(within[:, -1])[:, None]
+    through = np.exp(-before - (within - tau)) * mean_transmittance(np.float32(0.0), tau)
+    through *= steps.dt[blocks.ray][:, None] * (blocks.steps() < steps.count[blocks.ray][:, None]) * (before < behind)
     radiance = np.zeros((blocks.rays, len(channels)))
     for v in emitting:
         for number, channel in enumerate(channels):

@@ -20,7 +20,7 @@ from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_steps import STEPS, Blocks, RayBatch, RaySteps, blocks_near_density, step_counts, step_thickness, sums_within
 
 # Blocks per ray that are evaluated at a time, before rays that have become opaque are dropped.
-BLOCKS_PER_ROUND = 4
+BLOCKS_PER_ROUND = 1
 # Optical depth up to which rays are marched for single scattering: a fraction of 1e-6 is transmitted.
 MAX_OPTICAL_DEPTH = 14.0
 # Optical thickness of a step above which the part of a ray between entry and opacity is cut again, and how often.
@@ -57,7 +57,8 @@ class RaySegment:
     opaque. single: (R, V, L), single scattering for albedo 1, irradiance 1 and phase function 1. sample_ray: int (M,),
     ray of each depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray.
     sample_fraction: (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples,
-    or None. steps_evaluated: number of steps, of all rays.
+    or None. steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None
+    where no volume emits light.
     """
 
     alpha: np.ndarray
@@ -70,6 +71,7 @@ class RaySegment:
     sample_fraction: np.ndarray
     sample_features: RayFeatures | None = None
     steps_evaluated: int = 0
+    emission: np.ndarray | None = None
 
 
 def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.ndarray:
@@ -120,11 +122,21 @@ class _MarchedMedium:
         return steps.near + first * dt, np.where(last < steps.count, steps.near + last * dt, steps.far)
 
 
+def optical_depth_behind(options: MarchOptions) -> float:
+    """Optical depth up to which rays are marched."""
+    if "behind_opaque" not in options.optimizations:
+        return np.inf
+    return MAX_OPTICAL_DEPTH if options.fluence is None else REACH
+
+
+def refinements(media: Sequence[BoundMedium]) -> int:
+    """How often rays are cut again."""
+    return REFINEMENTS if step_thickness(media) > MAX_STEP_THICKNESS else 0
+
+
 def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
     """March rays, whose intervals contain all media, through all of them."""
-    behind = MAX_OPTICAL_DEPTH if options.fluence is None else REACH
-    if "behind_opaque" not in options.optimizations:
-        behind = np.inf
+    behind = optical_depth_behind(options)
     medium = _cut_into_steps(media, rays, behind, skip_empty="empty_space" in options.optimizations)
     steps, blocks, total, dt = medium.steps, medium.blocks, medium.total, medium.dt
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
@@ -171,7 +183,7 @@ def ray_features_at(
     _, far = medium.grid.interval(positions, directions)
     far = np.maximum(far, 1e-6 * medium.grid.voxel)
     rays = RayBatch(positions, directions, np.zeros(len(positions)), far)
-    marched = _cut_into_steps([medium], rays, REACH, always_first=True, refinements=0)
+    marched = _cut_into_steps([medium], rays, REACH, always_first=True, refine=False)
     blocks = marched.blocks
     start = np.flatnonzero(blocks.number == 0)
     known = marched.total > 0.0
@@ -184,15 +196,14 @@ def ray_features_at(
 
 
 def _cut_into_steps(
-    media: Sequence[BoundMedium], rays: RayBatch, behind: float, always_first: bool = False,
-    refinements: int = REFINEMENTS, skip_empty: bool = True,
+    media: Sequence[BoundMedium], rays: RayBatch, behind: float, always_first: bool = False, refine: bool = True,
+    skip_empty: bool = True,
 ) -> _MarchedMedium:
     """Cut rays into steps, refined where these are too thick, and sample the medium up to the optical depth
     `behind`.
     """
     count = step_counts(media, rays)
-    thick = step_thickness(media) > MAX_STEP_THICKNESS
-    for _ in range(refinements if thick else 0):
+    for _ in range(refinements(media) if refine else 0):
         steps = RaySteps(media, rays, count)
         near, far = _MarchedMedium(media, steps, behind, always_first).dense_interval(behind)
         rays = RayBatch(rays.origins, rays.directions, near, far)

@@ -13,7 +13,7 @@ class Report:
     """Statistics of a render, filled while it runs.
 
     model, checksum: name of the network and SHA-256 of its weights. provider: onnxruntime execution provider that ran
-    it. threads: worker threads. planned, left_out: sentences about what the render does, and about what it skips.
+    it. kernels: kind of processor that the compiled kernels use, or numpy where there are none. threads: worker threads. planned, left_out: sentences about what the render does, and about what it skips.
     warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
     saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
     stages overlap on several threads, so "total" is measured separately. cpu_seconds: processor time of all threads of
@@ -23,6 +23,7 @@ class Report:
     model: str = ""
     checksum: str = ""
     provider: str = ""
+    kernels: str = ""
     threads: int = 0
     planned: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)

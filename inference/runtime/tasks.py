@@ -1,6 +1,7 @@
 """Tasks on worker threads."""
 
 import concurrent.futures
+import ctypes
 import os
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
@@ -14,17 +15,20 @@ Result = TypeVar("Result")
 class Tasks:
     """A thread pool that yields results in order of submission.
 
-    threads: number of worker threads, 0 for one per core. cancel: polled while the calling thread waits.
+    threads: number of worker threads, 0 for one per core. cancel: polled while the calling thread waits. stopping: not
+    0 once what tasks still compute is not wanted any more; compiled code looks at it.
     """
 
     def __init__(self, threads: int = 0, cancel: CancelToken = NEVER):
         self.threads, self.cancel = threads or os.cpu_count() or 1, cancel
+        self.stopping = ctypes.c_int32(0)
         self._pool = concurrent.futures.ThreadPoolExecutor(self.threads)
 
     def __enter__(self) -> "Tasks":
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.stopping.value = 1
         self._pool.shutdown(cancel_futures=True)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -56,7 +60,7 @@ class Tasks:
 class SerialTasks:
     """Runs every task on the calling thread and is never cancelled."""
 
-    threads, cancel = 1, NEVER
+    threads, cancel, stopping = 1, NEVER, ctypes.c_int32(0)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield function(item) for each item."""

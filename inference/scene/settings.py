@@ -17,6 +17,8 @@ class Settings:
     memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
     multiple: whether multiple scattering is predicted; without it the volumes are too dark.
     provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
+    compiled: whether compiled kernels do the work that they can do, rather than numpy, which takes many times as long;
+        the environment variable MRPNN_COMPILED=0 overrules it.
     leave_out: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
@@ -29,6 +31,7 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
+    compiled: bool = True
     leave_out: frozenset[str] = ALL
 
     def __post_init__(self) -> None:

@@ -113,13 +113,16 @@ class ScatteredFluence:
         """Fraction of the scattering outside the phase function's forward peak, 1 - G^2."""
         return max(1.0 - self.anisotropy**2, MIN_REDUCED_FRACTION)
 
+    def flux_from_world(self) -> np.ndarray:
+        """float64 (3, 3): weights of the flux in the light scattered against a ray, from its direction."""
+        return self.linear * (-3.0 * reduced_anisotropy(self.anisotropy) / np.linalg.norm(self.linear[0]))
+
     def towards(self, directions: np.ndarray) -> np.ndarray:
         """Weights float32 (R, 4) of fluence and flux in the light scattered against rays along (R, 3), phi - 3 G' F .
         omega.
         """
-        omega = directions @ (self.linear.T / np.linalg.norm(self.linear[0]))
-        flux = (-3.0 * reduced_anisotropy(self.anisotropy)) * omega
-        return np.concatenate([np.ones((len(omega), 1)), flux], axis=1).astype(np.float32)
+        flux = directions @ self.flux_from_world().T
+        return np.concatenate([np.ones((len(flux), 1)), flux], axis=1).astype(np.float32)
 
     def cells(self, index: np.ndarray) -> np.ndarray:
         """Flat cell numbers (N,) in the lights, at indices float32 (3, N)."""

@@ -22,7 +22,7 @@ PACKAGES = {
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
 # Inside a package, each room may import those before it.
 ROOMS = {
-    "inference": ("numerics", "runtime", "scene", "plan", "grids", "occluders", "transport", "marching", "features",
+    "inference": ("numerics", "runtime", "kernels", "scene", "plan", "grids", "occluders", "transport", "marching", "features",
                   "network", "render_cache", "image", "render", "evaluation"),
     "mrpnn_addon": ("runtime", "settings", "nodes", "vdb", "objects", "world", "volumes", "scene", "output", "status",
                     "engine", "cycles", "comparison"),

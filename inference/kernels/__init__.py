@@ -1,0 +1,1 @@
+"""Compiled kernels: C sources, the structures that they share with Python, and the library that holds them."""

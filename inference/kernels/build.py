@@ -1,0 +1,122 @@
+"""Compile the kernels for one platform, or for all that the extension supports, with the `ziglang` package.
+
+    .venv/bin/python -m inference.kernels.build [--platform windows-x64 | all]
+
+Prints the library's path, build/kernels/<platform>-<digest of the sources>/.
+"""
+
+import argparse
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+SOURCES = Path(__file__).resolve().parent
+BUILD = SOURCES.parents[1] / "build" / "kernels"
+# Contraction and fast mathematics would make processors differ.
+FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-strict-aliasing", "-fvisibility=hidden",
+         "-Wall", "-Wextra", "-Werror")
+# Kinds of x86-64 processors, in the order of dispatch.c.
+X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"}
+# Files that are compiled once for each kind of processor.
+VARYING = ("march.c",)
+
+
+class BuildError(Exception):
+    """The library cannot be built here; says why."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A platform that the library is built for.
+
+    triple: of the compiler, with the oldest system that is supported. library: file name.
+    variants: names of the kinds of processors, and what the compiler calls them.
+    """
+
+    triple: str
+    library: str
+    variants: dict[str, str]
+
+
+# By Blender's names of the platforms. Blender 4.2 needs glibc 2.28 and macOS 11.2.
+TARGETS = {
+    "linux-x64": Target("x86_64-linux-gnu.2.28", "mrpnn_kernels.so", X86_VARIANTS),
+    "windows-x64": Target("x86_64-windows-gnu", "mrpnn_kernels.dll", X86_VARIANTS),
+    "macos-arm64": Target("aarch64-macos.11.0", "mrpnn_kernels.dylib", {"baseline": "apple_m1"}),
+}
+
+
+def this_platform() -> str | None:
+    """The key of TARGETS that this process runs on, or None."""
+    machine = {"amd64": "x64", "x86_64": "x64", "arm64": "arm64", "aarch64": "arm64"}.get(platform.machine().lower())
+    system = {"linux": "linux", "win32": "windows", "darwin": "macos"}.get(sys.platform)
+    name = f"{system}-{machine}"
+    return name if name in TARGETS else None
+
+
+def sources() -> list[Path]:
+    """The C files and headers."""
+    return sorted(path for path in SOURCES.iterdir() if path.suffix in (".c", ".h"))
+
+
+def library_path(name: str) -> Path:
+    """Where the library of a platform lies once it is built from the present sources."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    for path in sources():
+        digest.update(path.read_bytes())
+    return BUILD / f"{name}-{digest.hexdigest()[:16]}" / TARGETS[name].library
+
+
+def build(name: str) -> Path:
+    """Build the library of a platform unless it is there already; returns its path. Raises BuildError."""
+    found = library_path(name)
+    if found.exists():
+        return found
+    if importlib.util.find_spec("ziglang") is None:
+        raise BuildError("the Python package ziglang, which compiles it, is not installed")
+    found.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=BUILD) as folder:
+        built = _compile(TARGETS[name], Path(folder))
+        # Another process may be building the same.
+        os.replace(built, found)
+    for other in BUILD.glob(f"{name}-*"):
+        if other != found.parent:
+            shutil.rmtree(other, ignore_errors=True)
+    return found
+
+
+def _compile(target: Target, folder: Path) -> Path:
+    objects = []
+    for source in sorted(SOURCES.glob("*.c")):
+        kinds = target.variants if source.name in VARYING else {"baseline": target.variants["baseline"]}
+        for variant, processor in kinds.items():
+            objects.append(folder / f"{source.stem}_{variant}.o")
+            _zig(target, folder, *FLAGS, f"-mcpu={processor}", "-fPIC", f"-DVARIANT={variant}", "-c", source,
+                 "-o", objects[-1])
+    library = folder / target.library
+    _zig(target, folder, "-shared", "-s", *objects, "-o", library)
+    return library
+
+
+def _zig(target: Target, folder: Path, *arguments: str | Path) -> None:
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.triple, *map(str, arguments)]
+    environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(folder / "cache")}
+    run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    if run.returncode != 0:
+        raise BuildError(f"the compiler failed: {(run.stderr or run.stdout).strip()[-2000:]}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Compile the kernels.")
+    parser.add_argument("--platform", choices=[*TARGETS, "all"], default=this_platform())
+    wanted = parser.parse_args().platform
+    for each in TARGETS if wanted == "all" else [wanted]:
+        path = build(each)
+        print(f"{path.relative_to(BUILD.parents[1])}  {path.stat().st_size / 1e3:.0f} KB")

@@ -1,0 +1,130 @@
+/* Data that Python hands to the compiled kernels; inference/kernels/structures.py holds the same structures.
+
+Every number is 8 bytes wide or an array of 8-byte numbers, so that no compiler pads. Pointers are to C-contiguous
+arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes hold is not. */
+
+#ifndef MRPNN_KERNELS_H
+#define MRPNN_KERNELS_H
+
+#include <stdint.h>
+
+/* Changes with every change of a structure or of a function's parameters. */
+#define MRPNN_INTERFACE 1
+
+/* Colour channels. */
+#define MRPNN_CHANNELS 3
+
+/* A grid of trilinear samples, 0 outside: DenseGrid where table is NULL, SparseGrid otherwise. */
+typedef struct {
+    const float *values;     /* dense: voxel 0 at index 1 of `size` values; sparse: (rows, 8, 8, 8) */
+    const int32_t *table;    /* sparse: (size[0], size[1], size[2]) rows of `values` */
+    int64_t size[3];
+    int64_t shape[3];        /* voxels */
+    int64_t first[3];        /* sparse: position of voxel 0 in the blocks */
+    int64_t rows;
+} Grid;
+
+/* Cells of a grid that may hold a value other than 0. */
+typedef struct {
+    const uint8_t *filled;   /* (size[0], size[1], size[2]) */
+    int64_t size[3];
+    double first[3];         /* position of voxel 0 in the cells, in voxels */
+    double scale;            /* cells per voxel */
+} Occupancy;
+
+/* Optical depth through one grid towards one sun: DenseColumns where table is NULL, SparseColumns otherwise. */
+typedef struct {
+    const float *depths;     /* dense: (slices, size[0], size[1]); sparse: (tiles, 8, 8) */
+    const int32_t *table;    /* sparse: (slices / 8, size[0] / 8, size[1] / 8) */
+    const float *offsets;    /* (slices, 2) */
+    int64_t slices;
+    int64_t size[2];         /* columns */
+    int64_t tiles;
+    int64_t first;           /* added to the number of a slice of the padded grid */
+    int64_t main;            /* the sun's main axis, the others, and the sign of the direction along it */
+    int64_t others[2];
+    int64_t step;
+    int64_t integrated;      /* slices that are integrated; 0: none */
+    int64_t everywhere;      /* whether every point is integrated, not only those that the camera and the sun see */
+    int64_t steep;           /* whether integrals are split at planes of voxel centres */
+    double move[3];          /* from one slice to the next, in indices */
+    double length;           /* of that displacement in world units */
+    double direction[3];     /* d(index)/d(world unit) */
+} SunColumns;
+
+/* One volume as rays traverse it: BoundMedium. */
+typedef struct {
+    Grid density;
+    Occupancy occupancy;
+    const SunColumns *suns;  /* (suns) */
+    double linear[9];        /* continuous indices from world positions */
+    double offset[3];
+    double sigma_t;
+    Grid emission[MRPNN_CHANNELS];  /* of the colour channels that are rendered together */
+    int64_t emission_power;
+    double emission_factor;  /* 0: the volume emits nothing */
+} Medium;
+
+/* Height of the highest surface above each cell of a plane that faces a sun. */
+typedef struct {
+    const float *heights;    /* (rows, columns) */
+    int64_t rows, columns;
+    double linear[9];
+    double offset[3];
+} ShadowMap;
+
+/* Scattered light of each sun in a group of volumes: ScatteredFluence. */
+typedef struct {
+    const uint16_t *const *lights;  /* (suns) of float16 (cells, cells, cells, 4); NULL for a group without prediction */
+    int64_t cells;
+    double linear[9];
+    double offset[3];
+    double flux_from_world[9];      /* weights of the flux in the light scattered against a direction */
+    double reduced_fraction;
+} Fluence;
+
+/* Everything that rays need to know of a scene in some colour channels. */
+typedef struct {
+    int64_t volumes, suns, groups, channels;
+    const Medium *media;             /* (volumes) */
+    const int64_t *group_starts;     /* (groups + 1) in `group_members` */
+    const int64_t *group_members;    /* numbers of volumes */
+    const ShadowMap *shadow_maps;    /* (suns), or NULL where no surface shadows volumes */
+    const Fluence *fluence;          /* (groups), or NULL without ray features */
+    const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
+    const double *node_weights;
+    int64_t depth_samples, adaptive, coarse_count;
+    int64_t skip_empty, refinements;
+    double behind, behind_emission;  /* optical depths up to which rays are marched */
+    double min_alpha;
+    double dark, visible, max_sun_depth;
+    double max_tau_sun, max_tau_ahead;
+    double scales[3];
+    double jitter[3];
+} Scene;
+
+typedef struct {
+    int64_t rays;
+    const double *origins, *directions;  /* (rays, 3) */
+    const double *near_distance, *far_distance;  /* (rays) */
+    const int64_t *counts;               /* (rays), number of steps */
+    int64_t max_count;                   /* no count may be larger: `scratch` is made for it */
+    const volatile int32_t *stop;        /* not 0: return as soon as possible */
+    void *scratch;
+} Rays;
+
+/* What rays gather; the samples of all rays follow one another. */
+typedef struct {
+    double *alpha, *depth;               /* (rays) */
+    double *optical_depth;               /* (rays, volumes) */
+    double *single_scattering;           /* (rays, volumes, suns) */
+    double *emission;                    /* (rays, channels), or NULL */
+    int64_t *sample_counts;              /* (rays) */
+    double *sample_distance, *sample_weight;  /* (rays * depth_samples) */
+    float *sample_fraction;              /* (rays * depth_samples, volumes) */
+    float *sample_features;              /* (rays * depth_samples, groups, suns, 7), or NULL */
+    int64_t samples;
+    int64_t blocks;                      /* blocks of steps evaluated */
+} Gathered;
+
+#endif

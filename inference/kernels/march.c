@@ -1,0 +1,561 @@
+/* Camera rays through volumes, one after another; the twins are marching/ray_march.py and marching/emission.py.
+
+Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps of equal length,
+which come in blocks; blocks that hold no density are passed over. What remains of a ray are arrays over its steps. */
+
+#include <math.h>
+#include <stddef.h>
+
+#include "kernels.h"
+#include "sampling.h"
+
+#define JOINED(a, b) a##_##b
+#define NAMED(a, b) JOINED(a, b)
+
+/* Steps per block, points per step at which density is sampled, and columns of the ray features. */
+#define STEPS 4
+#define SAMPLES 2
+#define SCALES 3
+#define SCATTERED 2
+#define INTEGRALS (SCALES + SCATTERED)
+#define COLUMNS (2 + INTEGRALS)
+/* Distinct factors of the optical depth in these integrals: the scales, the first of which is 1, and the reduced one. */
+#define FACTORS (SCALES + 1)
+
+/* A ray as continuous indices into some frame: first + (step * dt) * slope. */
+typedef struct {
+    float first[3], slope[3];
+} Line;
+
+/* One ray between two distances. */
+typedef struct {
+    const double *origin, *direction;
+    double near, far;
+    int64_t count;
+    float dt;
+} Ray;
+
+/* Scratch memory for one ray of up to `room` blocks. */
+typedef struct {
+    int64_t room;
+    int64_t blocks;
+    int32_t *number;             /* (blocks), place of each block on the ray */
+    double *before;              /* (blocks + 1), optical depth from the ray's start */
+    float *sigma;                /* (volumes, steps), extinction */
+    float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
+    float *transmitted;          /* (steps), to the step's start */
+    float *start, *end;          /* (groups, steps) each, optical depth of a group towards a sun at the ends of steps */
+    float *whole_start, *whole_end;  /* (steps), of all volumes */
+    float *visible;              /* (steps) */
+    float *source;               /* (steps), scattered light */
+    float *group_tau;            /* (groups, steps) */
+    float *passed, *absorbed;    /* (groups, FACTORS, steps), exp(-a tau) and 1 - exp(-a tau) */
+    float *light;                /* (INTEGRALS, steps) */
+    float *edge_step, *edge_depth;  /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
+    Line *lines;                 /* (volumes) */
+    int64_t *sample_step;        /* (depth samples), among the steps above */
+    float *sample_inside;        /* (depth samples), position in the step */
+} Work;
+
+/* exp(-tau) in single precision, of an optical depth in double precision. */
+static inline float transmittance(double tau) {
+    float rounded = (float)tau;
+    return exp_minus(rounded) * (1.0f - (float)(tau - (double)rounded));
+}
+
+static inline Line line_in(const double *linear, const double *offset, const Ray *ray) {
+    Line line;
+    for (int i = 0; i < 3; i++) {
+        double start = 0.0, slope = 0.0;
+        for (int j = 0; j < 3; j++) {
+            start += linear[3 * i + j] * (ray->origin[j] + ray->near * ray->direction[j]);
+            slope += linear[3 * i + j] * ray->direction[j];
+        }
+        line.first[i] = (float)(start + offset[i]);
+        line.slope[i] = (float)slope;
+    }
+    return line;
+}
+
+static inline void position_on(const Line *line, float step, float dt, float *position) {
+    float along = step * dt;
+    for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
+}
+
+/* Means over the steps of one block of what a grid holds. */
+static inline void sample_block(const Grid *grid, const Line *line, int32_t number, float dt, float *mean) {
+    float value[STEPS * SAMPLES];
+    for (int n = 0; n < STEPS * SAMPLES; n++) {
+        float position[3];
+        position_on(line, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
+        value[n] = sample_grid(grid, position);
+    }
+    for (int k = 0; k < STEPS; k++) mean[k] = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+}
+
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, int32_t number, float dt) {
+    float position[3];
+    if (!scene->skip_empty) return 1;
+    position_on(line, (float)(number * STEPS) + 0.5f * STEPS, dt, position);
+    return may_hold(&medium->occupancy, position);
+}
+
+static void cut(const Rays *rays, int64_t number, double near, double far, Ray *ray) {
+    ray->origin = rays->origins + 3 * number;
+    ray->direction = rays->directions + 3 * number;
+    ray->near = near;
+    ray->far = far;
+    int64_t count = rays->counts[number];
+    ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
+    ray->dt = (float)((far - near) / (double)ray->count);
+}
+
+/* Fill the blocks of a ray up to the optical depth `behind`. */
+static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int keep_empty, Work *work) {
+    int64_t steps = STEPS * work->room, last = (ray->count + STEPS - 1) / STEPS;
+    double reached = 0.0;
+    float dt = ray->dt;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
+    }
+    work->blocks = 0;
+    work->before[0] = 0.0;
+    for (int32_t number = 0; number < last && reached < behind; number++) {
+        int64_t at = STEPS * work->blocks;
+        int near_any = 0, filled = keep_empty;
+        float gained = 0.0f;
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            const Medium *medium = scene->media + v;
+            float *sigma = work->sigma + v * steps + at;
+            float sums = 0.0f;
+            for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
+            if (!block_near(scene, medium, work->lines + v, number, dt)) continue;
+            near_any = 1;
+            if (!(medium->sigma_t > 0.0)) continue;
+            sample_block(&medium->density, work->lines + v, number, dt, sigma);
+            for (int k = 0; k < STEPS; k++) {
+                int inside = (int64_t)number * STEPS + k < ray->count;
+                sigma[k] = (inside ? sigma[k] : 0.0f) * (float)medium->sigma_t;
+                sums += sigma[k];
+            }
+            filled |= sums > 0.0f;
+            gained += sums;
+        }
+        reached += (double)gained * (double)dt;
+        if (!near_any || !filled) continue;
+        float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at;
+        for (int k = 0; k < STEPS; k++) total[k] = work->sigma[at + k];
+        for (int64_t v = 1; v < scene->volumes; v++) {
+            for (int k = 0; k < STEPS; k++) total[k] += work->sigma[v * steps + at + k];
+        }
+        for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
+        sums[0] = tau[0];
+        for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
+        work->number[work->blocks] = number;
+        work->before[work->blocks + 1] = work->before[work->blocks] + (double)sums[STEPS - 1];
+        work->blocks++;
+    }
+}
+
+/* The part of a ray between where it enters density and where it becomes opaque. */
+static void refine(const Ray *ray, double behind, const Work *work, double *near, double *far) {
+    int64_t first = 0, last = ray->count;
+    double dt = (ray->far - ray->near) / (double)ray->count;
+    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
+        for (int k = 0; k < STEPS && !found; k++) {
+            if (!(work->tau[STEPS * b + k] > 0.0f)) continue;
+            /* From the step in front of the first filled one, because samples may miss density that begins there. */
+            first = (int64_t)work->number[b] * STEPS + k - 1;
+            found = 1;
+        }
+    }
+    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
+        for (int k = 0; k < STEPS && !found; k++) {
+            if (!(work->before[b] + (double)work->within[STEPS * b + k] > behind)) continue;
+            last = (int64_t)work->number[b] * STEPS + k + 1;
+            found = 1;
+        }
+    }
+    *near = ray->near + (double)(first > 0 ? first : 0) * dt;
+    *far = last < ray->count ? ray->near + (double)last * dt : ray->far;
+}
+
+static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Work *work) {
+    const ShadowMap *map = scene->shadow_maps + l;
+    Line line = line_in(map->linear, map->offset, ray);
+    for (int64_t s = 0; s < STEPS * work->blocks; s++) {
+        float position[3];
+        work->visible[s] = 1.0f;
+        if (!(work->total[s] > 0.0f)) continue;
+        position_on(&line, (float)(work->number[s / STEPS] * STEPS + s % STEPS) + 0.5f, ray->dt, position);
+        work->visible[s] = visibility_of(map, position);
+    }
+}
+
+/* List the edges of filled steps; the edge between blocks that follow each other belongs to the second. */
+static int64_t list_edges(Work *work) {
+    int64_t edges = 0;
+    for (int64_t b = 0; b < work->blocks; b++) {
+        int joined_before = b > 0 && work->number[b] == work->number[b - 1] + 1;
+        int joined_after = b + 1 < work->blocks && work->number[b + 1] == work->number[b] + 1;
+        float before = (float)work->before[b];
+        for (int k = 0; k <= STEPS; k++) {
+            int32_t from = k < STEPS ? (int32_t)(STEPS * b + k) : -1;
+            int32_t to = k > 0 ? (int32_t)(STEPS * b + k - 1) : joined_before ? (int32_t)(STEPS * b - 1) : -1;
+            int wanted = (from >= 0 && work->total[from] > 0.0f) || (to >= 0 && work->total[to] > 0.0f);
+            if (!wanted || (k == STEPS && joined_after)) continue;
+            work->edge_step[edges] = (float)(work->number[b] * STEPS + k);
+            work->edge_depth[edges] = k > 0 ? work->within[STEPS * b + k - 1] + before : before;
+            work->edge_from[edges] = from;
+            work->edge_to[edges] = to;
+            edges++;
+        }
+    }
+    return edges;
+}
+
+/* Optical depths of each group and of all volumes towards one sun, at the ends of filled steps. */
+static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, int64_t edges, Work *work) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    float dark = (float)scene->dark;
+    for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
+    for (int64_t g = 0; g < scene->groups; g++) {
+        for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
+    }
+    for (int64_t e = 0; e < edges; e++) {
+        float step = work->edge_step[e], depth = work->edge_depth[e], whole = 0.0f;
+        int32_t from = work->edge_from[e], to = work->edge_to[e];
+        for (int64_t g = 0; g < scene->groups; g++) {
+            float sum = 0.0f;
+            for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
+                int64_t v = scene->group_members[n];
+                const Medium *medium = scene->media + v;
+                float position[3];
+                position_on(work->lines + v, step, ray->dt, position);
+                sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
+                                          : sun_depth(scene, medium, medium->suns + l, position, depth);
+            }
+            if (from >= 0) work->start[g * room + from] = sum;
+            if (to >= 0) work->end[g * room + to] = sum;
+            whole += sum;
+        }
+        if (from >= 0) work->whole_start[from] = whole;
+        if (to >= 0) work->whole_end[to] = whole;
+    }
+}
+
+/* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
+static void add_single(const Scene *scene, int64_t l, const Ray *ray, const Work *work, double *single) {
+    int64_t steps = STEPS * work->room;
+    for (int64_t b = 0; b < work->blocks; b++) {
+        float light[STEPS];
+        for (int k = 0; k < STEPS; k++) {
+            int64_t s = STEPS * b + k;
+            light[k] = work->transmitted[s] * mean_transmittance(work->whole_start[s], work->whole_end[s] + work->tau[s]);
+            light[k] *= ray->dt;
+            if (scene->shadow_maps) light[k] *= work->visible[s];
+        }
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            const float *sigma = work->sigma + v * steps + STEPS * b;
+            float sum = 0.0f;
+            for (int k = 0; k < STEPS; k++) sum += sigma[k] * light[k];
+            single[v * scene->suns + l] += (double)sum;
+        }
+    }
+}
+
+/* 4 pi times the scattered light of one sun that scatters towards the camera, in the middle of each filled step. */
+static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *ray, Work *work) {
+    const Fluence *fluence = scene->fluence + g;
+    const float *tau = work->group_tau + g * STEPS * work->room;
+    int64_t steps = STEPS * work->blocks;
+    if (!fluence->lights) {
+        memset(work->source, 0, (size_t)steps * sizeof *work->source);
+        return;
+    }
+    const uint16_t *light = fluence->lights[l];
+    Line line = line_in(fluence->linear, fluence->offset, ray);
+    float weight[3], jitter[3], most = (float)(fluence->cells - 1);
+    for (int i = 0; i < 3; i++) {
+        double sum = 0.0;
+        for (int j = 0; j < 3; j++) sum += fluence->flux_from_world[3 * i + j] * ray->direction[j];
+        weight[i] = (float)sum;
+        jitter[i] = (float)scene->jitter[i];
+    }
+    for (int64_t s = 0; s < steps; s++) {
+        float number = (float)(work->number[s / STEPS] * STEPS + s % STEPS), position[3];
+        int64_t cell = 0;
+        work->source[s] = 0.0f;
+        if (!(tau[s] > 0.0f)) continue;
+        position_on(&line, number + 0.5f, ray->dt, position);
+        for (int axis = 0; axis < 3; axis++) {
+            /* Jittered from step to step, so that neighbouring rays do not enter a cell at the same step. */
+            float shift = number * jitter[axis];
+            shift = clamped(shift, 0.0f, FAR_AWAY);
+            shift = shift - (float)floor_of(shift) - 0.5f;
+            cell = cell * fluence->cells + (int32_t)clamped(position[axis] + shift, 0.0f, most);
+        }
+        const uint16_t *at = light + 4 * cell;
+        float found = half_value(at[0]) + weight[0] * half_value(at[1]) + weight[1] * half_value(at[2])
+                      + weight[2] * half_value(at[3]);
+        work->source[s] = found > 0.0f ? found : 0.0f;
+    }
+}
+
+static int64_t sample_count(const Scene *scene, double alpha) {
+    int64_t most = scene->depth_samples;
+    if (!scene->adaptive) return alpha > 0.0 ? most : 0;
+    if (!(alpha > scene->min_alpha)) return 0;
+    int64_t count = (int64_t)ceil((double)most * sqrt(alpha < 1.0 ? alpha : 1.0));
+    if (count > scene->coarse_count) count = (count + scene->coarse_count - 1) / scene->coarse_count * scene->coarse_count;
+    int64_t fewest = most < 2 ? most : 2;
+    return count < fewest ? fewest : count > most ? most : count;
+}
+
+/* Depth samples at the Gauss-Legendre nodes of the ray's opacity; returns their number. */
+static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, Work *work, Gathered *out) {
+    int64_t count = work->blocks ? sample_count(scene, alpha) : 0, steps = STEPS * work->room, block = 0;
+    const double *nodes = scene->nodes + count * scene->depth_samples;
+    const double *weights = scene->node_weights + count * scene->depth_samples;
+    for (int64_t n = 0; n < count; n++) {
+        int64_t sample = out->samples + n;
+        double opacity = nodes[n] * alpha;
+        double wanted = -log1p(-(opacity < 1.0 - 1e-12 ? opacity : 1.0 - 1e-12));
+        while (block + 1 < work->blocks && work->before[block + 1] <= wanted) block++;
+        wanted -= work->before[block];
+        const float *within_block = work->within + STEPS * block, *tau = work->tau + STEPS * block;
+        int step = 0, last = STEPS - 1;
+        for (int k = 0; k < STEPS; k++) step += (double)within_block[k] <= wanted;
+        for (int k = 0; k < STEPS; k++) {
+            if (tau[k] > 0.0f) last = k;
+        }
+        if (step > last) step = last;
+        float thickness = tau[step];
+        double inside = (wanted - (double)(within_block[step] - thickness)) / (thickness > 1e-30f ? thickness : 1e-30f);
+        inside = inside > 0.0 ? (inside < 1.0 ? inside : 1.0) : 0.0;
+        int64_t s = STEPS * block + step;
+        work->sample_step[n] = s;
+        work->sample_inside[n] = (float)inside;
+        double along = (double)work->number[block] * STEPS + step + inside;
+        out->sample_distance[sample] = ray->near + along * (double)ray->dt;
+        out->sample_weight[sample] = weights[n] * alpha;
+        float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * steps + s] / total;
+        }
+    }
+    return count;
+}
+
+/* exp(-a tau) and 1 - exp(-a tau) of the steps of each group, from the step of the first sample on. */
+static void attenuate_groups(const Scene *scene, const Ray *ray, int64_t from, Work *work) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    for (int64_t g = 0; g < scene->groups; g++) {
+        float *tau = work->group_tau + g * room;
+        for (int64_t s = 0; s < steps; s++) tau[s] = 0.0f;
+        for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
+            const float *sigma = work->sigma + scene->group_members[n] * room;
+            for (int64_t s = 0; s < steps; s++) tau[s] += sigma[s];
+        }
+        for (int64_t s = 0; s < steps; s++) tau[s] *= ray->dt;
+        for (int f = 0; f < FACTORS; f++) {
+            float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
+            float *passed = work->passed + (g * FACTORS + f) * room, *absorbed = work->absorbed + (g * FACTORS + f) * room;
+            for (int64_t s = from; s < steps; s++) {
+                passed[s] = exp_minus(factor * tau[s]);
+                absorbed[s] = one_minus_exp(factor * tau[s]);
+            }
+        }
+    }
+}
+
+/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end. */
+static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t count, Work *work, Gathered *out) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks, from = work->sample_step[0];
+    const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
+    for (int i = 0; i < SCALES; i++) {
+        float *light = work->light + i * room, factor = (float)scene->scales[i];
+        for (int64_t s = from; s < steps; s++) light[s] = exp_minus(factor * (0.5f * (start[s] + end[s])));
+        for (int64_t s = from; s < steps && scene->shadow_maps; s++) light[s] *= work->visible[s];
+    }
+    const float *passed = work->passed + g * FACTORS * room, *absorbed = work->absorbed + g * FACTORS * room;
+    float ahead[INTEGRALS] = {0.0f}, tau_ahead = 0.0f;
+    const int factor_of[INTEGRALS] = {0, 1, 2, 0, SCALES};
+    int64_t n = count - 1;
+    for (int64_t s = steps - 1; s >= from; s--) {
+        const float light[INTEGRALS] = {work->light[s], work->light[room + s], work->light[2 * room + s],
+                                        work->source[s], work->source[s]};
+        for (; n >= 0 && work->sample_step[n] == s; n--) {
+            float *values = out->sample_features + (((out->samples + n) * scene->groups + g) * scene->suns + l) * COLUMNS;
+            float inside = work->sample_inside[n], rest = (1.0f - inside) * tau[s];
+            float sun_tau = start[s] + inside * (end[s] - start[s]), most = (float)scene->max_tau_sun;
+            sun_tau = least(sun_tau, most);
+            if (scene->shadow_maps) {
+                float lit = work->visible[s] > 1e-30f ? work->visible[s] : 1e-30f;
+                sun_tau = least(sun_tau - logf(lit), most);
+            }
+            values[0] = sun_tau;
+            values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
+            for (int i = 0; i < INTEGRALS; i++) {
+                int f = factor_of[i];
+                float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
+                values[2 + i] = light[i] * one_minus_exp(factor * rest) + exp_minus(factor * rest) * ahead[i];
+            }
+        }
+        for (int i = 0; i < INTEGRALS; i++) {
+            int64_t place = factor_of[i] * room + s;
+            ahead[i] = light[i] * absorbed[place] + passed[place] * ahead[i];
+        }
+        tau_ahead += tau[s];
+    }
+}
+
+/* Emitted radiance of the channels, the integral of T(t) e(x(t)) dt. */
+static void add_emission(const Scene *scene, const Ray *ray, Work *work, double *emission) {
+    float dt = ray->dt;
+    fill_blocks(scene, ray, scene->behind_emission, 1, work);
+    for (int64_t b = 0; b < work->blocks; b++) {
+        float through[STEPS], far = transmittance(work->before[b]);
+        int32_t number = work->number[b];
+        for (int k = 0; k < STEPS; k++) {
+            int64_t s = STEPS * b + k;
+            float seen = far * exp_minus(work->within[s] - work->tau[s]) * mean_transmittance(0.0f, work->tau[s]);
+            through[k] = (int64_t)number * STEPS + k < ray->count ? seen * dt : 0.0f;
+        }
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            const Medium *medium = scene->media + v;
+            if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, number, dt)) continue;
+            for (int64_t c = 0; c < scene->channels; c++) {
+                float value[STEPS * SAMPLES], sum = 0.0f;
+                for (int n = 0; n < STEPS * SAMPLES; n++) {
+                    float position[3];
+                    position_on(work->lines + v, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
+                    float found = sample_grid(medium->emission + c, position), power = 1.0f;
+                    for (int64_t times = 1; times < medium->emission_power; times++) power *= fabsf(found);
+                    value[n] = found * power;
+                }
+                for (int k = 0; k < STEPS; k++) {
+                    sum += (0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1]) * through[k];
+                }
+                emission[c] += medium->emission_factor * (double)sum;
+            }
+        }
+    }
+}
+
+/* Divide the scratch memory; without memory, only count its bytes. */
+static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
+    int64_t used = 0, blocks = (max_count + STEPS - 1) / STEPS, steps = STEPS * blocks;
+    int64_t volumes = scene->volumes, groups = scene->groups;
+    work->room = blocks;
+#define TAKE(field, type, amount)                       \
+    work->field = memory ? (type *)(memory + used) : 0; \
+    used += ((int64_t)sizeof(type) * (amount) + 63) / 64 * 64;
+    TAKE(number, int32_t, blocks)
+    TAKE(before, double, blocks + 1)
+    TAKE(sigma, float, volumes * steps)
+    TAKE(total, float, steps)
+    TAKE(tau, float, steps)
+    TAKE(within, float, steps)
+    TAKE(transmitted, float, steps)
+    TAKE(start, float, groups * steps)
+    TAKE(end, float, groups * steps)
+    TAKE(whole_start, float, steps)
+    TAKE(whole_end, float, steps)
+    TAKE(visible, float, steps)
+    TAKE(source, float, steps)
+    TAKE(group_tau, float, groups * steps)
+    TAKE(passed, float, groups * FACTORS * steps)
+    TAKE(absorbed, float, groups * FACTORS * steps)
+    TAKE(light, float, SCALES * steps)
+    TAKE(edge_step, float, 5 * blocks)
+    TAKE(edge_depth, float, 5 * blocks)
+    TAKE(edge_from, int32_t, 5 * blocks)
+    TAKE(edge_to, int32_t, 5 * blocks)
+    TAKE(lines, Line, volumes)
+    TAKE(sample_step, int64_t, scene->depth_samples)
+    TAKE(sample_inside, float, scene->depth_samples)
+#undef TAKE
+    return used;
+}
+
+static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
+    Ray ray;
+    int64_t steps = STEPS * work->room;
+    cut(rays, r, rays->near_distance[r], rays->far_distance[r], &ray);
+    if (out->emission) {
+        double *emission = out->emission + r * scene->channels;
+        for (int64_t c = 0; c < scene->channels; c++) emission[c] = 0.0;
+        add_emission(scene, &ray, work, emission);
+    }
+    for (int64_t n = 0; n < scene->refinements; n++) {
+        double near, far;
+        fill_blocks(scene, &ray, scene->behind, 0, work);
+        refine(&ray, scene->behind, work, &near, &far);
+        cut(rays, r, near, far, &ray);
+    }
+    fill_blocks(scene, &ray, scene->behind, 0, work);
+    out->blocks += work->blocks;
+
+    double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);
+    for (int64_t b = 0; b < work->blocks; b++) {
+        float far = transmittance(work->before[b]), sum = 0.0f;
+        for (int k = 0; k < STEPS; k++) {
+            int64_t s = STEPS * b + k;
+            work->transmitted[s] = far * exp_minus(work->within[s] - work->tau[s]);
+            /* The middle of a step stands for the mean distance within it. */
+            float middle = (float)(work->number[b] * STEPS + k) + 0.5f;
+            sum += work->transmitted[s] * one_minus_exp(work->tau[s]) * middle;
+        }
+        reached += (double)sum;
+    }
+    out->alpha[r] = alpha;
+    out->depth[r] = ray.near + reached * (double)ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        double depth = 0.0;
+        for (int64_t b = 0; b < work->blocks; b++) {
+            const float *sigma = work->sigma + v * steps + STEPS * b;
+            float sum = 0.0f;
+            for (int k = 0; k < STEPS; k++) sum += sigma[k] * ray.dt;
+            depth += (double)sum;
+        }
+        out->optical_depth[r * scene->volumes + v] = depth;
+    }
+    double *single = out->single_scattering + r * scene->volumes * scene->suns;
+    for (int64_t n = 0; n < scene->volumes * scene->suns; n++) single[n] = 0.0;
+
+    int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
+    int features = out->sample_features && count > 0;
+    if (features) attenuate_groups(scene, &ray, work->sample_step[0], work);
+    for (int64_t l = 0; l < scene->suns; l++) {
+        if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
+        look_up_sun_depths(scene, l, &ray, edges, work);
+        add_single(scene, l, &ray, work, single);
+        for (int64_t g = 0; g < scene->groups && features; g++) {
+            look_up_source(scene, g, l, &ray, work);
+            gather_features(scene, g, l, count, work, out);
+        }
+    }
+    out->sample_counts[r] = count;
+    out->samples += count;
+}
+
+/* Bytes of scratch memory for rays of at most so many steps. */
+int64_t NAMED(scratch_bytes, VARIANT)(const Scene *scene, int64_t max_count) {
+    Work work;
+    return divide(scene, max_count < 1 ? 1 : max_count, NULL, &work);
+}
+
+/* March rays; returns how many of them, fewer than asked for if they were to stop. */
+int64_t NAMED(march, VARIANT)(const Scene *scene, const Rays *rays, Gathered *out) {
+    Work work;
+    divide(scene, rays->max_count < 1 ? 1 : rays->max_count, rays->scratch, &work);
+    out->samples = 0;
+    out->blocks = 0;
+    for (int64_t r = 0; r < rays->rays; r++) {
+        if (rays->stop && *rays->stop) return r;
+        march_ray(scene, rays, r, &work, out);
+    }
+    return rays->rays;
+}

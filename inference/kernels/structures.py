@@ -1,0 +1,118 @@
+"""The structures of kernels.h."""
+
+import ctypes
+from ctypes import c_double, c_int64, c_void_p
+from typing import Any
+
+import numpy as np
+
+INTERFACE = 1
+CHANNELS = 3
+
+
+class Shared(ctypes.Structure):
+    """A structure that keeps alive what its pointers point to."""
+
+    def __init__(self, **fields: Any):
+        """Arrays become pointers or, where the structure holds their numbers itself, copies."""
+        super().__init__()
+        self.kept = []
+        types = dict(self._fields_)
+        for name, value in fields.items():
+            if types[name] is c_void_p:
+                value = self._pointer(value)
+            elif issubclass(types[name], ctypes.Array) and isinstance(value, np.ndarray):
+                value = types[name](*value.ravel().tolist())
+            setattr(self, name, value)
+
+    def _pointer(self, value: Any) -> int | None:
+        if value is None:
+            return None
+        self.kept.append(value)
+        if isinstance(value, np.ndarray):
+            assert value.flags.c_contiguous
+            return value.ctypes.data
+        return ctypes.addressof(value)
+
+
+class Grid(Shared):
+    """See kernels.h, as for the others."""
+
+    _fields_ = [
+        ("values", c_void_p), ("table", c_void_p), ("size", c_int64 * 3), ("shape", c_int64 * 3),
+        ("first", c_int64 * 3), ("rows", c_int64),
+    ]
+
+
+class Occupancy(Shared):
+    _fields_ = [("filled", c_void_p), ("size", c_int64 * 3), ("first", c_double * 3), ("scale", c_double)]
+
+
+class SunColumns(Shared):
+    _fields_ = [
+        ("depths", c_void_p), ("table", c_void_p), ("offsets", c_void_p), ("slices", c_int64), ("size", c_int64 * 2),
+        ("tiles", c_int64), ("first", c_int64), ("main", c_int64), ("others", c_int64 * 2), ("step", c_int64),
+        ("integrated", c_int64), ("everywhere", c_int64), ("steep", c_int64), ("move", c_double * 3),
+        ("length", c_double), ("direction", c_double * 3),
+    ]
+
+
+class Medium(Shared):
+    _fields_ = [
+        ("density", Grid), ("occupancy", Occupancy), ("suns", c_void_p), ("linear", c_double * 9),
+        ("offset", c_double * 3), ("sigma_t", c_double), ("emission", Grid * CHANNELS), ("emission_power", c_int64),
+        ("emission_factor", c_double),
+    ]
+
+
+class ShadowMap(Shared):
+    _fields_ = [
+        ("heights", c_void_p), ("rows", c_int64), ("columns", c_int64), ("linear", c_double * 9),
+        ("offset", c_double * 3),
+    ]
+
+
+class Fluence(Shared):
+    _fields_ = [
+        ("lights", c_void_p), ("cells", c_int64), ("linear", c_double * 9), ("offset", c_double * 3),
+        ("flux_from_world", c_double * 9), ("reduced_fraction", c_double),
+    ]
+
+
+class Scene(Shared):
+    _fields_ = [
+        ("volumes", c_int64), ("suns", c_int64), ("groups", c_int64), ("channels", c_int64), ("media", c_void_p),
+        ("group_starts", c_void_p), ("group_members", c_void_p), ("shadow_maps", c_void_p), ("fluence", c_void_p),
+        ("nodes", c_void_p), ("node_weights", c_void_p), ("depth_samples", c_int64), ("adaptive", c_int64),
+        ("coarse_count", c_int64), ("skip_empty", c_int64), ("refinements", c_int64), ("behind", c_double),
+        ("behind_emission", c_double), ("min_alpha", c_double), ("dark", c_double), ("visible", c_double),
+        ("max_sun_depth", c_double), ("max_tau_sun", c_double), ("max_tau_ahead", c_double), ("scales", c_double * 3),
+        ("jitter", c_double * 3),
+    ]
+
+
+class Rays(Shared):
+    _fields_ = [
+        ("rays", c_int64), ("origins", c_void_p), ("directions", c_void_p), ("near_distance", c_void_p),
+        ("far_distance", c_void_p), ("counts", c_void_p), ("max_count", c_int64), ("stop", c_void_p),
+        ("scratch", c_void_p),
+    ]
+
+
+class Gathered(Shared):
+    _fields_ = [
+        ("alpha", c_void_p), ("depth", c_void_p), ("optical_depth", c_void_p), ("single_scattering", c_void_p),
+        ("emission", c_void_p), ("sample_counts", c_void_p), ("sample_distance", c_void_p),
+        ("sample_weight", c_void_p), ("sample_fraction", c_void_p), ("sample_features", c_void_p),
+        ("samples", c_int64), ("blocks", c_int64),
+    ]
+
+
+def array_of(values: list) -> ctypes.Array | None:
+    """An array of structures, which keeps alive what they point to; None if there are none."""
+    if not values:
+        return None
+    array = (type(values[0]) * len(values))(*values)
+    # ctypes copies the structures, not the Python attributes of their objects.
+    array.kept = values  # type: ignore[attr-defined]
+    return array

@@ -1,0 +1,228 @@
+"""Camera rays marched by the compiled kernel; `ray_march.march` and `emission.emitted_radiance` are its twins."""
+
+import threading
+from collections.abc import Sequence
+from ctypes import c_int32, c_void_p
+
+import numpy as np
+
+from ..grids.bound_medium import BoundMedium
+from ..grids.dense_grid import DenseGrid
+from ..grids.occupancy import Occupancy
+from ..grids.sparse_columns import SparseColumns
+from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
+from ..kernels import structures
+from ..kernels.library import Kernels
+from ..occluders.shadow_map import ShadowMap
+from ..scene.sparse_grid import EDGE, SparseGrid
+from ..transport.discrete_ordinates import CELLS
+from ..transport.scattered_fluence import ScatteredFluence
+from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_counts
+from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
+from .ray_march import (
+    DARK,
+    JITTER,
+    MAX_OPTICAL_DEPTH,
+    MarchOptions,
+    RaySegment,
+    optical_depth_behind,
+    refinements,
+)
+from .ray_steps import STEPS, RayBatch, step_counts
+
+
+class CompiledMarch:
+    """Marches rays through media as `ray_march.march`, with the emission of some colour channels.
+
+    Safe to use on several threads.
+    """
+
+    def __init__(
+        self, kernels: Kernels, media: Sequence[BoundMedium], options: MarchOptions, channels: Sequence[int],
+        stop: c_int32,
+    ):
+        """channels: colour channels, by number. stop: once it is not 0, calls return soon, their result incomplete."""
+        self._kernels, self._media, self._options = kernels, media, options
+        self._channels, self._emits = len(channels), any(medium.emits for medium in media)
+        self._stop = stop
+        self._groups = options.groups or [[v] for v in range(len(media))]
+        self._suns = len(media[0].sun_depths)
+        self._scene = self._describe(list(channels))
+        self._local = threading.local()
+
+    def __call__(self, rays: RayBatch) -> RaySegment:
+        """What rays gather whose intervals contain all media."""
+        count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
+        counts = np.ascontiguousarray(step_counts(self._media, rays), np.int64)
+        batch = structures.Rays(
+            rays=count,
+            origins=_doubles(rays.origins),
+            directions=_doubles(rays.directions),
+            near_distance=_doubles(rays.near),
+            far_distance=_doubles(rays.far),
+            counts=counts,
+            max_count=int(counts.max(initial=1)),
+            stop=self._stop,
+        )
+        scratch = self._scratch(batch.max_count)
+        batch.scratch = scratch.ctypes.data
+        alpha, depth = np.empty((2, count))
+        optical_depth, single = np.empty((count, volumes)), np.empty((count, volumes, self._suns))
+        emission = np.empty((count, self._channels)) if self._emits else None
+        samples = np.zeros(count, np.int64)
+        distance, weight = np.empty((2, count * most))
+        fraction, features = np.empty((count * most, volumes), np.float32), None
+        if self._options.fluence is not None:
+            features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
+        gathered = structures.Gathered(
+            alpha=alpha, depth=depth, optical_depth=optical_depth, single_scattering=single, emission=emission,
+            sample_counts=samples, sample_distance=distance, sample_weight=weight, sample_fraction=fraction,
+            sample_features=features)
+        self._kernels.march(self._scene, batch, gathered)
+        end = gathered.samples
+        # Copies: most of the arrays may be unused.
+        return RaySegment(
+            alpha, depth, optical_depth, single, np.repeat(np.arange(count), samples), distance[:end].copy(),
+            weight[:end].copy(), fraction[:end].copy(),
+            None if features is None else RayFeatures(features[:end].copy()), gathered.blocks * STEPS, emission)
+
+    def _scratch(self, max_count: int) -> np.ndarray:
+        """Scratch memory of the calling thread."""
+        size = self._kernels.scratch_bytes(self._scene, max_count)
+        if getattr(self._local, "scratch", None) is None or len(self._local.scratch) < size:
+            self._local.scratch = np.empty(size, np.uint8)
+        return self._local.scratch
+
+    def _describe(self, channels: list[int]) -> structures.Scene:
+        options, most = self._options, self._options.depth_samples
+        nodes, weights = np.zeros((2, most + 1, most))
+        for count in possible_counts(most):
+            nodes[count, :count], weights[count, :count] = gauss_legendre(count)
+        members = np.concatenate([np.array(group, np.int64) for group in self._groups])
+        starts = np.cumsum([0, *map(len, self._groups)]).astype(np.int64)
+        return structures.Scene(
+            volumes=len(self._media),
+            suns=self._suns,
+            groups=len(self._groups),
+            channels=len(channels),
+            media=structures.array_of([_medium(medium, channels) for medium in self._media]),
+            group_starts=starts,
+            group_members=members,
+            shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
+            fluence=None if options.fluence is None else structures.array_of([_fluence(f) for f in options.fluence]),
+            nodes=nodes,
+            node_weights=weights,
+            depth_samples=most,
+            adaptive="faint_rays" in options.optimizations,
+            coarse_count=COARSE_COUNT,
+            skip_empty="empty_space" in options.optimizations,
+            refinements=refinements(self._media),
+            behind=optical_depth_behind(options),
+            behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
+            min_alpha=MIN_ALPHA,
+            dark=float(DARK),
+            visible=VISIBLE,
+            max_sun_depth=MAX_DEPTH,
+            max_tau_sun=MAX_TAU_SUN,
+            max_tau_ahead=MAX_TAU_AHEAD,
+            scales=np.array(SCALES),
+            jitter=np.float64(JITTER),
+        )
+
+
+def _doubles(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float64)
+
+
+def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
+    grid = medium.grid
+    emission = [_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = _grid(grid.density), _occupancy(grid.occupancy)
+    described = structures.Medium(
+        density=density,
+        occupancy=occupancy,
+        suns=structures.array_of([_sun_columns(depth, medium.sigma_t) for depth in medium.sun_depths]),
+        linear=grid.linear,
+        offset=grid.offset,
+        sigma_t=medium.sigma_t,
+        emission=(structures.Grid * structures.CHANNELS)(*emission),
+        emission_power=grid.emission_power,
+        emission_factor=medium.medium.emission if medium.emits else 0.0,
+    )
+    described.kept += [density, occupancy, *emission]
+    return described
+
+
+def _grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
+    shape = np.array(grid.shape)
+    if isinstance(grid, DenseGrid):
+        assert np.array_equal(grid.padded.shape, shape + 3)
+        padded = np.ascontiguousarray(grid.padded, np.float32)
+        return structures.Grid(values=padded, size=np.array(padded.shape), shape=shape)
+    table, values = np.ascontiguousarray(grid.table, np.int32), np.ascontiguousarray(grid.values, np.float32)
+    # Voxels from -1 to the shape + 1 are read.
+    assert np.all(grid.first >= 1) and np.all(grid.first + shape + 1 < EDGE * np.array(table.shape))
+    return structures.Grid(
+        values=values, table=table, size=np.array(table.shape), shape=shape, first=grid.first, rows=len(values))
+
+
+def _occupancy(occupancy: Occupancy) -> structures.Occupancy:
+    filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
+    return structures.Occupancy(
+        filled=filled, size=np.array(filled.shape), first=np.float64(occupancy.first), scale=1.0 / occupancy.cell)
+
+
+def _sun_columns(depth: SunOpticalDepth, sigma_t: float) -> structures.SunColumns:
+    columns, integration = depth.columns, depth.integration(sigma_t)
+    offsets = np.ascontiguousarray(columns.offsets, np.float32)
+    common = dict(
+        offsets=offsets,
+        slices=len(offsets),
+        size=np.array(columns.size),
+        main=depth.main,
+        others=np.array(depth.others),
+        step=depth.step,
+        integrated=integration.slices,
+        everywhere=integration.everywhere,
+        steep=integration.steep,
+        move=np.float64(depth.move),
+        length=float(depth.length),
+        direction=np.float64(depth.direction),
+    )
+    if isinstance(columns, SparseColumns):
+        table = np.ascontiguousarray(columns.table, np.int32)
+        tiles = np.ascontiguousarray(columns.tiles, np.float32)
+        assert tuple(EDGE * n for n in table.shape) == (len(offsets), *columns.size)
+        return structures.SunColumns(depths=tiles, table=table, tiles=len(tiles), first=columns.first, **common)
+    depths = np.ascontiguousarray(columns.depths, np.float32)
+    assert depths.shape == (len(offsets), *columns.size)
+    return structures.SunColumns(depths=depths, first=1, **common)
+
+
+def _shadow_map(shadow_map: ShadowMap) -> structures.ShadowMap:
+    heights = np.ascontiguousarray(shadow_map.heights, np.float32)
+    return structures.ShadowMap(
+        heights=heights,
+        rows=heights.shape[0],
+        columns=heights.shape[1],
+        linear=shadow_map.linear,
+        offset=shadow_map.offset,
+    )
+
+
+def _fluence(fluence: ScatteredFluence | None) -> structures.Fluence:
+    if fluence is None:
+        return structures.Fluence(reduced_fraction=1.0)
+    lights = [np.ascontiguousarray(light, np.float16) for light in fluence.lights]
+    assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
+    pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
+    described = structures.Fluence(
+        lights=pointers,
+        cells=CELLS,
+        linear=fluence.linear,
+        offset=fluence.offset,
+        flux_from_world=fluence.flux_from_world(),
+        reduced_fraction=fluence.reduced_fraction,
+    )
+    described.kept += lights
+    return described
