@@ -49,6 +49,7 @@ def test_variance_is_that_of_one_path():
     assert relative_variance(a, b, mask, samples) == pytest.approx((deviation / 2.0) ** 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_references_are_traced_once(tmp_path):
     view = views.procedural_view("cloud1", "side", views.GREY, 0.857, 8, 4, 32, tmp_path)
     halves = view.halves()
@@ -62,6 +63,7 @@ def test_references_are_traced_once(tmp_path):
     assert not np.array_equal(view.halves(), halves) and len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
     fidelity.main([
         "--out", str(tmp_path / "out"), "--references", str(tmp_path / "references"), "--views", "procedural",

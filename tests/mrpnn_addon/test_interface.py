@@ -172,6 +172,7 @@ def _left_behind():
     return handlers, threading.active_count(), len(bpy.data.images), len(bpy.data.scenes)
 
 
+@pytest.mark.slow
 def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
     """Also of scenes and registrations; the console stays silent."""
     path = str(tmp_path / "scene.blend")

@@ -176,6 +176,7 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert (tmp_path / "comparison" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
     """Cycles' process has never rendered that frame. The second file is four times as dense."""
     cloud = make.cloud_scene(scene, tmp_path, density=1.0)
@@ -214,6 +215,7 @@ def test_operator_refuses_an_instancer_that_shows_a_surface_beside_the_volume(sc
         bpy.ops.mrpnn.compare(**small(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     render = scene.render
@@ -240,6 +242,7 @@ def started(addon, scene, tmp_path):
     return start
 
 
+@pytest.mark.slow
 def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(started, scene, tmp_path):
     before = state_of_file()
     first = started()
@@ -280,6 +283,7 @@ def test_a_crash_of_cycles_is_a_message_and_leaves_the_file_alone(started):
     assert state_of_file() == before
 
 
+@pytest.mark.slow
 def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_path):
     first = started()
     first.wait()

@@ -172,6 +172,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     assert (tmp_path / "frame.png").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_too_little_memory_is_a_message(addon, scene, cloud):
     """The memory limit allows the render, the operating system does not."""
     resource = pytest.importorskip("resource")

@@ -87,6 +87,7 @@ def ground(scene, z=-1.5):
     return blender_scenes.add_object(scene, "Ground", mesh)
 
 
+@pytest.mark.slow
 def test_volumes_cast_shadows_on_surfaces_on_request(addon, scene, cloud, tmp_path):
     ground(scene)
     found, before = {}, state(scene)
@@ -120,7 +121,7 @@ def instance(scene, collection):
     return empty
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("linked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, cloud, tmp_path, linked):
     outer = nested(scene, cloud)
     if linked:
@@ -246,7 +247,7 @@ def test_differences_that_do_not_follow_are_named_and_repaired(addon, scene, clo
     assert found.max() > 0.01
 
 
-@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
     scene.render.use_persistent_data = persistent
@@ -304,7 +305,7 @@ def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
     assert list(bpy.data.scenes) == [scene] and not scene.collection.children
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, cloud, tmp_path, angle):
     """Absorbing fog and an emissive wall: pixel by pixel, edges included."""
     scene.render.resolution_x = scene.render.resolution_y = 48
