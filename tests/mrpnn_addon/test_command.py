@@ -104,9 +104,9 @@ def test_png_keeps_the_layers_alpha(command, blend):
     (["render", "--output", "x.exr", "--camera", "Sun"], "there are: Camera"),
     (["render", "--output", "x.exr", "--view-layer", "Fog"], "there are: ViewLayer"),
     (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the limit is 0.0 GiB"),
-    (["compare", "--samples", "0"], "not above 0"),
+    (["compare", "--samples", "0"], "not positive"),
     (["report", "--depth-samples", "0"], "depth samples"),
-    (["report", "--leave-out", "empty_space,noise"], "no 'noise' to leave out; there are: missed_pixels"),
+    (["report", "--leave-out", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
     (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),
     (["render", "--output", "x.exr", "--depth-samples", "many"], "many"),
     (["render", "--output", "x.exr", "--threads", "-1"], "threads"),
@@ -257,7 +257,7 @@ def test_help_is_status_0(command, capsys):
 SCRIPT = """
 import sys
 import bpy
-from benchmarks.extension import load_extension
+from benchmarks.support.extension import load_extension
 package = load_extension()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 status = package.operators.command.main(["render", "--output", sys.argv[2]])

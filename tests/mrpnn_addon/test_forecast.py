@@ -16,8 +16,8 @@ from tests.support import blender_scenes
 def cloud(addon, scene, tmp_path, monkeypatch):
     """A cloud of 64^3 voxels, before anything is known of it or of the machine's speed."""
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(tmp_path))
-    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_told", {})
-    addon.mrpnn_addon.status.experience.forget()
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
+    addon.mrpnn_addon.status.calibration.forget()
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     scene.mrpnn.depth_samples = 1
     shown, _ = blender_scenes.add_volume(
@@ -26,7 +26,7 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     yield shown
-    addon.mrpnn_addon.status.experience.forget()
+    addon.mrpnn_addon.status.calibration.forget()
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
 
 def shown_volumes(addon):
     visibility = addon.mrpnn_addon.objects.visibility
-    return (shown for shown in visibility.shown_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
+    return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
     """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
     cost_model = addon.mrpnn_addon.status.cost_model
     bpy.ops.mrpnn.render()
-    known = addon.mrpnn_addon.status.experience.experience()
+    known = addon.mrpnn_addon.status.calibration.calibration()
     second = blender_scenes.add_sun(scene, "Second", strength=0.0, rotation=(1.0, 0.4, 0.0))
     for percentage, samples, strength in ((200, 1, 0.0), (200, 4, 0.0), (100, 4, 1.0), (150, 2, 1.0)):
         scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
@@ -134,16 +134,16 @@ def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
 def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
     scene.render.resolution_percentage = 400
     bpy.ops.mrpnn.render()
-    experience = addon.mrpnn_addon.status.experience
-    rates = dict(experience.experience().rates)
+    calibration = addon.mrpnn_addon.status.calibration
+    rates = dict(calibration.calibration().rates)
     assert rates
-    experience.forget()
-    assert experience.experience().rates.keys() == rates.keys() and not experience.experience().shares
+    calibration.forget()
+    assert calibration.calibration().rates.keys() == rates.keys() and not calibration.calibration().shares
     # A damaged file counts as none.
     for text in ("{", "[]", '{"rates": {"march": -1}, "threads": 2}'):
-        (tmp_path / experience.FILE).write_text(text)
-        experience.forget()
-        assert experience.experience().rates == {}
+        (tmp_path / calibration.FILE).write_text(text)
+        calibration.forget()
+        assert calibration.calibration().rates == {}
     assert said().seconds > 0.0
 
 
@@ -151,7 +151,7 @@ def test_another_file_is_another_scene(addon, scene, cloud, said):
     bpy.ops.mrpnn.render()
     assert not said().rough
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not addon.mrpnn_addon.status.experience.experience().shares and not addon.mrpnn_addon.volumes.bounding_boxes._told
+    assert not addon.mrpnn_addon.status.calibration.calibration().shares and not addon.mrpnn_addon.volumes.bounding_boxes._densities
 
 
 def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monkeypatch, tmp_path):

@@ -270,7 +270,7 @@ def bend_phase(node):
 
 
 @pytest.mark.parametrize("change, named", [
-    (link_voronoi, "Voronoi Texture"), (clear_attribute, "Density Attribute"), (fog_without_end, "fog without end"),
+    (link_voronoi, "Voronoi Texture"), (clear_attribute, "Density Attribute"), (fog_without_end, "endless fog"),
     (unlink, "Volume socket"), (bend_phase, "phase function"),
 ])
 def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, named):

@@ -55,8 +55,8 @@ def rendered(scene, folder):
 
 def evaluated(emission):
     """The value of Blender's nodes, and of their copies, which threads evaluate."""
-    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(Plane())
-    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").copied(emission.id_data, emission)
+    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(Plane())
+    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").snapshot(emission.id_data, emission)
     found = values.colour(emission, "Color")
     np.testing.assert_array_equal(values.colour(copied, "Color"), found)
     return np.broadcast_to(found, (PIXELS * PIXELS, 3))

@@ -2,21 +2,21 @@
 
 import ast
 import re
-from typing import Iterator, List, Tuple
+from collections.abc import Iterator
 
 import pytest
 
 from tests.support.paths import ROOT
 
-# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, and take
-# procedural volumes and the reference path tracer from training.
+# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, take procedural
+# volumes and the reference path tracer from training, and the scene of the soak from the tests' support.
 PACKAGES = {
     "inference": (),
     "mrpnn_addon": ("inference",),
     "operators": ("mrpnn_addon", "inference"),
     "panels": ("operators", "mrpnn_addon", "inference"),
     "training": ("inference",),
-    "benchmarks": ("training", "mrpnn_addon", "inference"),
+    "benchmarks": ("tests", "training", "mrpnn_addon", "inference"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
@@ -29,7 +29,7 @@ ROOMS = {
 }
 
 
-def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[str, ...]]]:
+def imports(source: str, module: tuple[str, ...]) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Line and dotted path, from the repository's root, of each name that a module imports, in functions too.
 
     The root itself is package `mrpnn` where Blender loads it.
@@ -48,7 +48,7 @@ def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[s
                 yield node.lineno, (*path, name.name)
 
 
-def package_imports(package: str) -> List[Tuple[str, Tuple[str, ...], Tuple[str, ...]]]:
+def package_imports(package: str) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
     """(place, importing module, imported path) of each import in a package."""
     found = []
     for file in sorted((ROOT / package).rglob("*.py")):

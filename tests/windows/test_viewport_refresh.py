@@ -141,6 +141,17 @@ def test_with_all_hidden_it_is_empty_and_without_light_black(two):
     until_shown(two, (True, True))
 
 
+def test_another_world_lights_the_volumes(two):
+    two.do("red, dark = bpy.data.worlds.new('Red'), scene.world; red.use_nodes = True\n"
+           "red.node_tree.nodes['Background'].inputs['Color'].default_value = 1, 0.1, 0.05, 1\n"
+           "scene.render.film_transparent = True; bpy.data.objects['Sun'].hide_viewport = True")
+    until_shown(two, (False, False))
+    two.do("scene.world = red")
+    until_shown(two, (True, True))
+    two.do("scene.world = dark")
+    until_shown(two, (False, False))
+
+
 def test_a_scene_without_a_camera_is_shown(two):
     two.do("space.region_3d.view_perspective = 'PERSP'; scene.camera = None; ball.location.y = 0.01")
     until_shown(two, (True, True), eval(two.do(PLACES)))

@@ -35,7 +35,7 @@ def test_single_scattering_of_a_slab_lit_from_the_camera_is_the_closed_form(refe
     scene, shader, objects = box_scene
     density, albedo, irradiance = 1.5, 0.01, 2.0
     shader.inputs["Anisotropy"].default_value = anisotropy
-    rendered = reference.render_reference(scene, objects, samples=64)
+    rendered = reference.render_reference(scene, objects, reference.PathTracing(samples=64))
     # Light comes down and goes back up: the cosine between camera ray and direction to the sun is -1.
     phase = (1 - anisotropy**2) / (4 * np.pi * (1 + anisotropy**2 + 2 * anisotropy) ** 1.5)
     expected = albedo * phase * irradiance * (1 - np.exp(-2 * density)) / 2
@@ -49,9 +49,9 @@ def test_the_halves_are_independent_and_a_third_seed_differs(reference, box_scen
     scene, shader, objects = box_scene
     shader.inputs["Color"].default_value = (0.95, 0.95, 0.95, 1.0)
     scene.render.resolution_x = scene.render.resolution_y = 32
-    rendered = reference.render_reference(scene, objects, samples=4)
-    other = reference.render_reference(scene, objects, samples=4, seed=1)
-    again = reference.render_reference(scene, objects, samples=4)
+    rendered = reference.render_reference(scene, objects, reference.PathTracing(samples=4))
+    other = reference.render_reference(scene, objects, reference.PathTracing(samples=4), seed=1)
+    again = reference.render_reference(scene, objects, reference.PathTracing(samples=4))
     assert np.array_equal(rendered.a, again.a) and np.array_equal(rendered.b, again.b)
     images = [image[..., 0].ravel() for image in (rendered.a, rendered.b, other.a, other.b)]
     # The view is uniform, so whatever varies is noise; independent noise does not correlate.
@@ -68,8 +68,8 @@ def test_bright_multiple_scattering_is_neither_truncated_nor_clamped(reference, 
     shader.inputs["Anisotropy"].default_value = 0.0
     objects[1].data.energy = 100.0
     scene.cycles.max_bounces = scene.cycles.volume_bounces = 0
-    full = reference.render_reference(scene, objects, samples=8)
-    short = reference.render_reference(scene, objects, samples=8, bounces=4)
+    full = reference.render_reference(scene, objects, reference.PathTracing(samples=8))
+    short = reference.render_reference(scene, objects, reference.PathTracing(samples=8, bounces=4))
     # A half space of this kind reflects all light; a Lambertian one would show E / pi.
     assert full.a[..., :3].mean() > 0.7 * 100.0 / np.pi
     assert short.a[..., :3].mean() < 0.7 * full.a[..., :3].mean()
@@ -81,7 +81,7 @@ def test_rows_start_at_the_top_and_rays_pass_through_pixel_centres(reference, bo
     # The box spans world y 0.6 to 1.6 of a view from -2 to 2 in 8 rows: it covers the upper four
     # fifths of row 2 (counted from the top), all of row 1 and the lowest fifth of row 0.
     objects[0].location.y = 1.1
-    alpha = reference.render_reference(scene, objects, samples=64).a[..., 3]
+    alpha = reference.render_reference(scene, objects, reference.PathTracing(samples=64)).a[..., 3]
     inside = np.zeros((8, 8), bool)
     inside[1:3, 3:5] = True
     assert alpha[inside] == pytest.approx(1 - np.exp(-1.5), abs=0.05)
@@ -95,7 +95,7 @@ def test_region_gives_an_image_of_the_region(reference, box_scene):
     objects[0].location.y = 1.0
     render.use_border, render.use_crop_to_border = True, False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.5, 1.0
-    alpha = reference.render_reference(scene, objects, samples=4).a[..., 3]
+    alpha = reference.render_reference(scene, objects, reference.PathTracing(samples=4)).a[..., 3]
     assert alpha.shape == (4, 4)
     assert (alpha[1:3, 1:3] > 0.3).all() and (alpha[0] == 0.0).all() and (alpha[3] == 0.0).all()
 
@@ -105,7 +105,7 @@ def test_only_the_given_objects_are_shown(reference, box_scene):
     wall = make.add_object(scene, "wall", bpy.data.meshes.new("wall"))
     wall.data.from_pydata([(-9, -9, 1), (9, -9, 1), (9, 9, 1), (-9, 9, 1)], [], [(0, 1, 2, 3)])
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 5.0
-    alpha = reference.render_reference(scene, objects, samples=64).a[..., 3]
+    alpha = reference.render_reference(scene, objects, reference.PathTracing(samples=64)).a[..., 3]
     assert alpha.mean() == pytest.approx(1 - np.exp(-1.5), abs=0.02)
 
 
@@ -117,9 +117,9 @@ def test_depth_of_field_is_off_in_the_reference_and_stays_on_in_the_scene(refere
     scene.camera.data.dof.use_dof = True
     scene.camera.data.dof.focus_distance = 0.1
     scene.camera.data.dof.aperture_fstop = 0.01
-    blurred = reference.render_reference(scene, objects, samples=16).a
+    blurred = reference.render_reference(scene, objects, reference.PathTracing(samples=16)).a
     scene.camera.data.dof.use_dof = False
-    sharp = reference.render_reference(scene, objects, samples=16).a
+    sharp = reference.render_reference(scene, objects, reference.PathTracing(samples=16)).a
     assert np.array_equal(blurred, sharp)
 
 
@@ -129,7 +129,7 @@ def test_the_file_is_left_as_it_was(reference, box_scene):
     scene.cycles.samples, scene.cycles.seed = 7, 99
     scene.render.engine = 'BLENDER_WORKBENCH'
     before = state_of_file()
-    reference.render_reference(scene, objects, samples=1)
+    reference.render_reference(scene, objects, reference.PathTracing(samples=1))
     assert state_of_file() == before
 
 
@@ -142,7 +142,7 @@ def test_the_file_is_left_as_it_was_after_cancelling(reference, box_scene):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reference.render_reference(scene, objects, samples=1, progress=stop)
+        reference.render_reference(scene, objects, reference.PathTracing(samples=1), progress=stop)
     assert state_of_file() == before
 
 

@@ -15,7 +15,7 @@ pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
 from mrpnn_addon.output.exr_file import LINES_PER_BLOCK, write_exr
-from mrpnn_addon.runtime.whole_file import whole_file
+from mrpnn_addon.runtime.atomic_write import atomic_write
 
 from tests.support.exr_files import channels
 from tests.support.paths import ROOT
@@ -112,13 +112,13 @@ def test_a_symbolic_link_is_replaced_not_followed(tmp_path):
     """The link is replaced, not the file that it points to."""
     (tmp_path / "precious").write_bytes(b"old")
     (tmp_path / "layer.exr").symlink_to(tmp_path / "precious")
-    with whole_file(str(tmp_path / "layer.exr")) as file:
+    with atomic_write(str(tmp_path / "layer.exr")) as file:
         file.write(b"new")
     assert (tmp_path / "precious").read_bytes() == b"old" and not (tmp_path / "layer.exr").is_symlink()
 
 
 def test_an_error_while_writing_leaves_nothing(tmp_path):
-    with pytest.raises(RuntimeError), whole_file(str(tmp_path / "layer.exr")) as file:
+    with pytest.raises(RuntimeError), atomic_write(str(tmp_path / "layer.exr")) as file:
         file.write(b"half")
         raise RuntimeError("in the middle")
     assert os.listdir(tmp_path) == []
@@ -127,8 +127,8 @@ def test_an_error_while_writing_leaves_nothing(tmp_path):
 def test_killed_while_writing_the_old_file_stays(tmp_path):
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
-    program = ("import sys, time; from mrpnn_addon.runtime.whole_file import whole_file\n"
-               "with whole_file(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
+    program = ("import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
+               "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
     writer = subprocess.Popen([sys.executable, "-c", program, path], cwd=ROOT)
     while not list(tmp_path.glob(".mrpnn-*.part")) and writer.poll() is None:
         time.sleep(0.01)

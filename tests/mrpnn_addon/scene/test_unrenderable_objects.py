@@ -158,7 +158,7 @@ MISTAKES = [
     (empty_grid, "is empty"), (missing_grid, "no grid \"heat\""), (background_grid, "background 0.5"),
     (unsupported_node, "not supported"), (no_density, "neither scatters"),
     (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not a number"), (far_away, "above 1e+09"),
-    (vertices_of_no_number, "not numbers")]
+    (vertices_of_no_number, "not finite")]
 
 
 @pytest.mark.parametrize("mistake, said", MISTAKES, ids=[make.__name__ for make, _ in MISTAKES])
@@ -272,7 +272,7 @@ def test_a_surface_may_be_flat(addon, scene, cloud, scale):
 @pytest.mark.parametrize("mistake, said", [
     (lambda camera: setattr(camera, "scale", (0.0, 1.0, 1.0)), "\"Camera\": it has scale 0"),
     (lambda camera: setattr(camera, "location", (NAN, 0.0, 0.0)), "\"Camera\": its location"),
-    (lambda camera: setattr(camera, "location", (1e30, 0.0, 0.0)), "\"Camera\": its location or scale is above")])
+    (lambda camera: setattr(camera, "location", (1e30, 0.0, 0.0)), "\"Camera\": its location or scale exceeds")])
 def test_a_camera_that_cannot_be_used_is_an_error(addon, scene, cloud, mistake, said):
     mistake(scene.camera)
     assert said in refusal(addon)
@@ -343,7 +343,7 @@ def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_the_s
         image = bpy.data.images.load(str(tmp_path / f"frame{frame:04}.exr"))
         peaks.append(np.array(image.pixels).reshape(-1, 4)[:, 3].max())
     assert peaks[0] == peaks[1] == 0.0 and peaks[2] > 0.3
-    for frame, said in ((1, "has scale 0 in frame 1"), (2, "holds nothing in frame 2")):
+    for frame, said in ((1, "has scale 0 in frame 1"), (2, "is empty in frame 2")):
         scene.frame_set(frame)
         assert read(addon).warnings == [f"volume \"Cloud\" {said} and is left out"]
 
@@ -357,7 +357,7 @@ def test_a_sequence_that_begins_with_an_empty_grid_starts_with_empty_pictures(ad
     cloud.data.is_sequence, cloud.data.frame_start, cloud.data.frame_duration = True, 1, 2
     scene.frame_set(1)
     found, warned = alpha_of(addon, scene)
-    assert not found.any() and warned == ["volume \"Cloud\" holds nothing in frame 1 and is left out"]
+    assert not found.any() and warned == ["volume \"Cloud\" is empty in frame 1 and is left out"]
     scene.frame_set(2)
     assert alpha_of(addon, scene)[0].any()
 
@@ -424,7 +424,7 @@ def test_loading_another_file_clears_the_former_ones_messages(addon, scene, clou
 PROCESS = """
 import sys
 import bpy
-from benchmarks.extension import load_extension
+from benchmarks.support.extension import load_extension
 package = load_extension()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 bpy.context.scene.render.filepath = sys.argv[2]

@@ -29,7 +29,7 @@ def read(addon):
 
 
 @pytest.mark.parametrize("how, word", [
-    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect light only"),
+    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect-only"),
     ("camera", "hidden from the camera")])
 def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, word):
     second, layer = two

@@ -145,7 +145,8 @@ def test_smoke_that_scatters_its_own_emission_equals_cycles(addon, scene, fire, 
     assert not described.warnings
     layer = render(described.volumes, [], described.camera, Settings(depth_samples=8))
     shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
-    found = addon.mrpnn_addon.cycles.reference.render_reference(scene, shown, samples=32)
+    reference = addon.mrpnn_addon.cycles.reference
+    found = reference.render_reference(scene, shown, reference.PathTracing(samples=32))
     a, b, mask = found.a[..., :3], found.b[..., :3], layer.alpha > 0.02
     assert layer.multiple[mask].mean() > 0.4 * layer.rgb[mask].mean()
     assert abs(relative_bias(layer.rgb, a, b, mask).value) < 0.05

@@ -85,7 +85,7 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
     described = read(addon)
     assert not described.volumes and not addon.mrpnn_addon.engine.render_job.render_scene(
         described, Settings()).layer.alpha.any()
-    assert f"volume \"{fog.name}\" holds no smoke in frame 1 and is left out" in described.warnings
+    assert f"volume \"{fog.name}\" has no smoke in frame 1 and is left out" in described.warnings
     # Liquids are meshes.
     modifier.domain_settings.domain_type = 'LIQUID'
     assert len(read(addon).volumes) == 1
@@ -158,4 +158,4 @@ def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
     tree.links.new(glass.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
     described = read(addon)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
-    assert any("\"Glass\" can be seen through" in warning for warning in described.warnings)
+    assert any("\"Glass\" is transparent" in warning for warning in described.warnings)

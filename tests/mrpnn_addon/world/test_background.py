@@ -276,15 +276,15 @@ def test_a_viewport_looks_it_up_in_a_panorama_before_it_is_sharp(addon, veil, sc
     camera = replace(camera, resolution=(1600, 900))
     shown, watched = backdrop.Backdrop(lambda worker: watched.append(worker)), []
     shown.read(depsgraph)
-    shown.look(camera)
+    shown.update(camera)
     (first,) = watched
     first.wait()
     assert first.error is None and first.number >= 2 and not shown.status
     # A known panorama is there at once.
-    shown.look(camera)
+    shown.update(camera)
     assert watched == [first]
     start = time.process_time()
-    shown.look(replace(camera, fov=camera.fov * 1.0001))
+    shown.update(replace(camera, fov=camera.fov * 1.0001))
     assert time.process_time() - start < 0.1
     rough, sharp = watched[1].picture, first.picture
     shown.stop()
@@ -294,7 +294,7 @@ def test_a_viewport_looks_it_up_in_a_panorama_before_it_is_sharp(addon, veil, sc
     assert np.abs(rough - blocks).mean() < 0.01 * sharp[..., :3].mean()
     scene.render.film_transparent = True
     shown.read(blender_scenes.depsgraph())
-    shown.look(camera)
+    shown.update(camera)
     assert len(watched) == 2 and not shown.status
 
 

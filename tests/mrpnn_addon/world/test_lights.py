@@ -203,6 +203,6 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
         sphere = environment.Sphere(2)
         sphere.directions = -np.array(camera.matrix_world)[None, :3, 2]
         found = world._surface(
-            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(sphere),
+            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(sphere),
             sockets.source_of(tree.get_output_node('CYCLES').inputs["Surface"]))
         np.testing.assert_allclose(found[0], seen, rtol=0.03)
