@@ -110,7 +110,7 @@ def main():
     print(f"matrix product   {rate / 1e9:9.0f} Gflop/s")
     print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us a point")
     print(f"with descriptors {share:9.0%} of that")
-    print(f"made by {made_by(PROGRAM, models=[arguments.model])}")
+    print(made_by(PROGRAM, models=[arguments.model]))
 
 
 if __name__ == "__main__":

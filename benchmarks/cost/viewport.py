@@ -105,7 +105,7 @@ def main():
     try:
         with tempfile.TemporaryDirectory() as folder:
             measure(addon, tuple(arguments.size), arguments.voxels, arguments.depth_samples, folder)
-        print(f"made by {made_by(PROGRAM)}")
+        print(made_by(PROGRAM))
     finally:
         addon.unregister()
 

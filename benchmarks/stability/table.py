@@ -30,14 +30,14 @@ def read_csv(path):
 
 
 def write_csv(path, found, sources):
-    """sources: what made the figures, a line for each run that some of them are of."""
+    """sources: sentences on what made the figures, one for each run that some of them are from."""
     formatted = ([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
     pages.replace(path, pages.csv_text(sources, COLUMNS, formatted))
 
 
 def write_table(path, found, sources):
     """Replace what is between the marks in the page."""
-    lines = [*(f"Made by {source}.\n" for source in sources)]
+    lines = [f"{source}\n" for source in sources]
     lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
     for group, name, against, quantity, error, bound in rows(found):
         mark = "" if error <= bound else " **violated**"
