@@ -7,18 +7,18 @@ import time
 
 import numpy as np
 
-from training.tracer.path_tracer import trace_pixels
-from training.tracer.transport import prepare
+from inference import Medium
+from training.tracer.density_grid import prepare
+from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, trace_pixels
 
 #: Paths a pixel by which the tracer's time is measured.
 TIMED_SAMPLES = 4
 
 
 def _trace(view, grid, samples: int, seed: int) -> np.ndarray:
-    return trace_pixels(
-        grid, view.position, (0.0, 0.0, 0.0), view.up, view.fov, view.size, view.sun, view.sigma_hat, view.anisotropy,
-        view.albedo, samples, seed,
-    )
+    camera = PinholeCamera(view.position, (0.0, 0.0, 0.0), view.up, view.fov, view.size)
+    medium = Medium(view.sigma_hat, view.albedo, view.anisotropy)
+    return trace_pixels(Scene(grid, view.sun), camera, medium, Sampling(samples, seed))
 
 
 def traced_halves(view, folder: pathlib.Path) -> np.ndarray:
