@@ -1,11 +1,13 @@
-"""Build the extension: one zip a platform in build/, made and checked by Blender's own tool.
+"""Build the extension: one zip per platform in build/, built and validated by Blender's own tool.
 
-    .venv/bin/python build_extension.py
+    .venv/bin/python build_extension.py [--tag v1.2.3]
 
-Downloads the wheels that blender_manifest.toml names into build/wheels, checks them
-against requirements-wheels.txt, builds, validates, and prints what each zip's megabytes are for.
+Downloads the wheels that blender_manifest.toml names into build/wheels, checks them against requirements-wheels.txt,
+builds, validates, and prints what the megabytes of each zip are for. With --tag, refuses to build unless the tag is
+the manifest's version.
 """
 
+import argparse
 import hashlib
 import importlib.util
 import re
@@ -26,7 +28,7 @@ def manifest() -> dict:
 
 
 def download(wheel: Path) -> None:
-    """Fetch one wheel by its file name."""
+    """Download one wheel by its file name."""
     package, version, python, _, platforms = wheel.stem.split("-")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--quiet", "--no-deps", "--only-binary=:all:",
                f"{package}=={version}", "--dest", wheel.parent,
@@ -56,7 +58,7 @@ def blender_tool(*arguments) -> None:
 
 
 def build() -> list[Path]:
-    """One validated zip a platform, in the manifest's order of platforms."""
+    """One validated zip per platform, in the manifest's order of platforms."""
     fetch_wheels()
     blender_tool("build", "--source-dir", ROOT, "--output-dir", BUILD, "--split-platforms")
     facts = manifest()
@@ -83,7 +85,20 @@ def contents(path: Path) -> dict[str, int]:
     return dict(sorted(sizes.items(), key=lambda item: -item[1]))
 
 
+def check_tag(tag: str) -> None:
+    """Raise SystemExit unless `tag` is "v" and the manifest's version."""
+    version = manifest()["version"]
+    if tag != f"v{version}":
+        raise SystemExit(
+            f"the tag is {tag}, but blender_manifest.toml has version {version}: tag v{version}, or change that")
+
+
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Build and validate one zip per platform in build/.")
+    parser.add_argument("--tag", help="the release's tag, which must be v<version of blender_manifest.toml>")
+    options = parser.parse_args()
+    if options.tag is not None:
+        check_tag(options.tag)
     for path in build():
         print(f"\n{path.relative_to(ROOT)}  {path.stat().st_size / 1e6:.1f} MB")
         for purpose, size in contents(path).items():

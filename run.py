@@ -1,7 +1,7 @@
 """The two commands of a fresh checkout, with nothing but Python 3.11 installed.
 
-    python3.11 run.py demo [volume.vdb ...]    render in Blender, compare with Cycles
-    python3.11 run.py test [pytest options]    run every test
+    python3.11 run.py demo [volume.vdb ...]            render in Blender, compare with Cycles
+    python3.11 run.py test [--all] [pytest options]    run the quick tests, or all of them
 
 Both install what they need, pinned, into .venv beside this file.
 """
@@ -19,8 +19,8 @@ PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 COMMANDS = {
     "demo": ("requirements.txt", ["-m", "benchmarks.demo"]),
-    # Two processes, each with whole files; those in Blender's windows share one screen and stay together.
-    "test": ("requirements-dev.txt", ["-m", "pytest", "-n", "2", "--dist", "loadgroup"]),
+    # Two processes, each with whole files, in the order of tests/conftest.py.
+    "test": ("requirements-dev.txt", ["-m", "pytest", "-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder"]),
 }
 
 

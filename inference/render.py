@@ -1,6 +1,6 @@
 """Scene in, layer out: the stages of a render in their order."""
 
-from typing import Iterator, Optional, Tuple
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from .image.scattered_emission_pass import add_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .marching.extended_lights import ExtendedLights
 from .occluders.depth_buffer import DepthBuffer
-from .occluders.occluders import NO_OCCLUDERS, find_occluders, of_suns
+from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .plan.plan import Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
@@ -26,8 +26,8 @@ from .scene.settings import Settings
 
 
 def render(
-    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
-    cache: Optional[RenderCache] = None, surfaces=(),
+    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
+    cache: RenderCache | None = None, surfaces=(),
 ) -> Layer:
     """Render volumes lit by suns.
 
@@ -45,9 +45,9 @@ def render(
 
 
 def render_tiles(
-    volumes, lights, camera: Camera, settings: Optional[Settings] = None, progress=None, cancelled=None,
-    cache: Optional[RenderCache] = None, surfaces=(),
-) -> Iterator[Tuple[Tuple[int, int, int, int], Layer]]:
+    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
+    cache: RenderCache | None = None, surfaces=(),
+) -> Iterator[tuple[tuple[int, int, int, int], Layer]]:
     """As `render`, but yield each part of the image as soon as it is finished.
 
     Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report. The
@@ -56,10 +56,10 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            shared = cache is not None and "unchanged" in settings.leave_out
             plan = make_plan(volumes, lights, camera, settings)
-            cache = cache if shared else RenderCache(any_view=False)
-            context = RenderContext(settings, cache, tasks, Progress(report, progress), report)
+            if cache is None or "unchanged" not in settings.leave_out:
+                cache = RenderCache(any_view=False)
+            context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
@@ -81,12 +81,13 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
     for channels in scene.plan.channels if tiles else []:
         fluence = solve_transport(context, scene, channels)
         channel_pass = ChannelPass(channels, scene.media(channels), fluence)
+        work.survey(channel_pass)
         for tile in tiles:
             samples = march_tile(context, scene, channel_pass, tile)
+            work.tile_marched(tile)
             if samples is not None:
                 add_scattered_emission(context, scene, channel_pass, tile, samples)
-                add_multiple_scattering(context, scene, channel_pass, tile, samples)
-            work.tile_finished(tile)
+                add_multiple_scattering(context, scene, channel_pass, tile, samples, work)
             if channels is scene.plan.channels[-1]:
                 x0, y0, x1, y1 = tile.camera.window
                 yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))
@@ -110,9 +111,9 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         if surfaces and grids:
             corners = np.concatenate([grid.corners() for grid in grids])
             occluders, lit = find_occluders(surfaces, [sun.direction for sun in plan.suns], corners, cancel)
-            if len(lit) < len(plan.suns) and "needless_suns" in plan.leave_out:
-                plan, occluders = plan.with_suns(lit), of_suns(occluders, lit or [0], corners)
-    with report.stage("shadows"):
+            if len(lit) < len(plan.suns) and "needless_suns" in plan.optimizations:
+                plan, occluders = plan.with_suns(lit), select_suns(occluders, lit or [0], corners)
+    with report.stage("shadows"), context.progress.stage("shadows"):
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
             context.progress.message(f"shadows of {volume.name}")
@@ -123,15 +124,14 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     phases = [medium.scattered for _, medium in plan.volumes]
     extended_lights = ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None
     cache.keep_groups(len(plan.groups))
-    context.progress.expect("fields", sum(plan.multiple) * len(plan.suns) * len(plan.channels))
-    context.progress.message("fields")
+    context.progress.message("density pyramids")
     with report.stage("fields"):
         groups = [
             cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel) if plan.multiple[g] else None
             for g, members in enumerate(plan.groups)]
     for g, group in enumerate(groups):
         channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
-        if channels is not None:
+        if group is not None and channels is not None:
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
     return PreparedScene(plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network)

@@ -1,22 +1,22 @@
-"""Everything the extension adds to Blender besides panels."""
+"""Registration of everything but the panels."""
 
 import bpy
 
-from ..mrpnn_addon import composite as composited_scenes
-from ..mrpnn_addon import engine, experience, file_watch, passes, properties, scene_watch
+from ..mrpnn_addon.engine import engine
+from ..mrpnn_addon.output import composite as composite_scene
+from ..mrpnn_addon.scene import changes
+from ..mrpnn_addon.settings import properties, view_layer
+from ..mrpnn_addon.status import calibration, file_watch
 from . import check, command, compare, composite, documentation, render
 
+# Registered in this order and removed in the opposite one: settings first, the command line last.
+MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, calibration)
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
 
 
 def register():
-    properties.register()
-    passes.register()
-    scene_watch.register()
-    file_watch.register()
-    engine.register()
-    composited_scenes.register()
-    experience.register()
+    for module in MODULES:
+        module.register()
     for operator in CLASSES:
         bpy.utils.register_class(operator)
     command.register()
@@ -26,10 +26,5 @@ def unregister():
     command.unregister()
     for operator in reversed(CLASSES):
         bpy.utils.unregister_class(operator)
-    experience.unregister()
-    composited_scenes.unregister()
-    engine.unregister()
-    file_watch.unregister()
-    scene_watch.unregister()
-    passes.unregister()
-    properties.unregister()
+    for module in reversed(MODULES):
+        module.unregister()

@@ -2,10 +2,20 @@
 
 import bpy
 
-from . import (camera_panel, composite_panel, light_panel, material_panel, object_panel, preferences_panel, render_panel,
-               view_layer_panel, visibility_panel, world_panel)
+from . import (
+    camera_panel,
+    composite_panel,
+    light_panel,
+    material_panel,
+    object_panel,
+    preferences_panel,
+    render_panel,
+    view_layer_panel,
+    visibility_panel,
+    world_panel,
+)
 
-# Panels are drawn in the order of their registration, the parent first.
+# Blender draws panels in the order of their registration, parents first.
 _parent, *_children = render_panel.classes
 MODULES = (view_layer_panel, object_panel, visibility_panel, material_panel, light_panel, camera_panel, world_panel)
 CLASSES = (*preferences_panel.classes, _parent, *composite_panel.classes, *_children,

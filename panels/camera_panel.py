@@ -1,8 +1,8 @@
-"""Panoramas, of which Blender's own panel shows only Cycles' settings."""
+"""Panorama settings, of which Blender's own panel shows only Cycles'."""
 
 import bpy
 
-from ..mrpnn_addon.camera import panorama_settings
+from ..mrpnn_addon.objects.camera import panorama_settings
 from .engine_panel import EnginePanel
 from .text import draw_text
 

@@ -1,9 +1,9 @@
-"""Panel in the object properties of volumes: how MRPNN sees them."""
+"""Volumes in the object properties."""
 
 import bpy
 
-from ..mrpnn_addon.material import shows_volume
-from ..mrpnn_addon.scene_check import last_check
+from ..mrpnn_addon.nodes.material import shows_volume
+from ..mrpnn_addon.status.scene_check import last_check
 from .engine_panel import EnginePanel
 from .text import draw_text
 

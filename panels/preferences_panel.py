@@ -1,10 +1,10 @@
-"""The extension's entry in the preferences."""
+"""The extension's preferences."""
 
 import bpy
 
-from ..mrpnn_addon.preferences import EXTENSION, PreferenceProperties
-from ..mrpnn_addon.runtime import check_runtime, missing_provider, runtime_version
 from ..inference.scene import SceneError
+from ..mrpnn_addon.runtime.onnxruntime_version import check_runtime, missing_provider, runtime_version
+from ..mrpnn_addon.settings.preferences import EXTENSION, PreferenceProperties
 from ..operators.documentation import MRPNN_OT_documentation
 from .text import draw_text
 

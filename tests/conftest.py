@@ -1,17 +1,22 @@
-"""Fixtures for the tests that run inside Blender (the bpy module)."""
+"""What every test shares: markers, what a run leaves out, the order of files, and fixtures.
+
+Tests are quick unless marked `slow`. Those whose fixtures or imports need the bpy module are marked `blender` here.
+"""
 
 import os
 import shutil
 import sys
-from pathlib import Path
+from collections import Counter
 
 import pytest
 
-from .window import SCENE, SUITES, WORK, Window
+from tests.support.paths import SHARED
+from tests.support.window import SCENE, SUITES, WORK, Window
 
-ROOT = Path(__file__).resolve().parent.parent
-SHARED = ROOT.parent / "shared"
-
+# How many tests of each kind this run leaves out.
+LEFT_OUT = pytest.StashKey[dict]()
+# Quick tests that take about as long as a slow one: for the order of files.
+QUICK_PER_SLOW = 20
 
 # The bpy module may hang for ever at the end of a process in which something still refers to its
 # types, as the traceback of a failed test does: leave without it, once pytest has said everything.
@@ -31,12 +36,64 @@ def pytest_unconfigure():
         os._exit(_status)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Keep each file in one process, and all that use Blender's windows, which share a screen, in the same one."""
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="run slow tests and those that drive windows, too")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    _mark(items)
+    _longest_first(items)
+    # -k and -m choose among them.
+    yield
+    # A file or test that is named is run as it is.
+    if not (config.option.all or config.option.markexpr or any(".py" in name for name in config.args)):
+        _leave_out(config, items)
+
+
+def _mark(items):
     for item in items:
-        uses_window = "window" in getattr(item, "fixturenames", ())
-        item.add_marker(pytest.mark.xdist_group("windows" if uses_window else item.path.name))
+        if "addon" in item.fixturenames or hasattr(item.module, "bpy"):
+            item.add_marker("blender")
+        # One worker runs a whole file, for its fixtures, and all that drives the one screen.
+        item.add_marker(pytest.mark.xdist_group(_group(item)))
+
+
+def _group(item) -> str:
+    return "windows" if item.get_closest_marker("window") else str(item.path)
+
+
+def _longest_first(items):
+    """So that no worker is left alone with a long file at the end. Windows take the longest by far."""
+    cost = Counter()
+    for item in items:
+        cost[_group(item)] += QUICK_PER_SLOW if item.get_closest_marker("slow") else 1
+    items.sort(key=lambda item: (_group(item) != "windows", -cost[_group(item)], _group(item)))
+
+
+def _leave_out(config, items):
+    windows = [item for item in items if item.get_closest_marker("window")]
+    slow = [item for item in items if item.get_closest_marker("slow") and item not in windows]
+    config.stash[LEFT_OUT] = counts = {"slow": len(slow), "with a window": len(windows)}
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["left_out"] = counts
+    if out := {*slow, *windows}:
+        config.hook.pytest_deselected(items=[*slow, *windows])
+        items[:] = [item for item in items if item not in out]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """The tests are collected by xdist's workers, and the summary is written by the process that started them."""
+    if counts := getattr(node, "workeroutput", {}).get("left_out"):
+        node.config.stash[LEFT_OUT] = counts
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    counts = config.stash.get(LEFT_OUT, {})
+    if any(counts.values()):
+        said = " and ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+        terminalreporter.write_line(f"left out: {said}; `python3.11 run.py test --all` runs every test")
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +103,7 @@ def addon():
     The repository's root is the package; Blender gives it its name, and so does this.
     """
     pytest.importorskip("bpy")
-    from benchmarks.extension import extension
+    from benchmarks.support.extension import extension
 
     return extension()
 
@@ -54,13 +111,21 @@ def addon():
 @pytest.fixture
 def scene(addon):
     """An empty scene with a black World; the extension stays registered."""
-    from . import blender_scenes
+    from tests.support import blender_scenes
     return blender_scenes.empty_scene()
 
 
 @pytest.fixture(scope="session")
+def real_volumes():
+    """The folder of real volumes in the repository."""
+    from benchmarks.support.data import VOLUMES
+
+    return VOLUMES
+
+
+@pytest.fixture(scope="session")
 def shared_volumes():
-    """The folder of real volumes beside the project."""
+    """The folder beside the project of real volumes that may not be copied into it."""
     folder = SHARED / "volumes"
     if not folder.is_dir():
         pytest.skip("the folder ../shared/volumes is absent")
@@ -69,7 +134,7 @@ def shared_volumes():
 
 @pytest.fixture(scope="session")
 def zips():
-    """The built zips, one a platform."""
+    """The built zips, one for each platform."""
     import build_extension
     return build_extension.build()
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from inference import SceneError, Volume
 
-from ..extension import extension
+from ..support.extension import extension
 from .case import refused
+from .renders import RenderSpec, render_case
 from .scenes import blob, placed
-from .shots import shot
 
 # Voxels of a blob that are replaced.
 SPOILT = (slice(6, 9), slice(5, 8), slice(7, 11))
@@ -48,8 +48,8 @@ def read(make, told: str = "") -> Volume:
     """
     package = extension()
     with tempfile.TemporaryDirectory() as folder:
-        reader = package.mrpnn_addon.density_grid
-        openvdb = package.mrpnn_addon.openvdb_module.load_openvdb()
+        reader = package.mrpnn_addon.vdb.density_grid
+        openvdb = package.mrpnn_addon.vdb.openvdb_module.load_openvdb()
         grid, path = make(openvdb), folder + "/volume.vdb"
         grid.name = "density"
         if grid.gridClass != "level set":
@@ -69,8 +69,12 @@ def read(make, told: str = "") -> Volume:
 
 def taken_as_0(name, value, told):
     """A file some of whose voxels have a value that is none, against the blob that has 0 there."""
-    return shot("file", name, lambda: read(lambda openvdb: fog(openvdb, value), told), seen=placed(without()),
-                quick=True)
+    return render_case(
+        "file",
+        name,
+        RenderSpec(lambda: read(lambda openvdb: fog(openvdb, value), told), visible=placed(without())),
+        quick=True,
+    )
 
 
 def refusal(name, make, words):

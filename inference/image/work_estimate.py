@@ -1,33 +1,57 @@
-"""How much work a render will be: told to its Progress, and corrected as tiles are finished."""
+"""How much work a render is: told to its Progress, and corrected as tiles and predictions are finished."""
 
-from typing import List
 
-from .camera_pass import estimate_steps
-from .context import PreparedScene, RenderContext, Tile
+from .camera_pass import estimate_march
+from .context import ChannelPass, PreparedScene, RenderContext, Tile
 
-# Network points per depth sample before any are known: pixels interpolate from their neighbours.
-POINTS_PER_SAMPLE = 0.5
+# Share of the depth samples at which the network is evaluated, before any is known: pixels interpolate from their
+# neighbours.
+EVALUATED_SHARE = 0.4
 
 
 class WorkEstimate:
-    """Expects marched steps and network points in proportion to the steps that each tile's rays take."""
+    """Expects marched steps and depth samples by what a sparse grid of rays takes in the first channel pass.
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, tiles: List[Tile]):
-        self._progress, plan = context.progress, scene.plan
-        self._weights = {}
-        media = scene.media(plan.channels[0]) if tiles else []
-        for tile in tiles:
-            self._weights[tile.camera.window] = estimate_steps(scene, media, tile.camera)
-        self._total = sum(self._weights.values()) * len(plan.channels)
-        self._finished = 0.0
-        jobs = sum(plan.multiple) * len(plan.suns) * len(plan.channels)
-        pixels = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self._weights)
-        self._progress.expect("march", self._total)
-        self._progress.expect("network", POINTS_PER_SAMPLE * pixels * context.settings.depth_samples * jobs)
+    A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by tile.
+    """
 
-    def tile_finished(self, tile: Tile) -> None:
-        """Correct what is expected of the rest by what this tile took."""
-        self._finished += self._weights[tile.camera.window]
-        if self._finished > 0.0:
-            for stage in ("march", "network"):
-                self._progress.expect(stage, self._progress.done(stage) * max(self._total / self._finished, 1.0))
+    def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
+        self._context, self._scene, self._tiles = context, scene, tiles
+        # By the window of each tile.
+        self._steps: dict[tuple[int, int, int, int], float] = {}
+        self._samples: dict[tuple[int, int, int, int], float] = {}
+        self._all_steps, self._all_samples, self._steps_marched, self._samples_predicted = 0.0, 0.0, 0.0, 0.0
+        plan, progress = scene.plan, context.progress
+        groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
+        self._jobs = groups * len(plan.suns)
+        needs_fluence = scene.network is not None and scene.network.needs_ray_features
+        progress.expect("transport", self._jobs if needs_fluence else 0)
+        # The lattices of a single sun serve every tile.
+        progress.expect("lattices", self._jobs * len(tiles) if len(plan.suns) > 1 else self._jobs)
+
+    def survey(self, channel_pass: ChannelPass) -> None:
+        """Set what is expected of camera rays and of the network, once, where somebody wants to know."""
+        if self._steps or not self._context.progress.wanted:
+            return
+        for tile in self._tiles:
+            found = estimate_march(self._context, self._scene, channel_pass, tile.camera)
+            self._steps[tile.camera.window], self._samples[tile.camera.window] = found
+        self._all_steps = sum(self._steps.values()) * len(self._scene.plan.channels)
+        self._all_samples = sum(self._samples.values()) * self._jobs
+        self._context.progress.expect("march", self._all_steps)
+        self._context.progress.expect("network", EVALUATED_SHARE * self._all_samples)
+
+    def tile_marched(self, tile: Tile) -> None:
+        """Correct what is expected of the other tiles' rays by what this tile's took."""
+        self._steps_marched += self._steps.get(tile.camera.window, 0.0)
+        self._correct("march", self._all_steps, self._steps_marched)
+
+    def job_predicted(self, tile: Tile) -> None:
+        """Correct what is expected of the other jobs by what this one took in a tile."""
+        self._samples_predicted += self._samples.get(tile.camera.window, 0.0)
+        self._correct("network", self._all_samples, self._samples_predicted)
+
+    def _correct(self, stage: str, expected: float, finished: float) -> None:
+        if finished > 0.0:
+            progress = self._context.progress
+            progress.expect(stage, progress.done(stage) * max(expected / finished, 1.0))

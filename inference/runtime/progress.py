@@ -1,45 +1,62 @@
-"""Progress in time rather than in steps, from the rates at which this machine has been measured to work.
+"""Progress in time rather than in steps, from the rates measured on this machine.
 
-A render says how much of each stage it expects (marched steps, network points, ...) and how much is done. What remains
-is the rest of each stage at the stage's own rate: seconds per unit so far in this render, or before that as in the last
-render of this process. The fraction reported is elapsed / (elapsed + remaining), so that elapsed / fraction - elapsed
-is the time left.
+A render states how much of each stage it expects (marched steps, network points, ...) and how much is done. The time left
+is the rest of each stage at that stage's own rate: seconds per unit so far in this render, or before that the rate of the
+last render of this process. The fraction reported is elapsed / (elapsed + left), so that elapsed / fraction - elapsed is
+the time left.
 """
 
+import contextlib
 import threading
 import time
-from typing import Callable, Dict, Optional
-
-from .report import Report
+from collections.abc import Callable
 
 #: Stages, and seconds per unit before anything has been measured: two cores of a desktop of 2020.
 SECONDS_PER_UNIT = {
     "shadows": 1e-7,  # per voxel and sun
-    "fields": 0.8,  # per group of volumes and sun
-    "march": 2e-7,  # per marched step
+    "transport": 0.8,  # per solve: one group of volumes, sun and set of colour channels
+    "lattices": 0.1,  # per set of lookup lattices: one group of volumes, sun, set of colour channels and tile
+    "march": 6e-7,  # per evaluated step
     "network": 8e-6,  # per point
 }
 # Seconds of a stage after which its rate is its own.
 ENOUGH = 0.2
 
-_measured: Dict[str, float] = {}
+_measured: dict[str, float] = {}
 _measuring = threading.Lock()
 
 
 class Progress:
     """How far one render is.
 
-    report: whose stages are being timed. callback: (fraction, message) or None, called on the calling thread.
+    callback: (fraction, message) or None, called on the calling thread.
     """
 
-    def __init__(self, report: Report, callback: Optional[Callable[[float, str], None]] = None):
-        self._report, self._callback = report, callback
+    def __init__(self, callback: Callable[[float, str], None] | None = None):
+        self._callback = callback
         self._start, self._fraction, self._message = time.perf_counter(), 0.0, ""
-        self._expected: Dict[str, float] = {}
+        self._expected: dict[str, float] = {}
         self._done = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
+        self._spent = dict.fromkeys(SECONDS_PER_UNIT, 0.0)
+        self._running: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def stage(self, stage: str, amount: float = 0.0):
+        """Time the block as part of a stage, and count `amount` more of it as done afterwards."""
+        self._running[stage] = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._spent[stage] += time.perf_counter() - self._running.pop(stage)
+        self.advance(stage, amount)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody is told."""
+        return self._callback is not None
 
     def expect(self, stage: str, amount: float) -> None:
-        """Set how much of a stage there will be altogether."""
+        """Set how much of a stage there is altogether."""
         self._expected[stage] = amount
 
     def done(self, stage: str) -> float:
@@ -47,7 +64,7 @@ class Progress:
         return self._done[stage]
 
     def advance(self, stage: str, amount: float) -> None:
-        """Tell that so much more of a stage is done."""
+        """Count so much more of a stage as done."""
         self._done[stage] += amount
         self._tell()
 
@@ -57,16 +74,21 @@ class Progress:
         self._tell()
 
     def finish(self) -> None:
-        """Keep this render's rates for the next one's first estimate."""
+        """Report the end, and keep this render's rates for the next one's first estimate."""
         with _measuring:
             for stage, done in self._done.items():
-                if done > 0.0 and self._report.elapsed(stage) > ENOUGH:
-                    _measured[stage] = self._report.elapsed(stage) / done
+                if done > 0.0 and self._spent[stage] > ENOUGH:
+                    _measured[stage] = self._spent[stage] / done
+        self._fraction = 1.0
+        if self._callback is not None:
+            self._callback(1.0, self._message)
 
     def _remaining(self) -> float:
-        seconds = 0.0
+        seconds, now = 0.0, time.perf_counter()
         for stage, usual in SECONDS_PER_UNIT.items():
-            done, spent = self._done[stage], self._report.elapsed(stage)
+            done, spent = self._done[stage], self._spent[stage]
+            if stage in self._running:
+                spent += now - self._running[stage]
             rate = spent / done if done > 0.0 and spent > ENOUGH else _measured.get(stage, usual)
             seconds += max(self._expected.get(stage, 0.0) - done, 0.0) * rate
         return seconds
@@ -78,6 +100,6 @@ class Progress:
         # Until every stage is known, nothing can be said.
         if len(self._expected) == len(SECONDS_PER_UNIT):
             fraction = elapsed / max(elapsed + self._remaining(), 1e-9)
-        # Estimates are revised; what is shown never goes back.
-        self._fraction = max(self._fraction, min(fraction, 1.0))
+        # Estimates are revised; what is shown never goes back, and the end is told by `finish`.
+        self._fraction = max(self._fraction, min(fraction, 0.999))
         self._callback(self._fraction, self._message)

@@ -1,0 +1,1 @@
+"""What a render costs in time and memory, and how cost grows with the scene."""

@@ -1,0 +1,1 @@
+"""Scenes and sequences rendered in Blender and compared with Cycles."""

@@ -1,0 +1,72 @@
+"""What must give a message instead of a picture."""
+
+import bpy
+
+from ...support.shaders import add_shader
+from .stage import cube_mesh
+
+
+def lamp_of(kind):
+    def lamp(stage):
+        stage.link(kind.title(), bpy.data.lights.new(kind.title(), kind))
+    return lamp
+
+
+def world_fog(stage):
+    tree = stage.scene.world.node_tree
+    scatter = tree.nodes.new("ShaderNodeVolumeScatter")
+    tree.links.new(scatter.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+
+
+def linked_sun(stage):
+    stage.sun.light_linking.receiver_collection = bpy.data.collections.new("Some")
+
+
+def surface(stage):
+    stage.link("Ground", cube_mesh())
+
+
+def glass(stage):
+    """Between the camera and the cloud."""
+    shown = stage.link("Pane", cube_mesh(0.3))
+    shown.location = (0.5, -2.0, 0.3)
+    add_shader(shown.data, "Glass", "BsdfGlass", "Surface")
+
+
+def blur(stage):
+    stage.camera.data.dof.use_dof = True
+    stage.scene.render.use_motion_blur = True
+
+
+def clipped(stage):
+    distance = stage.camera.location.length
+    stage.camera.data.clip_start, stage.camera.data.clip_end = distance - 0.1, distance + 0.5
+
+
+def panorama(stage):
+    stage.camera.data.type = 'PANO'
+
+
+def voronoi(stage):
+    stage.connect(stage.node("TexVoronoi").outputs[0], stage.shader.inputs["Density"])
+
+
+def varying_colour(stage):
+    ramp = stage.node("ValToRGB")
+    stage.connect(stage.grid(), ramp.inputs[0])
+    stage.connect(ramp.outputs[0], stage.shader.inputs["Color"])
+
+
+def missing_frame(stage):
+    data = stage.cloud.data
+    data.filepath, data.is_sequence, data.frame_duration = str(stage.folder / "gone_0001.vdb"), True, 3
+
+
+NAMED = {
+    "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
+    "Area light": lamp_of('AREA'), "World volume": world_fog, "Light linking": linked_sun,
+    "Opaque mesh": surface, "Glass": glass, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
+    "Clip range that begins inside a volume": clipped,
+    "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,
+    "Missing frame of a sequence": missing_frame,
+}

@@ -1,0 +1,195 @@
+"""Scenes as artists build them, against Cycles: makes docs/scenes.md.
+
+    python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
+
+One small scene for each feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run that
+was stopped continues where it was; --table only rewrites the page.
+"""
+
+import argparse
+import json
+import os
+import re
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..demo import scene as demo_scene
+from ..support import pictures
+from ..support.extension import ROOT, extension
+from ..support.pages import replace
+from ..support.provenance import made_by
+from . import scene_features
+
+PROGRAM = "benchmarks.cycles.scenes"
+PAGE = ROOT / "docs" / "scenes.md"
+IMAGES = ROOT / "docs" / "images" / "scenes"
+DEPTH_SAMPLES = 16
+# Height of the pictures on the page.
+PICTURE_HEIGHT = 128
+
+
+def main(arguments=None) -> int:
+    options = parse(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "results.json"
+    results = json.loads(file.read_text()) if file.is_file() else {}
+    if not options.table:
+        extension()
+        cloud = options.out / "cloud.vdb"
+        if not cloud.is_file():
+            write_cloud(cloud)
+        for name, builder in {**scene_features.NAMED, **scene_features.MEASURED}.items():
+            if name in results and not options.only or options.only and options.only not in name:
+                continue
+            stage = scene_features.make_stage(options.out, cloud, options.size)
+            builder(stage)
+            bpy.context.view_layer.update()
+            start = time.perf_counter()
+            results[name] = measured(name, stage, options) if name in scene_features.MEASURED else named(stage)
+            results[name]["made_by"] = made_by(PROGRAM, arguments)
+            replace(file, json.dumps(results, indent=1) + "\n")
+            print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
+    replace(PAGE, page(results))
+    return 0
+
+
+def write_cloud(path: Path) -> None:
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+    from training.data.volumes import make_volume
+
+    demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
+
+
+def measured(name, stage, options) -> dict:
+    """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
+    from mrpnn import inference
+    from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
+    from mrpnn.mrpnn_addon.cycles.reference import PathTracing, render_reference, volumes_and_suns
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    try:
+        described = read_scene(depsgraph)
+    except inference.SceneError as refusal:
+        return {"refused": str(refusal)}
+    start = time.process_time()
+    layer = inference.render(described.volumes, described.suns, described.camera,
+                             inference.Settings(depth_samples=DEPTH_SAMPLES), surfaces=described.surfaces)
+    mask = (layer.alpha > 0.02) | (layer.emission.max(axis=2) > 0.0)
+    found = {"seconds": time.process_time() - start, "pixels": int(mask.sum()),
+             "warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
+    world = stage.scene.world if described.environment else None
+    objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
+    parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
+    if any(volume.emission is not None and medium.albedo.any() for volume, medium in described.volumes):
+        # Without bounces, Cycles' image still holds emitted light that was scattered once.
+        parts = parts[1:]
+    for kind, image, bounces in parts:
+        # Single scattering is cheap: less noise, and a smaller error to tell.
+        samples = options.samples * (4 if bounces == 0 else 1)
+        start = time.process_time()
+        reference = render_reference(
+            stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world)
+        found[f"{kind} seconds"] = time.process_time() - start
+        a, b = reference.a, reference.b
+        for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):
+            value = estimate(image, a[..., :3], b[..., :3], mask)
+            found[f"{kind} {figure}"] = [value.value, value.low, value.high]
+    found["alpha bias"] = relative_bias(layer.alpha, a[..., 3], b[..., 3], mask).value
+    cycles = (a + b) / 2.0
+    ours = np.concatenate([layer.rgb, layer.alpha[..., None]], axis=2)
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    pictures.row([(caption, pictures.view_transformed(pictures.over_sky(image), stage.scene))
+                  for caption, image in (("Cycles", cycles), ("ours", ours))], PICTURE_HEIGHT).save(picture(name))
+    return found
+
+
+def named(stage) -> dict:
+    """What the extension says of a scene that it does not render as Cycles does."""
+    from mrpnn import inference
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    try:
+        described = read_scene(bpy.context.evaluated_depsgraph_get())
+        layer = inference.render(described.volumes, described.suns, described.camera,
+                                 inference.Settings(multiple=False), surfaces=described.surfaces)
+        return {"warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
+    except inference.SceneError as refusal:
+        return {"refused": str(refusal)}
+
+
+def picture(name: str) -> Path:
+    return IMAGES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")
+
+
+def sources(results) -> list:
+    """What made the figures, as `made_by` tells it, each once."""
+    return list(dict.fromkeys(found["made_by"] for found in results.values() if "made_by" in found))
+
+
+def page(results) -> str:
+    """The page's text."""
+    lines = [
+        "# Scenes against Cycles", "",
+        *(f"Made by {line}." for line in sources(results)), "",
+        f"Each scene is rendered by the extension and, twice and independently, by Cycles {bpy.app.version_string}",
+        "with 1024 bounces, no clamping and no denoising; errors do not count Cycles' noise",
+        "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",
+        "*single*, emission included, contain nothing learned: they tell whether the scene was understood. *Whole*",
+        "adds the network's multiple scattering, whose own error is that of the first row. RMSE is relative to the",
+        "mean, with its 95 % interval; 0 where Cycles' noise hides it. *Single* is left out where light is emitted and",
+        "scattered: Cycles' image without bounces contains a part of that. Seconds are processor seconds of all",
+        "threads; Cycles' are those of the two renders of *whole*.", "",
+        "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
+        "| Cycles, ours |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in scene_features.MEASURED:
+        found = results.get(name)
+        if found is None:
+            lines.append(f"| {name} | not measured yet | | | | | | |")
+            continue
+        if "refused" in found:
+            lines.append(f"| {name} | refused: {found['refused']} | | | | | | |")
+            continue
+        rmse, low, high = found["whole rmse"]
+        lines.append(
+            f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
+            f"| {rmse:.3f} ({low:.3f}–{high:.3f}) | {found['whole bias'][0]:+.1%} "
+            f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
+            f"| ![](images/scenes/{picture(name).name}) |")
+    notes = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
+    if notes:
+        lines += ["", "What the extension says of these:", ""] + [f"- {name}: {text}" for name, text in notes]
+    lines += ["", "## Named instead of rendered", "",
+              "A warning renders the rest of the scene; a refusal renders nothing.", "", "| scene | | message |",
+              "|---|---|---|"]
+    for name in scene_features.NAMED:
+        found = results.get(name)
+        if found:
+            said = found.get("refused") or "; ".join(found["warnings"]) or "nothing"
+            said = said.replace(str(ROOT) + os.sep, "")
+            lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {said} |")
+    return "\n".join(lines) + "\n"
+
+
+def _single(found) -> str:
+    return f"{found['single rmse'][0]:.3f} | {found['single bias'][0]:+.1%}" if "single rmse" in found else "– | –"
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "scenes")
+    parser.add_argument("--only", default="", help="part of a scene's name; measures it again")
+    parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
+    parser.add_argument("--samples", type=int, default=64, help="per pixel in each of two Cycles renders (64)")
+    parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

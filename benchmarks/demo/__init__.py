@@ -1,0 +1,1 @@
+"""The demo: a volume rendered in Blender and compared with Cycles."""

@@ -1,0 +1,130 @@
+"""The demo: a cloud in real Blender, rendered by the extension and compared with Cycles.
+
+    python3.11 run.py demo [volume.vdb ...] [options]
+
+Without a volume it makes a cumulus with the project's own generator. For each volume it writes, to
+build/demo: NAME.exr (multi-layer), NAME.png, NAME-comparison.png (the layer, Cycles, the signed
+error) and the comparison's report in NAME-comparison, and prints the table.
+"""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+from ..support import pictures
+from ..support.extension import ROOT, extension
+from ..support.provenance import made_by
+from . import scene as demo_scene
+
+# Where the signed error map is fully coloured, as a share of the reference's mean radiance.
+ERROR_LIMIT = 0.5
+# Samples of Cycles' highest rung in the comparison.
+LADDER = 16
+
+
+def demo(path: Path, out: Path, options) -> str:
+    """Render and compare one volume; gives the table. Raises RuntimeError with the operator's message."""
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    scene, volume, shader = demo_scene.make_scene(path, options.size, options.grid, options.y_up)
+    demo_scene.fit(scene, volume, shader, read_scene, options.optical_depth)
+    scene.mrpnn.depth_samples = options.depth_samples
+
+    say(f"{path.name}: rendering {options.size[0]} x {options.size[1]} pixels")
+    start = time.perf_counter()
+    bpy.ops.mrpnn.render(filepath=str(out / f"{path.stem}.exr"))
+    seconds = time.perf_counter() - start
+    layer = pictures.pixels("MRPNN")
+    pictures.view_transformed(pictures.over_sky(layer), scene).save(out / f"{path.stem}.png")
+    covered = (layer[..., 3] > 0.02).mean()
+    say(f"{path.name}: rendered in {seconds:.1f} s, reading and writing included; {covered:.0%} of the image covered")
+
+    say(f"{path.name}: comparing with Cycles at {options.scale} % of that size")
+    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, ladder=LADDER, budget=0.0,
+                          folder=str(out / f"{path.stem}-comparison"))
+    comparison_picture(scene, options).save(out / f"{path.stem}-comparison.png")
+    return bpy.data.texts["MRPNN comparison"].as_string()
+
+
+def comparison_picture(scene, options):
+    """The compared layer, Cycles' image and their signed difference, side by side."""
+    layer, cycles, error = pictures.pixels("MRPNN"), pictures.pixels("MRPNN Cycles"), pictures.pixels("MRPNN error")
+    mean = cycles[cycles[..., 3] > 0.02][:, :3].mean()
+    return pictures.row([
+        (f"MRPNN, {options.depth_samples} depth samples", pictures.view_transformed(pictures.over_sky(layer), scene)),
+        (f"Cycles, {2 * options.samples} samples", pictures.view_transformed(pictures.over_sky(cycles), scene)),
+        (f"difference: red +{ERROR_LIMIT:.0%}, blue -{ERROR_LIMIT:.0%} of the mean",
+         pictures.signed_map(error[..., :3].mean(axis=-1) / mean, ERROR_LIMIT)),
+    ], height=384)
+
+
+def say(text: str) -> None:
+    """Print a line for the user, past what Blender prints itself (see `hush`)."""
+    _terminal.write(text + "\n")
+    _terminal.flush()
+
+
+_terminal = sys.stdout
+
+
+def hush(log: Path) -> None:
+    """Send what Blender prints to the file `log` from now on; only `say` still reaches the terminal."""
+    global _terminal
+    sys.stdout.flush()
+    _terminal = os.fdopen(os.dup(1), "w")
+    with open(log, "w") as file:
+        os.dup2(file.fileno(), 1)
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog="python3.11 run.py demo", description=__doc__.split("\n\n")[0])
+    parser.add_argument("volumes", nargs="*", type=Path, metavar="volume.vdb")
+    parser.add_argument("--grid", default="density", help="name of the density grid in the files (density)")
+    parser.add_argument("--y-up", action="store_true", help="the files have Y up: turn them upright")
+    parser.add_argument("--optical-depth", type=float, default=100.0,
+                        help="of the volume's longest edge at its densest (100)")
+    parser.add_argument("--size", type=int, nargs=2, default=(768, 448), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--depth-samples", type=int, default=4, help="network evaluations per pixel (4)")
+    parser.add_argument("--scale", type=int, default=25, help="size of the comparison in percent (25)")
+    parser.add_argument("--samples", type=int, default=48, help="samples per pixel in each of two Cycles renders (48)")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")
+    options = parser.parse_args(arguments)
+    options.out = options.out.resolve()
+    return options
+
+
+def main(arguments=None) -> int:
+    options = parse(arguments)
+    missing = [str(path) for path in options.volumes if not path.is_file()]
+    if missing:
+        print(f"no such file: {', '.join(missing)}", file=sys.stderr)
+        return 2
+    options.out.mkdir(parents=True, exist_ok=True)
+    hush(options.out / "blender.log")
+    extension()
+    paths = options.volumes or [options.out / "cloud.vdb"]
+    if not options.volumes:
+        from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+        say("making a cloud")
+        demo_scene.write_cloud(paths[0], load_openvdb())
+    failed = 0
+    for path in paths:
+        try:
+            table = demo(path.resolve(), options.out, options)
+        # What Blender raises where an operator reports an error, and the extension's own refusals.
+        except (RuntimeError, ValueError) as error:
+            say(f"{path.name}: {str(error).strip()}")
+            failed += 1
+            continue
+        say("\n" + table)
+    say(f"pictures are in {os.path.relpath(options.out)}")
+    say(f"made by {made_by('benchmarks.demo', arguments)}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,118 @@
+"""Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
+
+    python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
+
+Runs the extension's own comparison in Blender for each case of `cases`. Every image of Cycles is kept
+under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
+--samples continue the references that are there. With other weights cases are measured anew against Cycles' images as
+they are; with --again against the references as they are, every image that is timed being made anew. --table only
+writes the page anew, from what the present weights were measured on.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import bpy
+
+from ..support.extension import ROOT, extension
+from ..support.pages import csv_text
+from ..support.pages import replace as replace_file
+from ..support.provenance import made_by
+from . import page, plots
+from .cases import absent_files, cases, make
+
+PROGRAM = "benchmarks.error_vs_time"
+DOCS = ROOT / "docs"
+# Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
+# beyond a size, since they tell as much.
+LADDER, GROWTH_SAMPLES, GROWTH_SIZE, LEAST_SAMPLES = 64, 16, 64, 2
+# The same of larger images on which errors are measured.
+FILTER_LADDER, FILTER_SAMPLES = 16, 32
+
+
+def main(arguments=None) -> int:
+    options = parse(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "results.json"
+    if options.again:
+        for timed in (file, *(options.out / "images").glob("*/cycles-*.npz")):
+            timed.unlink(missing_ok=True)
+    results = json.loads(file.read_text()) if file.is_file() else {}
+    scenes = cases(options.size)
+    if not options.table:
+        for path in absent_files():
+            print(f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                  file=sys.stderr)
+        extension()
+        for case in scenes:
+            if not (options.only in case.name or options.only in case.growth):
+                continue
+            start, state = time.perf_counter(), [weights(), options.samples]
+            if results.get(case.name, {}).get("state") != state:
+                results[case.name] = {"case": asdict(case), "state": state, "made_by": made_by(PROGRAM, arguments),
+                                      **measured(case, options)}
+                replace_file(file, json.dumps(results, indent=1) + "\n")
+                print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+    # What another network was measured on says nothing of this one.
+    known = [results[case.name] for case in scenes
+             if case.name in results and results[case.name]["state"][0] == weights()]
+    if not known:
+        print("nothing is measured yet", file=sys.stderr)
+        return 1
+    replace_file(DOCS / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
+    plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
+    plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
+    plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
+    replace_file(DOCS / "error-vs-time.md", page.page(known, len(scenes)))
+    return 0
+
+
+def weights() -> str:
+    """Checksum of the default network, by which results of other weights are told apart."""
+    from inference import Settings
+    from inference.network.network import load_network
+
+    return load_network(Settings.model).checksum
+
+
+def measured(case, options) -> dict:
+    """The comparison's figures."""
+    from mrpnn.mrpnn_addon.comparison.run import ComparisonRun, Options
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    scene = make(case, options.out, load_openvdb(), read_scene)
+    bpy.context.view_layer.update()
+    wanted = Options(samples=options.samples, ladder=LADDER, scale=100, folder=str(options.out / "images"))
+    if case.growth:
+        samples = max(LEAST_SAMPLES, GROWTH_SAMPLES * GROWTH_SIZE**2 // max(case.size, GROWTH_SIZE) ** 2)
+        wanted = Options(samples=samples, ladder=1, depths=(), scale=100, folder=wanted.folder)
+    if case.growth == "filter":
+        wanted = replace(wanted, samples=FILTER_SAMPLES, ladder=FILTER_LADDER)
+    run = ComparisonRun(bpy.context, scene.mrpnn.settings(), wanted)
+    run.wait()
+    if run.job.cancelled:
+        raise SystemExit("stopped; what is finished is kept")
+    return run.result().figures()
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
+    parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
+    parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")
+    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, "
+                        "albedo, image, filter")
+    parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
+    parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
+    options = parser.parse_args(arguments)
+    options.out = options.out.resolve()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

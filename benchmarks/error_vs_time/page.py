@@ -1,0 +1,234 @@
+"""The page docs/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
+
+import math
+
+from inference.evaluation.error import Estimate
+from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
+
+from ..fidelity.tables import table
+from .cases import ENLARGED, EXTRAS
+
+CYCLES, DENOISED = "cycles", "cycles denoised"
+NOISY = "too noisy"
+
+
+def equal(result, method: str, clock: str = "cpu_seconds"):
+    """The equal-error and equal-time figures against one method, None where there are none."""
+    return next((one for one in result["equal"] if (one["method"], one["clock"]) == (method, clock)), None)
+
+
+def seconds_to_error(result, method: str, error: float = None, timed=None):
+    """Cycles' processor seconds to the layer's error, or another; None where they cannot be told.
+
+    timed: the figures of the same scene at another size, whose seconds count instead. Only without denoising: a path
+    tracer's noise in a pixel does not depend on the size of the image, a filter's error does.
+    """
+    error = result["judged"]["rmse"]["value"] if error is None else error
+    rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
+             for one in result["rungs"] if one["method"] == method]
+    if not error or not rungs:
+        return None
+    if method == DENOISED:
+        return seconds_on_ladder(rungs, error, "cpu_seconds").value
+    return _law(timed or result).seconds(_law(result).variance / error**2)
+
+
+def times_as_long(result, method: str, per_frame: bool, error: float = None, timed=None):
+    """`seconds_to_error` over the layer's."""
+    needed, judged = seconds_to_error(result, method, error, timed), (timed or result)["judged"]
+    return needed and needed / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
+
+
+def _law(result) -> PathTracing:
+    return PathTracing(**result["path_tracing"]["cpu_seconds"])
+
+
+def geometric_mean(values) -> float:
+    values = list(values)
+    return math.exp(sum(map(math.log, values)) / len(values))
+
+
+def rung(result, method: str):
+    """The method's first rung; for the layer the judged one."""
+    return next((one for one in result["rungs"] if one["method"] == method), None)
+
+
+def of_the_set(results) -> list:
+    """Without those that show how costs grow."""
+    return [result for result in results if not result["case"]["growth"]]
+
+
+def counted(results) -> list:
+    """Those that anyone can measure from the repository alone; no mean is over others."""
+    return [result for result in results if result["case"]["volume"] not in EXTRAS]
+
+
+def sources(results) -> list:
+    """What made the figures, as `made_by` tells it, each once."""
+    return list(dict.fromkeys(result["made_by"] for result in results if "made_by" in result))
+
+
+def csv_table(results):
+    """Header, and a row for each image: the case, the method, its error, its time."""
+    rows = []
+    for result in results:
+        for rung in result["rungs"]:
+            row = dict(result["case"])
+            row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
+            for name in ("rmse", "bias"):
+                row.update({f"{name}{end}": rung[name][key]
+                            for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))})
+            rows.append(row)
+    return list(rows[0]), [[f"{value:.5g}" if isinstance(value, float) else value for value in row.values()]
+                           for row in rows]
+
+
+def page(results, wanted: int) -> str:
+    """results: of the cases measured so far, of `wanted`."""
+    main = of_the_set(results)
+    model = results[0]["judged"]["method"]
+    size = results[0]["case"]["size"]
+    parts = [
+        "# Error against run time\n",
+        *(f"Made by {line}.\n" for line in sources(results)),
+        f"{len(results)} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
+        f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
+        f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "
+        f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
+        "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
+        "changes little; the CSV has wall clock too. *First* includes fields, shadows and loading the network, which "
+        "further frames of the same volume and sun do not pay for again; *frame* does not: at few pixels *first* is "
+        "nearly all of it. Errors need references that take hours at the size of a real image; seconds do not, and are "
+        f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
+    ]
+    if main:
+        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(counted(main), results),
+                  "![Error against time, a scene a panel](images/error-vs-time.png)\n",
+                  "## Every scene\n", scenes(main, model)]
+    parts += [filtered(results), "## How costs grow\n",
+              "![Processor seconds by what grows](images/error-vs-time-growth.png)\n", growth(results)]
+    return "\n".join(parts)
+
+
+def headline(main, results) -> str:
+    """Geometric means over the scenes whose error the reference can tell from 0; by the intervals' ends, over all."""
+    size, rows = main[0]["case"]["size"], []
+    for pixels in (size, ENLARGED * size):
+        timed = [(r, at_size(r, pixels, results)) for r in main]
+        for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
+            for per_frame in (False, True) if method == CYCLES or pixels == size else ():
+                ratios = [(times_as_long(r, method, per_frame, None, other),
+                           times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other))
+                          for r, other in timed if other]
+                by_error, by_high = ([one[i] for one in ratios if one[i]] for i in (0, 1))
+                if by_error:
+                    mean, least = geometric_mean(by_error), geometric_mean(by_high)
+                    reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
+                    rows.append([f"{pixels}²", method, "frame" if per_frame else "first", f"{mean:.3g}",
+                                 f"{min(by_error):.3g}", f"{max(by_error):.3g}", f"{least:.3g}",
+                                 f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
+    head = ["pixels", "against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends",
+            "scenes", "target reached"]
+    return ("How many times as long Cycles takes to reach the layer's error. Without denoising: by its measured noise, "
+            "extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which is a lower bound. "
+            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
+            f"number of samples that Cycles needs is that at {size}², as if the layer's error were the same. Denoised "
+            "Cycles has no such rows: the error that a filter leaves depends on the size (see below). Scenes of "
+            f"volumes that the repository lacks ({', '.join(EXTRAS)}) count in no row. "
+            "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
+            "scenes, is the mean if each error were as large as its 95 % interval allows. A target counts as reached "
+            "where that mean reaches it, and as missed where even the geometric mean falls short.\n\n"
+            + table(head, rows))
+
+
+def filtered(results) -> str:
+    """Denoised Cycles at two sizes."""
+    rows = []
+    for large in (r for r in results if r["case"]["growth"] == "filter"):
+        small = at_size(large, results[0]["case"]["size"], results)
+        for one in filter(None, (small, large)):
+            judged = one["judged"]
+            ladder = sorted((r for r in one["rungs"] if r["method"] == DENOISED), key=lambda r: r["samples"])
+            times = [times_as_long(one, DENOISED, per_frame) for per_frame in (False, True)]
+            rows.append([label(one), f"{one['case']['size']}²", _error(judged),
+                         f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                         ", ".join(f"{r['samples']}: {r['rmse']['value']:.3f}" for r in ladder),
+                         "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×"])
+    if not rows:
+        return ""
+    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples per pixel",
+            "denoised to the layer's error: times first / frame"]
+    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
+            "scenes with little noise, errors were measured in larger images too.\n\n" + table(head, rows))
+
+
+def at_size(result, size: int, results):
+    """The same scene's figures at another size, None where there are none."""
+    def scene(one, **other):
+        return {**one["case"], "growth": "", **other}
+
+    return next((one for one in results if scene(one) == scene(result, size=size)), None)
+
+
+def scenes(main, model: str) -> str:
+    rows = []
+    for result in main:
+        judged = result["judged"]
+        row = [label(result), _error(judged), f"{judged['bias']['value']:+.1%}",
+               f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}"]
+        for method in (CYCLES, DENOISED):
+            one = equal(result, method)
+            error = judged["rmse"]["value"] or judged["rmse"]["high"]
+            first, frame = (times_as_long(result, method, per_frame, error) for per_frame in (False, True))
+            how = one["needed"]["how"] if judged["rmse"]["value"] else "to the upper end"
+            row.append("n/a" if first is None else
+                       f"{first * judged['cpu_seconds']:.3g} s ({how}): {first:.3g} / {frame:.3g} ×")
+            row.append("n/a" if one is None else f"{one['error']['value']:.3f} ({one['error']['how']})")
+        for method in ("single-scattering", "multi-octave"):
+            found = rung(result, method)
+            row.append(_error(found) if found else "n/a")
+        row.append("good" if result["verdict"]["good"] else f"{NOISY}: {_more(result['verdict'])}")
+        rows.append(row)
+    head = ["scene", f"{model}: error", "bias", "seconds, first / frame", "Cycles to this error: times first / frame",
+            "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single-scattering",
+            "multi-octave", "reference"]
+    return ("Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
+            "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "
+            "how many times the samples a good one has.\n\n" + table(head, rows))
+
+
+def growth(results) -> str:
+    """Costs where one thing changes: the layer's seconds, and Cycles' to an error of 0.1."""
+    base = results[0]["case"]
+    rows = []
+    for what, key in (("pixels", "size"), ("voxels", "cells"), ("suns", "suns"), ("albedo", "albedo"),
+                      ("optical density", "optical_density"), ("G", "anisotropy")):
+        same = [r for r in results if all(r["case"][k] == base[k] for k in base if k not in (key, "growth"))]
+        if len({r["case"][key] for r in same}) < 2:
+            continue
+        for result in sorted(same, key=lambda r: r["case"][key]):
+            law = result["path_tracing"].get("cpu_seconds")
+            judged, value = result["judged"], result["case"][key]
+            shown = f"{value}²" if key == "size" else f"{value}³" if key == "cells" else f"{value:g}"
+            rows.append([what, shown, f"{judged['once_cpu']:.2g}", f"{judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                         f"{law['each']:.2g}", f"{law['start'] + law['each'] * law['variance'] / 0.01:.3g}"])
+    for one in (r for r in results[0]["rungs"] if r["method"] == results[0]["judged"]["method"]):
+        rows.append(["depth samples", str(one["samples"]), f"{one['once_cpu']:.2g}",
+                     f"{one['cpu_seconds'] - one['once_cpu']:.2g}", "", ""])
+    head = ["grows", "value", "layer, once", "layer, frame", "Cycles, per sample per pixel",
+            "Cycles, to an error of 0.1"]
+    return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
+
+
+def label(result) -> str:
+    case = result["case"]
+    return (f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}")
+
+
+def _error(found) -> str:
+    rmse = found["rmse"]
+    return f"{rmse['value']:.3f} ({rmse['low']:.3f}–{rmse['high']:.3f})"
+
+
+def _more(verdict) -> str:
+    return "beyond telling" if verdict["more"] is None else f"{verdict['more']:.1f} ×"

@@ -1,0 +1,1 @@
+"""Error against path-traced references, in the form of the tables of the paper."""

@@ -1,0 +1,197 @@
+"""The measurements as Markdown: a summary, the independent references, and the paper's Tables 1 and 2."""
+
+from .real_volumes import FILES
+from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, SIGMA_HAT
+
+#: Of RPNN, and of both tables' rows where nothing is varied.
+USUAL_G = ANISOTROPIES[0]
+#: Biases within this are fine.
+BIAS_BOUND = 0.05
+
+
+def table(head, rows) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def unique(values) -> list:
+    return list(dict.fromkeys(values))
+
+
+def _mean(values) -> float:
+    values = list(values)
+    return sum(values) / len(values)
+
+
+def interval(m) -> str:
+    return f"{m.rmse:.3f} ({m.rmse_low:.3f}–{m.rmse_high:.3f})"
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:+.1f} %"
+
+
+def boost(slower: float, faster: float) -> str:
+    return f"{slower / faster:.3g} ×"
+
+
+class Measured:
+    """Measurements by view and system; what was not measured reads n/a."""
+
+    def __init__(self, measurements):
+        self.all = measurements
+        self.systems = unique(m.system for m in measurements)
+        self.by_key = {(m.view, m.system): m for m in measurements}
+
+    def cell(self, view, system, write) -> str:
+        one = self.by_key.get((view, system))
+        return write(one) if one else "n/a"
+
+    def cells(self, view, write) -> list:
+        return [self.cell(view, system, write) for system in self.systems]
+
+    def find(self, **facts):
+        """The name of the view with these facts, None where there is none."""
+        for m in self.all:
+            if all(getattr(m, key) == value for key, value in facts.items()):
+                return m.view
+        return None
+
+
+def summary(measured: Measured) -> str:
+    """Each system over the views that all systems were measured on, so that means compare."""
+    common = set.intersection(*({m.view for m in measured.all if m.system == s} for s in measured.systems))
+    every = {m.view for m in measured.all}
+    rows = []
+    for system in measured.systems:
+        for label, views in (("all it knows", every), ("common to all", common if common != every else ())):
+            found = [m for m in measured.all if m.system == system and m.view in views]
+            if found:
+                worst = max(found, key=lambda m: abs(m.bias))
+                rows.append([
+                    system, f"{label}, {len(found)}", f"{_mean(m.rmse for m in found):.3f}",
+                    percent(_mean(m.bias for m in found)), f"{percent(worst.bias)} ({worst.view})",
+                    f"{_mean(m.paper for m in found):.2f}", f"{_mean(m.seconds for m in found):.1f}",
+                ])
+    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds a frame"]
+    return table(head, rows)
+
+
+def independent_tables(measured: Measured, published: dict) -> str:
+    """Relative RMSE and bias on the independent references, beside the published network's."""
+    views = [view for view in published if any(m.view == view for m in measured.all)]
+    parts = []
+    for title, key, write, number in (
+        ("Relative RMSE (95 %)", "rmse", interval, "{:.3f}".format),
+        ("Bias", "bias", lambda m: percent(m.bias), percent),
+        ("Paper's metric", "paper", lambda m: f"{m.paper:.2f}", "{:.2f}".format),
+    ):
+        rows = [[view, *measured.cells(view, write), number(published[view][key])] for view in views]
+        means = []
+        for system in measured.systems:
+            values = [getattr(measured.by_key[v, system], key) for v in views if (v, system) in measured.by_key]
+            known = "" if len(values) == len(views) else f" ({len(values)} views)"
+            means.append(number(_mean(values)) + known if values else "n/a")
+        rows.append(["**mean**", *means, number(_mean(published[view][key] for view in views))])
+        parts.append(f"{title}\n\n" + table(["view", *measured.systems, "published"], rows))
+    return "\n".join(parts)
+
+
+def real_tables(measured: Measured) -> str:
+    """Real volumes: relative RMSE and bias of each system by volume and density, and their means."""
+    every = [m for m in measured.all if m.volume in FILES]
+    parts = []
+    for system in unique(m.system for m in every):
+        mine = [m for m in every if m.system == system]
+        kinds = unique((m.light, m.anisotropy) for m in mine)
+        rows = []
+        for volume, sigma_hat in unique((m.volume, m.sigma_hat) for m in mine):
+            found = {(m.light, m.anisotropy): m for m in mine if (m.volume, m.sigma_hat) == (volume, sigma_hat)}
+            cells = [f"{found[k].rmse:.3f} {percent(found[k].bias)}" if k in found else "n/a" for k in kinds]
+            rows.append([volume, f"{sigma_hat:g}", *cells])
+        columns = [[m for m in mine if (m.light, m.anisotropy) == kind] for kind in kinds]
+        means = (f"{_mean(m.rmse for m in column):.3f} {percent(_mean(m.bias for m in column))}" for column in columns)
+        rows.append(["**mean**", "", *means])
+        head = ["volume", "optical density", *(f"{light}, G = {g:g}" for light, g in kinds)]
+        within = sum(abs(m.bias) <= BIAS_BOUND for m in mine)
+        parts.append(
+            f"{system}: {_mean(m.rmse for m in mine):.3f} on the mean, bias {percent(_mean(m.bias for m in mine))}, "
+            f"within {100 * BIAS_BOUND:g} % on {within} of {len(mine)} views\n\n" + table(head, rows)
+        )
+    return "\n".join(parts)
+
+
+def table1(measured: Measured) -> str:
+    """Volumes x light at albedo 1: errors, then seconds and convergence boosts."""
+    rows = [
+        (m.volume, m.light, m.view) for m in measured.all
+        if m.albedo == GREY and m.anisotropy == USUAL_G and m.sigma_hat == SIGMA_HAT and m.volume not in FILES
+    ]
+    rows = [(v, light, view) for v in unique(r[0] for r in rows) for light in LIGHTS
+            for view in unique(r[2] for r in rows if r[:2] == (v, light))]
+    errors = [[v, light, *measured.cells(view, lambda m: f"{interval(m)} · {m.paper:.2f}")] for v, light, view in rows]
+    costs = []
+    for v, light, view in rows:
+        rpnn = measured.by_key.get((view, "rpnn"))
+        costs.append([v, light, *measured.cells(view, lambda m: " · ".join([
+            f"{m.seconds:.2g} s",
+            boost(rpnn.seconds, m.seconds) if rpnn else "n/a",
+            boost(m.reference_seconds, m.seconds),
+        ]))])
+    head = ["volume", "light", *measured.systems]
+    return (
+        "Error: relative RMSE (95 %) · the paper's metric\n\n" + table(head, errors)
+        + "\nSeconds a frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
+    )
+
+
+def table2(measured: Measured) -> str:
+    """Albedo and anisotropy varied: relative RMSE and the paper's metric, by light."""
+    rows = []
+    settings = [("ς = " + ", ".join(f"{value:g}" for value in albedo), albedo, USUAL_G) for albedo in ALBEDOS]
+    settings += [(f"G = {g:g}", GREY, g) for g in ANISOTROPIES]
+    for volume in unique(m.volume for m in measured.all if m.volume not in FILES):
+        lines = []
+        for label, albedo, g in settings:
+            views = {
+                light: measured.find(volume=volume, light=light, albedo=albedo, anisotropy=g, sigma_hat=SIGMA_HAT)
+                for light in LIGHTS
+            }
+            if any(views.values()):
+                cells = [cell for light in LIGHTS
+                         for cell in measured.cells(views[light], lambda m: f"{m.rmse:.3f} · {m.paper:.2f}")]
+                lines.append([volume, label, *cells])
+        # Where only the usual values were measured Table 1 has said it all.
+        if len(lines) > 2:
+            rows += lines
+    head = ["volume", "parameter", *(f"{light}: {system}" for light in LIGHTS for system in measured.systems)]
+    return table(head, rows) if rows else ""
+
+
+def document(measurements, published: dict, source: str) -> str:
+    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}; source: what made the figures."""
+    measured = Measured(measurements)
+    parts = [
+        "# Fidelity\n",
+        f"{source}\n",
+        "Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
+        "metric is RMSE × 100 of tone-mapped luma. 0: less than the references can resolve. n/a: the system does not "
+        "know that albedo or anisotropy, or was not measured. The error of `reference`, the path tracer at the "
+        "depth samples, is its noise.\n",
+        "## Summary\n", summary(measured),
+    ]
+    if any(m.view in published for m in measurements):
+        parts += ["## Independent references\n", independent_tables(measured, published)]
+    parts += [
+        f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
+        "The boost against RPNN is the ratio of seconds a frame at equal samples, as in the paper. That against the "
+        "path tracer is the time in which its noise would be as large as the system's whole error, over the "
+        "system's seconds.\n",
+        table1(measured),
+    ]
+    if any(m.volume in FILES for m in measurements):
+        parts += ["## Real volumes: relative RMSE and bias, albedo 1\n", real_tables(measured)]
+    second = table2(measured)
+    if second:
+        parts += ["## Table 2: albedo and anisotropy\n", "Relative RMSE · the paper's metric.\n", second]
+    return "\n".join(parts)

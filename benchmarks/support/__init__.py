@@ -1,0 +1,1 @@
+"""What several benchmarks share: the extension in this process, shaders, pictures and pages."""

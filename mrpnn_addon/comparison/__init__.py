@@ -1,0 +1,1 @@
+"""Comparisons of MRPNN with Cycles: plan, passes, figures and report."""

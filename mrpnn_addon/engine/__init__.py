@@ -1,0 +1,1 @@
+"""The render engine: F12, rendered viewports, and render jobs on a thread."""

@@ -1,0 +1,198 @@
+"""MRPNN as a render engine: F12 writes the layer to the render result."""
+
+import time
+import traceback
+
+import bpy
+import gpu
+
+from ...inference.image.layer import empty_layer
+from ...inference.scene import Cancelled, SceneError
+from ..nodes.material import shows_volume
+from ..objects.camera import read_camera
+from ..objects.visibility import visible_objects
+from ..output.passes import extra_passes
+from ..scene.film import read_background
+from ..scene.reader import read_scene
+from ..scene.unrendered import composited, unrendered
+from ..status.last_render import remember_finished
+from ..volumes.loading import VolumeLoading
+from ..volumes.reader import VolumeReader
+from . import builtin_panels, viewport
+from .render_job import render_scene, stamp
+from .render_result import RenderResult
+from .viewport import Viewport, viewport_camera
+from .viewport_region import WHOLE, render_region
+
+POLL_INTERVAL = 0.05
+
+
+class MRPNNRenderEngine(bpy.types.RenderEngine):
+    bl_idname = "MRPNN"
+    bl_label = "MRPNN Volumes"
+    # When Python sets some properties, such as the engine, Blender waits for a preview's thread while it holds the
+    # interpreter's lock. It hangs where the preview's engine is written in Python, as Cycles' is, too (4.3 and 5.2).
+    # Without this flag Blender shows no previews, as for Workbench.
+    bl_use_preview = False
+    bl_use_postprocess = True
+    # The default hides the Shader Editor.
+    bl_use_shading_nodes_custom = False
+    # Material Preview uses EEVEE.
+    bl_use_eevee_viewport = True
+
+    # Set when Blender draws a viewport with this engine.
+    _viewport = None
+
+    def update_render_passes(self, scene, renderlayer):
+        """Register the passes for the compositor."""
+        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", 'COLOR')
+        for extra in extra_passes(renderlayer):
+            self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
+
+    def render(self, depsgraph):
+        """Called by Blender for each view layer, on its render thread or, in background, on the main thread."""
+        # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
+        # would continue and write an empty image.
+        try:
+            self._render(depsgraph)
+        except Cancelled:
+            pass
+        except (SceneError, OSError) as error:
+            self.report({'ERROR'}, str(error))
+        except Exception as error:
+            traceback.print_exc()
+            self.report({'ERROR'}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
+
+    def view_update(self, context, depsgraph):
+        """Called by Blender when something in the viewport's scene has changed."""
+        if self._viewport is None:
+            self._viewport = Viewport()
+        self._viewport.backdrop.read(depsgraph)
+        if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
+                self._viewport.shows(depsgraph, context.space_data)):
+            # Selection and settings, which view_draw compares, do not change the volumes.
+            return
+        if not all(_keeps_volumes(update) for update in depsgraph.updates):
+            self._viewport.reader = VolumeReader()
+        self._viewport.read(depsgraph, context.space_data)
+
+    def view_draw(self, context, depsgraph):
+        """Called by Blender for each redraw of the viewport, also when only the view has changed."""
+        view, size = context.region_data, (context.region.width, context.region.height)
+        if self._viewport is None:
+            return
+        self._viewport.read_on(depsgraph, context.space_data)
+        part = render_region(context, depsgraph.scene)
+        try:
+            camera = part and viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
+                                              context.space_data.clip_end, part)
+        except SceneError:
+            # A camera of scale 0 shows nothing.
+            camera = None
+        self._viewport.update(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
+        gpu.state.blend_set('ALPHA_PREMULT')
+        self.bind_display_space_shader(depsgraph.scene)
+        self._viewport.draw(size)
+        self.unbind_display_space_shader()
+        gpu.state.blend_set('NONE')
+        self.update_stats("", self._viewport.status)
+
+    def __del__(self):
+        if self._viewport is not None:
+            self._viewport.close()
+
+    def _render(self, depsgraph):
+        view_layer = depsgraph.view_layer
+        if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
+            self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
+            return self._write_empty(depsgraph)
+        scene = self._read(depsgraph)
+        # With a render region, Blender's result has the region's size.
+        scene.crop = True
+        transparent = depsgraph.scene.render.film_transparent
+        settings = depsgraph.scene.mrpnn.settings()
+        background = None if transparent else self._background(depsgraph, scene.camera)
+        result = RenderResult(self, view_layer, scene.camera, background)
+        # Background renders need no intermediate pictures.
+        parts = None if bpy.app.background else result
+        try:
+            finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
+        except Cancelled:
+            result.end()
+            raise
+        remember_finished(finished)
+        # Blender's window shows the last report only.
+        missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
+        for warning in [*finished.warnings, missing] if missing else finished.warnings:
+            self.report({'WARNING'}, warning)
+        result.finish(finished.layer, stamp(settings, finished.layer.report))
+
+    def _read(self, depsgraph):
+        """The scene; a thread reads its volumes first, which Esc stops."""
+        reader = VolumeReader()
+        loading = VolumeLoading(reader, reader.wanted(depsgraph))
+        while not loading.done:
+            self.update_stats("", loading.message.capitalize())
+            loading.wait(POLL_INTERVAL)
+            if self.test_break():
+                loading.stop()
+        if loading.error is not None:
+            raise loading.error
+        return read_scene(depsgraph, reader, self._check)
+
+    def _background(self, depsgraph, camera):
+        """The Background of a camera's pixels; reports its warnings."""
+        self.update_stats("", "Rendering the sky")
+        found = read_background(depsgraph, camera, self._check)
+        for warning in found.warnings:
+            self.report({'WARNING'}, warning)
+        return found
+
+    def _check(self):
+        if self.test_break():
+            raise Cancelled()
+
+    def _write_empty(self, depsgraph):
+        camera = read_camera(depsgraph)[0]
+        background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
+        RenderResult(self, depsgraph.view_layer, camera, background).finish(empty_layer(camera), {})
+
+
+class _Progress:
+    """Shows a render's progress in Blender's progress bar and statistics line."""
+
+    def __init__(self, engine):
+        self.engine, self.start = engine, None
+
+    def __call__(self, fraction, message):
+        # Fractions count from the first call: a coarse picture comes before.
+        self.start = self.start or time.monotonic()
+        self.engine.update_progress(fraction)
+        seconds = time.monotonic() - self.start
+        # The first seconds do not predict the rest.
+        left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
+        self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
+
+
+def _keeps_volumes(update) -> bool:
+    """Whether a change cannot affect a volume's voxels, only its transform or lighting."""
+    if isinstance(update.id, (bpy.types.Scene, bpy.types.World, bpy.types.Light, bpy.types.Camera)):
+        return True
+    if not isinstance(update.id, bpy.types.Object):
+        return False
+    return update.id.type in ('LIGHT', 'CAMERA') or not (update.is_updated_geometry or update.is_updated_shading)
+
+
+def _shows_volumes(depsgraph) -> bool:
+    return any(shows_volume(shown.object) for shown in visible_objects(depsgraph))
+
+
+def register():
+    bpy.utils.register_class(MRPNNRenderEngine)
+    builtin_panels.register(MRPNNRenderEngine.bl_idname)
+
+
+def unregister():
+    viewport.unregister()
+    builtin_panels.unregister(MRPNNRenderEngine.bl_idname)
+    bpy.utils.unregister_class(MRPNNRenderEngine)

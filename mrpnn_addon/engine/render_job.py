@@ -1,0 +1,130 @@
+"""One render of a scene that has been read, in the calling thread or on a worker thread."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ... import inference
+from ...inference.image.layer import Layer, empty_layer
+from ...inference.scene import Camera, Cancelled, SceneError, Settings
+from ..objects.workload import Workload
+from ..output.layer_exr import write_layer
+from ..output.layer_frame import in_frame
+from ..runtime.background import Worker
+from ..runtime.onnxruntime_version import check_runtime
+from ..scene.reader import SceneDescription
+
+# Pixels of the first picture, which appears within about a second.
+COARSE_PIXELS = 8000
+
+
+@dataclass
+class Finished:
+    """layer: in the frame of Blender's image. seconds: of the whole render. warnings: of reading and rendering.
+    workload: None without volumes.
+    """
+
+    layer: Layer
+    seconds: float
+    warnings: list[str]
+    workload: Workload | None = None
+
+
+def render_scene(scene: SceneDescription, settings: Settings, exr_path: str | None = None,
+                 progress=None, cancelled=None, parts=None) -> Finished:
+    """Render a scene. Calls no bpy, so any thread may call this.
+
+    exr_path: absolute path of a multi-layer EXR to write, or None. parts: its `show_coarse(layer)` and
+    `show_part(window, layer)`, see RenderResult, are called with a coarse picture and with finished parts.
+
+    Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` returns True, and OSError where the file
+    cannot be written.
+    """
+    runtime_warnings = check_runtime()
+
+    def check():
+        if cancelled and cancelled():
+            raise Cancelled()
+
+    try:
+        # A frame without smoke yet is valid.
+        layer = _render(scene, settings, progress, cancelled, parts) if scene.volumes else empty_layer(scene.camera)
+        layer = in_frame(layer, scene.camera, scene.crop)
+        if exr_path:
+            if progress:
+                progress(1.0, "writing the file")
+            write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report), check)
+    except MemoryError:
+        raise SceneError("not enough memory for this render; use fewer depth samples, a smaller image or smaller "
+                         "grids, or close other programs") from None
+    warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
+    workload = scene.workload(settings.depth_samples) if scene.volumes else None
+    return Finished(layer, layer.report.seconds["total"], warnings, workload)
+
+
+def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:
+    # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
+    cache = inference.RenderCache(any_view=False)
+    if parts is not None:
+        coarse = replace(settings, depth_samples=1)
+        parts.show_coarse(inference.render(
+            scene.volumes, scene.suns, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces))
+    for window, layer in inference.render_tiles(
+            scene.volumes, scene.suns, scene.camera, settings, progress, cancelled, cache, scene.surfaces):
+        if parts is not None and layer.report is None:
+            parts.show_part(window, layer)
+    return layer
+
+
+def coarse_camera(camera: Camera) -> Camera:
+    """A camera with the same window at about COARSE_PIXELS."""
+    x0, y0, x1, y1 = camera.window
+    divisor = max(int(np.ceil(((x1 - x0) * (y1 - y0) / COARSE_PIXELS) ** 0.5)), 1)
+    width, height = (max(-(-n // divisor), 1) for n in camera.resolution)
+    left, top = min(x0 // divisor, width - 1), min(y0 // divisor, height - 1)
+    right, bottom = max(x1 // divisor, left + 1), max(y1 // divisor, top + 1)
+    return replace(camera, resolution=(width, height), region=(left, top, right, bottom))
+
+
+def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
+    """Header attributes of an EXR: frame, settings, network and seconds per stage."""
+    found = {
+        "Frame": scene.frame,
+        "mrpnn.depthSamples": settings.depth_samples,
+        "mrpnn.seed": settings.seed,
+        "mrpnn.model": report.model,
+        "mrpnn.modelChecksum": report.checksum,
+        "mrpnn.provider": report.provider,
+        "mrpnn.report": json.dumps(report.to_dict()),
+    }
+    for stage, seconds in report.seconds.items():
+        found[f"mrpnn.seconds.{stage.replace(' ', '_')}"] = float(seconds)
+    return found
+
+
+def stamp(settings: Settings, report) -> dict:
+    """Metadata of files that Blender writes, as text."""
+    return {
+        "depthSamples": str(settings.depth_samples),
+        "seed": str(settings.seed),
+        "model": report.model or "none",
+        "modelChecksum": report.checksum,
+        "provider": report.provider,
+        "seconds": f"{report.seconds['total']:.2f}",
+    }
+
+
+class RenderJob(Worker):
+    """render_scene on a worker thread. result: a Finished when done, or None with `error` set."""
+
+    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None):
+        self.result: Finished | None = None
+        self._task = scene, settings, exr_path
+        self._start("mrpnn render", awaited=True)
+
+    def _work(self):
+        self.result = render_scene(*self._task, self._progress, lambda: self.stopped)
+
+    def _progress(self, fraction: float, message: str):
+        self.fraction, self.message = fraction, message

@@ -1,0 +1,78 @@
+"""The render result of one view layer: a coarse picture first, then finished parts."""
+
+import numpy as np
+
+from ..output.layer_frame import rgba
+from ..output.passes import extra_passes
+from ..scene.film import over
+
+
+class RenderResult:
+    """Writes one view layer's layer to Blender's render result.
+
+    engine: the RenderEngine. camera: its window is rendered. background: a `film.Background`; None for a transparent
+    film. A render that fails before the first picture shows none.
+    """
+
+    def __init__(self, engine, view_layer, camera, background):
+        self._engine, self._view_layer, self._camera, self._background = engine, view_layer, camera, background
+        x0, y0, x1, y1 = camera.window
+        self._image, self._result = np.zeros((y1 - y0, x1 - x0, 4), np.float32), None
+        self._extras = extra_passes(view_layer)
+
+    def show_coarse(self, layer) -> None:
+        """Show a layer of lower resolution in the whole window."""
+        height, width = self._image.shape[:2]
+        rows = np.arange(height) * layer.alpha.shape[0] // height
+        columns = np.arange(width) * layer.alpha.shape[1] // width
+        self._put(self._camera.window, rgba(layer)[rows][:, columns])
+        self._show()
+
+    def show_part(self, window, layer) -> None:
+        """Show a finished part. window: (x0, y0, x1, y1) in the image."""
+        self._put(window, rgba(layer))
+        self._show()
+
+    def finish(self, layer, stamped) -> None:
+        """Write the whole layer with all passes. stamped: names and values for the file's metadata."""
+        self._put(self._camera.window, rgba(layer))
+        result = self._begin()
+        for extra in self._extras:
+            _fill(result.layers[0].passes[extra.name], extra.pixels(layer))
+        self.end()
+        # Only the complete result keeps stamped metadata.
+        whole = self._engine.get_result()
+        for name, value in stamped.items():
+            whole.stamp_data_add_field(f"mrpnn.{self._view_layer.name}.{name}", value)
+
+    def end(self) -> None:
+        """Close the result; a stopped render keeps its finished parts."""
+        if self._result is not None:
+            _fill(self._result.layers[0].passes["Combined"], self._image)
+            self._engine.end_result(self._result)
+            self._result = None
+
+    def _begin(self):
+        if self._result is None:
+            height, width = self._image.shape[:2]
+            for extra in self._extras:
+                self._engine.add_pass(extra.name, len(extra.channels), extra.channels, layer=self._view_layer.name)
+            self._result = self._engine.begin_result(0, 0, width, height, layer=self._view_layer.name)
+        return self._result
+
+    def _put(self, window, image):
+        x0, y0, x1, y1 = window
+        left, top = self._camera.window[:2]
+        if self._background is not None:
+            image = over(image, self._background.pixels(window))
+        self._image[y0 - top : y1 - top, x0 - left : x1 - left] = image
+
+    def _show(self):
+        result = self._begin()
+        _fill(result.layers[0].passes["Combined"], self._image)
+        self._engine.update_result(result)
+
+
+def _fill(render_pass, pixels) -> None:
+    """pixels: float32 (H, W, channels), rows from the top; Blender's start at the bottom."""
+    render_pass.rect.foreach_set(np.ascontiguousarray(pixels[::-1], np.float32).ravel())

@@ -1,0 +1,1 @@
+"""Shader nodes and volume materials, evaluated at many points as Cycles evaluates them."""

@@ -1,0 +1,62 @@
+"""Equirectangular images at the low resolution that lighting from all directions needs."""
+
+import math
+
+import numpy as np
+
+ROWS = 128
+LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
+
+
+def environment_image(image):
+    """A function from directions (n, 3) to linear colours (n, 3) of an equirectangular image.
+
+    Raises ValueError, with the reason, where the image cannot be read.
+    """
+    if image is None or not image.size[0] or not image.size[1]:
+        raise ValueError("the image is missing or empty")
+    if image.source not in ('FILE', 'GENERATED'):
+        raise ValueError(f"an image of source {image.source}")
+    width, height = image.size
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, image.channels)
+    colours = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    space = image.colorspace_settings.name
+    if space == "sRGB" and not image.is_float:
+        colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    elif space not in LINEAR and not image.is_float:
+        raise ValueError(f"colour space {space}")
+    return sampler(_downsampled(_downsampled(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
+
+
+def sampler(small):
+    """A function from directions (n, 3) to bilinear samples (n, 3) of pixels (rows, columns, 3)."""
+    def colour(directions):
+        x, y, z = directions.T
+        u = (0.5 - np.arctan2(y, x) / (2.0 * math.pi)) * small.shape[1] - 0.5
+        v = (np.arctan2(z, np.hypot(x, y)) / math.pi + 0.5) * small.shape[0] - 0.5
+        left, low = np.floor(u).astype(int), np.floor(v).astype(int)
+        total = 0.0
+        for i, share in ((left, 1.0 - (u - left)), (left + 1, u - left)):
+            for j, part in ((low, 1.0 - (v - low)), (low + 1, v - low)):
+                total = total + (share * part)[:, None] * small[np.clip(j, 0, len(small) - 1), i % small.shape[1]]
+        return total
+
+    return colour
+
+
+def _downsampled(values, axis: int, most: int):
+    """Box-filtered to at most `most` cells along an axis, so that no bright pixel is lost."""
+    count = values.shape[axis]
+    if count <= most:
+        return values
+    padded = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis=axis, dtype=np.float64)],
+                            axis=axis)
+    place = np.linspace(0, count, most + 1)
+    first = np.minimum(place.astype(int), count - 1)
+    shape = [1] * values.ndim
+    shape[axis] = -1
+    rest = (place - first).reshape(shape)
+    sums = np.take(padded, first, axis) + rest * np.take(values, first, axis)
+    return np.diff(sums, axis=axis) * (most / count)

@@ -1,0 +1,103 @@
+"""Shader node trees, evaluated as Cycles evaluates them, at many points at once.
+
+A value is a float64 array (n, k): one row per point, or one row where it is uniform; k is 1 for a number and 3 for a
+colour or vector.
+"""
+
+import numpy as np
+
+from .functions import FUNCTIONS
+from .sockets import Source, Unsupported, input_of, source_of
+
+LUMA = np.array([[0.2126], [0.7152], [0.0722]])
+
+
+class NodeEvaluator:
+    """Evaluates sockets at one set of points, each output once.
+
+    points: what nodes read besides other nodes, `attribute(name, node)` (n, 1) and `coordinates(kind, node)` (n, 3);
+    see `volumes.voxel_points`.
+    """
+
+    def __init__(self, points):
+        self.points = points
+        self._known = {}
+
+    def number(self, node, identifier: str, groups=()) -> np.ndarray:
+        """(n, 1) value of an input socket, converted to a number as in Cycles.
+
+        Raises Unsupported, naming the node, where it cannot be evaluated.
+        """
+        return as_number(*self._value(input_of(node, identifier), groups))
+
+    def colour(self, node, identifier: str, groups=()) -> np.ndarray:
+        """(n, 3) value of an input socket as a colour or vector. Raises as `number`."""
+        return as_colour(self._value(input_of(node, identifier), groups)[0])
+
+    def is_linked(self, node, identifier: str, groups=()) -> bool:
+        """Whether another node drives the socket."""
+        return source_of(input_of(node, identifier), groups).node is not None
+
+    def _value(self, socket, groups):
+        """The value of a socket and the type of its source."""
+        source = source_of(socket, groups)
+        if source.node is None:
+            return _own_value(source.socket), source.socket.type
+        value = self._output(source)
+        # The linked socket converts first: a colour that passes through a number becomes grey.
+        if socket.type in ('VALUE', 'INT', 'BOOLEAN'):
+            return as_number(value, source.output.type), 'VALUE'
+        return as_colour(value), socket.type
+
+    def _output(self, source: Source) -> np.ndarray:
+        node, output = source.node, source.output
+        key = (node.as_pointer(), output.identifier, tuple(group.as_pointer() for group in source.groups))
+        if key not in self._known:
+            function = FUNCTIONS.get(node.bl_idname)
+            if function is None:
+                raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated; "
+                                  "unlink it and enter a value")
+            with np.errstate(all="ignore"):
+                self._known[key] = function(self, node, output, source.groups)
+        return self._known[key]
+
+
+def as_number(value: np.ndarray, kind: str) -> np.ndarray:
+    """(n, 1): the luminance of a colour, the mean component of a vector."""
+    if value.shape[1] == 1:
+        return value
+    return value @ LUMA if kind == 'RGBA' else value.mean(axis=1, keepdims=True)
+
+
+def as_colour(value: np.ndarray) -> np.ndarray:
+    """(n, 3): a number becomes grey."""
+    return value if value.shape[1] == 3 else np.repeat(value, 3, axis=1)
+
+
+def _own_value(socket) -> np.ndarray:
+    if not hasattr(socket, 'default_value'):
+        raise Unsupported(f"socket {socket.name} of node \"{socket.node.name}\" holds no value")
+    value = socket.default_value
+    if isinstance(value, (int, float)):
+        return np.full((1, 1), float(value))
+    return np.array(value, dtype=np.float64)[None, :3]
+
+
+def constant(socket, groups=()) -> np.ndarray:
+    """(k,) uniform value of a socket.
+
+    Raises Unsupported, naming the node, where the value depends on position or cannot be evaluated.
+    """
+    value, _ = NodeEvaluator(Nowhere())._value(socket, groups)
+    return value[0]
+
+
+class Nowhere:
+    """Points without positions or attributes: nodes that read either cannot be evaluated."""
+
+    def attribute(self, name, node):
+        raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) varies in space, which is not supported here; "
+                          "unlink it and enter a value")
+
+    def coordinates(self, kind, node):
+        self.attribute(kind, node)

@@ -1,0 +1,307 @@
+"""Nodes that output numbers, colours and vectors, by Cycles' definitions.
+
+Each function takes (values, node, output, groups), with `values` a NodeEvaluator, and returns one output's array.
+Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
+"""
+
+import numpy as np
+from mathutils import Euler
+
+from .emission import blackbody_colour
+from .environment_image import environment_image
+from .math_operations import MATH, VECTOR_MATH, clamp, divide, smoothstep
+from .sockets import Unsupported
+from .textures import gradient, noise
+
+RAMP_CELLS = 256
+CURVE_CELLS = 256
+
+
+def _value_node(values, node, output, groups):
+    value = output.default_value
+    return np.full((1, 1), value) if isinstance(value, float) else np.array(value)[None, :3]
+
+
+def _math(values, node, output, groups):
+    operands = [values.number(node, socket.identifier, groups) for socket in node.inputs]
+    result = MATH[node.operation](*operands)
+    return clamp(result, 0.0, 1.0) if node.use_clamp else result
+
+
+def _vector_math(values, node, output, groups):
+    operation = VECTOR_MATH.get(node.operation)
+    if operation is None:
+        raise _unsupported(node, f"operation {node.operation}")
+    vectors = [values.colour(node, name, groups) for name in ("Vector", "Vector_001", "Vector_002")]
+    return operation(*vectors, values.number(node, "Scale", groups))
+
+
+def _map_range(values, node, output, groups):
+    if node.data_type == 'FLOAT':
+        names, read = ("Value", "From Min", "From Max", "To Min", "To Max", "Steps"), values.number
+    else:
+        names, read = ("Vector", "From_Min_FLOAT3", "From_Max_FLOAT3", "To_Min_FLOAT3", "To_Max_FLOAT3",
+                       "Steps_FLOAT3"), values.colour
+    value, low, high, to_low, to_high, steps = (read(node, name, groups) for name in names)
+    if node.interpolation_type in ('SMOOTHSTEP', 'SMOOTHERSTEP'):
+        share = smoothstep(value, np.minimum(low, high), np.maximum(low, high),
+                           smoother=node.interpolation_type == 'SMOOTHERSTEP')
+        share = np.where(low > high, 1.0 - share, share)
+    else:
+        share = divide(value - low, high - low)
+        if node.interpolation_type == 'STEPPED':
+            share = divide(np.floor(share * (steps + 1.0)), steps)
+    result = to_low + share * (to_high - to_low)
+    if node.clamp and node.interpolation_type in ('LINEAR', 'STEPPED'):
+        result = clamp(result, np.minimum(to_low, to_high), np.maximum(to_low, to_high))
+    return np.where(low == high, 0.0, result)
+
+
+def _clamp(values, node, output, groups):
+    value, low, high = (values.number(node, name, groups) for name in ("Value", "Min", "Max"))
+    if node.clamp_type == 'RANGE':
+        low, high = np.minimum(low, high), np.maximum(low, high)
+    return clamp(value, low, high)
+
+
+def _blackbody(values, node, output, groups):
+    return np.maximum(blackbody_colour(values.number(node, "Temperature", groups)), 0.0)
+
+
+def _color_ramp(values, node, output, groups):
+    ramp = node.color_ramp
+    table = np.array([ramp.evaluate(n / (RAMP_CELLS - 1)) for n in range(RAMP_CELLS)])
+    table = table[:, 3:] if output.identifier == 'Alpha' else table[:, :3]
+    place = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
+    return _look_up(table, place, stepped=ramp.interpolation == 'CONSTANT')
+
+
+def _float_curve(values, node, output, groups):
+    mapping = node.mapping
+    mapping.update()
+    curve = mapping.curves[0]
+    low, high = curve.points[0].location[0], curve.points[-1].location[0]
+    table = np.array([[mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS)] for n in range(CURVE_CELLS + 1)])
+    value, factor = values.number(node, "Value", groups), values.number(node, "Factor", groups)
+    share = divide(value - low, np.float64(high - low))
+    curved = _look_up(table, clamp(share, 0.0, 1.0))
+    if mapping.extend == 'EXTRAPOLATED':
+        # Linear, with the slopes at the ends.
+        curved = curved + CURVE_CELLS * (np.minimum(share, 0.0) * (table[1] - table[0])
+                                         + np.maximum(share - 1.0, 0.0) * (table[-1] - table[-2]))
+    return value + factor * (curved - value)
+
+
+def _look_up(table, place, stepped=False):
+    """Rows of a table (m, k) at positions (n, 1) in [0, 1], linearly interpolated unless stepped."""
+    position = place[:, 0] * (len(table) - 1)
+    first = np.minimum(position.astype(np.int64), len(table) - 1)
+    if stepped:
+        return table[first]
+    second = np.minimum(first + 1, len(table) - 1)
+    return table[first] + (position - first)[:, None] * (table[second] - table[first])
+
+
+BLENDS = {
+    'MIX': lambda f, a, b: a + f * (b - a),
+    'ADD': lambda f, a, b: a + f * b,
+    'MULTIPLY': lambda f, a, b: a * (1.0 - f + f * b),
+    'SUBTRACT': lambda f, a, b: a - f * b,
+    'SCREEN': lambda f, a, b: 1.0 - (1.0 - f + f * (1.0 - b)) * (1.0 - a),
+    'DIVIDE': lambda f, a, b: np.where(b != 0.0, (1.0 - f) * a + f * divide(a, b), a),
+    'DIFFERENCE': lambda f, a, b: a + f * (np.abs(a - b) - a),
+    'DARKEN': lambda f, a, b: a + f * (np.minimum(a, b) - a),
+    'LIGHTEN': lambda f, a, b: a + f * (np.maximum(a, b) - a),
+}
+
+
+def _mix(values, node, output, groups):
+    kind = {'FLOAT': "Float", 'VECTOR': "Vector", 'RGBA': "Color"}.get(node.data_type)
+    if kind is None:
+        raise _unsupported(node, f"data type {node.data_type}")
+    if kind == "Vector" and node.factor_mode == 'NON_UNIFORM':
+        factor = values.colour(node, "Factor_Vector", groups)
+    else:
+        factor = values.number(node, "Factor_Float", groups)
+    read = values.number if kind == "Float" else values.colour
+    blend = node.blend_type if kind == "Color" else 'MIX'
+    factor = clamp(factor, 0.0, 1.0) if node.clamp_factor else factor
+    return _blend(node, blend, factor, read(node, f"A_{kind}", groups), read(node, f"B_{kind}", groups),
+                  kind == "Color" and node.clamp_result)
+
+
+def _mix_rgb(values, node, output, groups):
+    factor = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
+    return _blend(node, node.blend_type, factor, values.colour(node, "Color1", groups),
+                  values.colour(node, "Color2", groups), node.use_clamp)
+
+
+def _blend(node, blend, factor, first, second, clamp_result):
+    if blend not in BLENDS:
+        raise _unsupported(node, f"blending mode {blend}")
+    result = BLENDS[blend](factor, first, second)
+    return clamp(result, 0.0, 1.0) if clamp_result else result
+
+
+def _separate(values, node, output, groups):
+    name = "Vector" if node.bl_idname == 'ShaderNodeSeparateXYZ' else "Color"
+    _require_rgb(node)
+    return values.colour(node, name, groups)[:, [list(node.outputs).index(output)]]
+
+
+def _combine(values, node, output, groups):
+    _require_rgb(node)
+    parts = [values.number(node, socket.identifier, groups) for socket in node.inputs]
+    return np.concatenate(np.broadcast_arrays(*parts), axis=1)
+
+
+def _require_rgb(node):
+    if getattr(node, 'mode', 'RGB') != 'RGB':
+        raise _unsupported(node, f"mode {node.mode}")
+
+
+def _rgb_to_bw(values, node, output, groups):
+    return values.colour(node, "Color", groups) @ np.array([[0.2126], [0.7152], [0.0722]])
+
+
+def _gamma(values, node, output, groups):
+    colour, power = values.colour(node, "Color", groups), values.number(node, "Gamma", groups)
+    return np.where(colour > 0.0, np.power(np.maximum(colour, 0.0), power), colour)
+
+
+def _invert(values, node, output, groups):
+    colour, factor = values.colour(node, "Color", groups), values.number(node, "Fac", groups)
+    return colour + factor * (1.0 - 2.0 * colour)
+
+
+def _bright_contrast(values, node, output, groups):
+    contrast = values.number(node, "Contrast", groups)
+    bright = values.number(node, "Bright", groups)
+    return np.maximum(values.colour(node, "Color", groups) * (1.0 + contrast) + bright - contrast * 0.5, 0.0)
+
+
+def _attribute(values, node, output, groups):
+    if node.attribute_type != 'GEOMETRY' or output.identifier == 'Alpha':
+        raise _unsupported(node, f"{output.name} of type {node.attribute_type}")
+    return values.points.attribute(node.attribute_name, node)
+
+
+def _volume_info(values, node, output, groups):
+    return values.points.attribute(output.identifier.lower(), node)
+
+
+def _texture_coordinate(values, node, output, groups):
+    if output.identifier == 'Object' and node.object is None:
+        return values.points.coordinates("object", node)
+    if output.identifier == 'Object':
+        inverse = np.linalg.inv(np.array(node.object.matrix_world))
+        return values.points.coordinates("world", node) @ inverse[:3, :3].T + inverse[:3, 3]
+    if output.identifier == 'Generated' and not node.from_instancer:
+        return values.points.coordinates("generated", node)
+    raise _unsupported(node, f"output {output.name}")
+
+
+def _geometry(values, node, output, groups):
+    if output.identifier != 'Position':
+        raise _unsupported(node, f"output {output.name}")
+    return values.points.coordinates("world", node)
+
+
+def _light_path(values, node, output, groups):
+    # Only a World knows which ray evaluates it.
+    seen = getattr(values.points, 'visible_to_camera', None)
+    if seen is None or output.identifier != 'Is Camera Ray':
+        raise _unsupported(node, f"output {output.name}")
+    return np.full((1, 1), float(seen))
+
+
+def _mapping(values, node, output, groups):
+    vector = values.colour(node, "Vector", groups)
+    angles = values.colour(node, "Rotation", groups)
+    if len(angles) > 1:
+        raise _unsupported(node, "a rotation that varies in space")
+    turn = np.array(Euler(angles[0]).to_matrix())
+    scale = values.colour(node, "Scale", groups)
+    if node.vector_type == 'VECTOR':
+        return (vector * scale) @ turn.T
+    if node.vector_type == 'NORMAL':
+        turned = divide(vector, scale) @ turn.T
+        return divide(turned, np.linalg.norm(turned, axis=1, keepdims=True))
+    location = values.colour(node, "Location", groups)
+    if node.vector_type == 'TEXTURE':
+        return divide((vector - location) @ turn, scale)
+    return (vector * scale) @ turn.T + location
+
+
+def _texture_vector(values, node, groups):
+    """A texture's coordinates; Generated where none are linked."""
+    if values.is_linked(node, "Vector", groups):
+        return values.colour(node, "Vector", groups)
+    return values.points.coordinates("generated", node)
+
+
+def _noise_texture(values, node, output, groups):
+    if node.noise_dimensions != '3D' or node.noise_type != 'FBM' or output.type != 'VALUE':
+        raise _unsupported(node, f"{output.name} of {node.noise_type} in {node.noise_dimensions}; "
+                                 "use the factor of 3D fBM")
+    named = ("Scale", "Detail", "Roughness", "Lacunarity", "Distortion")
+    settings = [values.number(node, name, groups) for name in named]
+    if any(len(setting) > 1 for setting in settings[1:]):
+        raise _unsupported(node, "detail that varies in space")
+    scale, *rest = settings
+    return noise(_texture_vector(values, node, groups) * scale, *(float(s[0, 0]) for s in rest), node.normalize)
+
+
+def _gradient_texture(values, node, output, groups):
+    return gradient(_texture_vector(values, node, groups), node.gradient_type)
+
+
+def _environment_texture(values, node, output, groups):
+    if not getattr(values.points, 'images', False):
+        raise _unsupported(node, "an image here")
+    if node.projection != 'EQUIRECTANGULAR' or output.identifier != 'Color':
+        raise _unsupported(node, f"{output.name} in projection {node.projection}")
+    if values.is_linked(node, "Vector", groups):
+        vector = values.colour(node, "Vector", groups)
+    else:
+        vector = values.points.coordinates("world", node)
+    try:
+        return environment_image(node.image)(vector)
+    except ValueError as problem:
+        raise _unsupported(node, str(problem)) from None
+
+
+def _unsupported(node, what: str) -> Unsupported:
+    return Unsupported(f"node \"{node.name}\" ({node.bl_label}): {what} cannot be evaluated")
+
+
+FUNCTIONS = {
+    'ShaderNodeValue': _value_node,
+    'ShaderNodeRGB': _value_node,
+    'ShaderNodeMath': _math,
+    'ShaderNodeVectorMath': _vector_math,
+    'ShaderNodeMapRange': _map_range,
+    'ShaderNodeClamp': _clamp,
+    'ShaderNodeBlackbody': _blackbody,
+    'ShaderNodeValToRGB': _color_ramp,
+    'ShaderNodeFloatCurve': _float_curve,
+    'ShaderNodeMix': _mix,
+    'ShaderNodeMixRGB': _mix_rgb,
+    'ShaderNodeSeparateXYZ': _separate,
+    'ShaderNodeSeparateColor': _separate,
+    'ShaderNodeCombineXYZ': _combine,
+    'ShaderNodeCombineColor': _combine,
+    'ShaderNodeRGBToBW': _rgb_to_bw,
+    'ShaderNodeGamma': _gamma,
+    'ShaderNodeInvert': _invert,
+    'ShaderNodeBrightContrast': _bright_contrast,
+    'ShaderNodeAttribute': _attribute,
+    'ShaderNodeVolumeInfo': _volume_info,
+    'ShaderNodeTexCoord': _texture_coordinate,
+    'ShaderNodeNewGeometry': _geometry,
+    'ShaderNodeLightPath': _light_path,
+    'ShaderNodeMapping': _mapping,
+    'ShaderNodeTexNoise': _noise_texture,
+    'ShaderNodeTexGradient': _gradient_texture,
+    'ShaderNodeTexEnvironment': _environment_texture,
+}

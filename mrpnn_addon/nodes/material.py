@@ -1,0 +1,246 @@
+"""Volume materials: scattering, absorption and emission at points, with Cycles' meaning of each shader."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...inference.scene import SceneError
+from ...inference.scene.phase_function import PhaseFunction
+from .emission import blackbody, reads_temperature, strength_and_colour
+from .evaluation import NodeEvaluator
+from .phase_functions import phase_function
+from .snapshot import snapshot
+from .sockets import Unsupported, active_output, input_of, source_of
+
+SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
+
+
+@dataclass
+class Closure:
+    """One volume shader at n points.
+
+    weight: float64 (n, 1) or (1, 1), scales both coefficients. scatter, absorb: (n, 3) or (1, 3), per world unit.
+    phase: phase function. grid: name of the grid whose values are `weight`, or "". emission: (n, 3) or (1, 3), radiance
+    per world unit, not scaled by the weight. hot: whether a grid drives a blackbody's temperature.
+    """
+
+    weight: np.ndarray
+    scatter: np.ndarray
+    absorb: np.ndarray
+    phase: PhaseFunction = phase_function('HENYEY_GREENSTEIN', 0.0)
+    grid: str = ""
+    emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+    hot: bool = False
+
+
+@dataclass
+class Shading:
+    """All shaders of a material at n points.
+
+    closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. hot: whether any of them is. notes:
+    deviations from Cycles.
+    """
+
+    closures: list[Closure] = field(default_factory=list)
+    emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+    notes: list[str] = field(default_factory=list)
+    hot: bool = False
+
+
+class EmptyMaterial(SceneError):
+    """A material that neither scatters, absorbs nor emits."""
+
+
+class VolumeMaterial:
+    """The volume shader of one object, evaluated at points.
+
+    Copies Blender's nodes when made, on the main thread; any thread may evaluate it.
+
+    Raises SceneError, naming object, material and node, for anything that cannot be rendered, when made or evaluated.
+    """
+
+    def __init__(self, material, where: str):
+        self.where = where if material is None else f"{where}, material \"{material.name}\""
+        self.output = None
+        if material is None:
+            return
+        self.output = active_output(material)
+        if self.output is None:
+            self.refuse("it has no nodes, so the volume is invisible; add a Principled Volume node")
+        if not self.output.inputs['Volume'].is_linked:
+            self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
+        if self.output.inputs['Displacement'].is_linked:
+            self.refuse("displacement of volumes is not supported; unlink it")
+        self.output = snapshot(material.node_tree, self.output)
+
+    def refuse(self, problem, kind=SceneError):
+        """Raise SceneError, or a subclass, naming object and material."""
+        raise kind(f"{self.where}: {problem}") from None
+
+    def at(self, points) -> Shading:
+        """The shading at `points`, an instance of one of the classes of `volumes.voxel_points`."""
+        shading = Shading()
+        try:
+            if self.output is None:
+                # Cycles' default material: Principled Volume with its default values.
+                white = principled_coefficients(np.full((1, 3), 0.5), np.zeros((1, 3)))
+                shading.closures.append(Closure(points.attribute("density", None), *white, grid="density"))
+            else:
+                _add(shading, NodeEvaluator(points), source_of(input_of(self.output, "Volume")), np.ones((1, 1)))
+        except Unsupported as problem:
+            self.refuse(problem)
+        return shading
+
+
+def first_material(shown):
+    """The material that Cycles uses for a Volume object or for a mesh with one material; None without one."""
+    slots = shown.material_slots
+    if len(slots):
+        return slots[0].material
+    return next(iter(shown.data.materials), None)
+
+
+def is_animated(material) -> bool:
+    """Whether keyframes or drivers change the nodes of a material or of its groups."""
+    trees = [material and material.node_tree]
+    for tree in filter(None, trees):
+        found = tree.animation_data
+        if found is not None and (found.action is not None or len(found.drivers) or len(found.nla_tracks)):
+            return True
+        trees += [node.node_tree for node in tree.nodes if node.type == 'GROUP' and node.node_tree not in trees]
+    return False
+
+
+def shows_volume(shown) -> bool:
+    """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
+    surface.
+    """
+    if shown.type == 'VOLUME':
+        return True
+    if shown.type not in SURFACES:
+        return False
+    outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]
+    return bool(outputs) and all(
+        output is not None and output.inputs['Volume'].is_linked and not output.inputs['Surface'].is_linked
+        for output in outputs)
+
+
+def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
+    node, groups = source.node, source.groups
+    if node is None:
+        return
+    if node.bl_idname == 'ShaderNodeAddShader':
+        for socket in node.inputs:
+            _add(shading, values, source_of(socket, groups), weight)
+    elif node.bl_idname == 'ShaderNodeMixShader':
+        factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
+        for identifier, share in (("Shader", 1.0 - factor), ("Shader_001", factor)):
+            _add(shading, values, source_of(input_of(node, identifier), groups), weight * share)
+    elif node.bl_idname in CLOSURES:
+        closure = CLOSURES[node.bl_idname](shading, values, node, groups)
+        shading.emission = shading.emission + weight * closure.emission
+        shading.hot = shading.hot or closure.hot
+        # Skip closures that are 0 everywhere, not only at these points.
+        if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
+            closure.grid = closure.grid if np.all(weight == 1.0) else ""
+            closure.weight = closure.weight * weight
+            shading.closures.append(closure)
+    else:
+        raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) is not supported; use Principled Volume, "
+                          "Volume Scatter, Volume Absorption, Add Shader or Mix Shader")
+
+
+def _principled(shading, values, node, groups):
+    density = np.maximum(values.number(node, "Density", groups), 0.0)
+    names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
+    emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
+    emission = emission + blackbody(values, node, groups, names["Temperature"])
+    hot = reads_temperature(values, node, groups, names["Temperature"])
+    shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
+    if not shaped and not density.max() > 0.0:
+        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, hot=hot)
+    colour = np.maximum(values.colour(node, "Color", groups), 0.0)
+    points = values.points
+    if names["Color"] and points.has(names["Color"]):
+        colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
+    # A missing attribute leaves Density unchanged. In a Volume object that would fill the boxes that Cycles draws
+    # around voxels: reading the attribute then raises an error that names it.
+    weight, grid = np.ones((1, 1)), ""
+    if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
+        weight, grid = points.attribute(names["Density"], node), names["Density"]
+    absorption = np.maximum(values.colour(node, "Absorption Color", groups), 0.0)
+    scatter, absorb = principled_coefficients(colour, absorption)
+    # A uniform density scales the coefficients, so that voxels keep the file's values.
+    if len(density) > 1:
+        weight, grid = weight * density, ""
+    else:
+        scatter, absorb = scatter * density, absorb * density
+    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission, hot)
+
+
+def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
+    """(scatter, absorb) (n, 3) of Principled Volume at density 1, as Cycles 4.5 and 5.0 render it:
+
+    scatter = colour
+    absorb = max(1 - colour, 0) max(1 - sqrt(absorption), 0)
+    """
+    return colour, np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(absorption), 0.0)
+
+
+def _text(node, identifier, groups) -> str:
+    source = source_of(input_of(node, identifier), groups)
+    if source.node is not None:
+        raise Unsupported(f"node \"{source.node.name}\" linked to {identifier} of \"{node.name}\" is not supported")
+    return source.socket.default_value
+
+
+def _density(values, node, groups):
+    return np.maximum(values.number(node, "Density", groups), 0.0)
+
+
+def _scatter(shading, values, node, groups):
+    # Volume Scatter does not absorb.
+    colour = np.maximum(values.colour(node, "Color", groups), 0.0)
+    return Closure(_density(values, node, groups), colour, np.zeros((1, 3)),
+                   _phase(shading, values, node, groups))
+
+
+def _absorption(shading, values, node, groups):
+    colour = values.colour(node, "Color", groups)
+    return Closure(_density(values, node, groups), np.zeros((1, 3)), np.maximum(1.0 - colour, 0.0))
+
+
+def _coefficients(shading, values, node, groups):
+    scatter, absorb, emission = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
+                                 for kind in ("Scatter", "Absorption", "Emission"))
+    return Closure(np.ones((1, 1)), scatter, absorb, _phase(shading, values, node, groups), emission=emission)
+
+
+def _emission(shading, values, node, groups):
+    emission = strength_and_colour(values, node, "Strength", "Color", groups)
+    return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission)
+
+
+CLOSURES = {
+    'ShaderNodeVolumePrincipled': _principled,
+    'ShaderNodeVolumeScatter': _scatter,
+    'ShaderNodeVolumeAbsorption': _absorption,
+    'ShaderNodeVolumeCoefficients': _coefficients,
+    'ShaderNodeEmission': _emission,
+}
+
+
+def _phase(shading, values, node, groups) -> PhaseFunction:
+    """The node's phase function; adds a note where it is not Henyey-Greenstein."""
+    kind = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
+    sockets = {'HENYEY_GREENSTEIN': ("Anisotropy",), 'DRAINE': ("Anisotropy", "Alpha"), 'RAYLEIGH': (),
+               'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[kind]
+    found = [values.number(node, name, groups) for name in sockets]
+    if any(len(value) > 1 for value in found):
+        raise Unsupported(f"the phase function of node \"{node.name}\" varies in space, which is not supported")
+    phase = phase_function(kind, *(float(value[0, 0]) for value in found))
+    if kind != 'HENYEY_GREENSTEIN':
+        shading.notes.append(
+            f"node \"{node.name}\" has phase function {kind.replace('_', '-').title()}; multiple scattering uses "
+            f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}")
+    return phase

@@ -1,0 +1,125 @@
+"""The operations of the Math and Vector Math nodes, with Cycles' results where the mathematical result is undefined."""
+
+import numpy as np
+
+
+def divide(a, b):
+    """a / b, 0 where b is 0."""
+    return np.where(b != 0.0, a / np.where(b != 0.0, b, 1.0), 0.0)
+
+
+def clamp(value, low, high):
+    return np.minimum(np.maximum(value, low), high)
+
+
+def smoothstep(value, low, high, smoother=False):
+    """Hermite step from 0 at `low` to 1 at `high`; `smoother` with a continuous second derivative."""
+    x = clamp(divide(value - low, high - low), 0.0, 1.0)
+    return x**3 * (x * (x * 6.0 - 15.0) + 10.0) if smoother else x * x * (3.0 - 2.0 * x)
+
+
+def _power(a, b):
+    return np.where((a < 0.0) & (b != np.floor(b)), 0.0, np.nan_to_num(np.power(a, b), posinf=0.0, neginf=0.0))
+
+
+def _logarithm(a, b):
+    valid = (a > 0.0) & (b > 0.0)
+    return np.where(valid, divide(np.log(np.where(valid, a, 1.0)), np.log(np.where(valid, b, 1.0))), 0.0)
+
+
+def _smooth_minimum(a, b, c):
+    near = divide(np.maximum(c - np.abs(a - b), 0.0), c)
+    return np.minimum(a, b) - near**3 * c / 6.0
+
+
+def _wrap(value, high, low):
+    return np.where(high != low, value - (high - low) * np.floor(divide(value - low, high - low)), low)
+
+
+def _ping_pong(a, b):
+    return np.abs((divide(a - b, 2.0 * b) % 1.0) * b * 2.0 - b) * (b != 0.0)
+
+
+def _truncated_modulo(a, b):
+    return np.where(b != 0.0, np.fmod(a, np.where(b != 0.0, b, 1.0)), 0.0)
+
+
+MATH = {
+    'ADD': lambda a, b, c: a + b,
+    'SUBTRACT': lambda a, b, c: a - b,
+    'MULTIPLY': lambda a, b, c: a * b,
+    'DIVIDE': lambda a, b, c: divide(a, b),
+    'MULTIPLY_ADD': lambda a, b, c: a * b + c,
+    'POWER': lambda a, b, c: _power(a, b),
+    'LOGARITHM': lambda a, b, c: _logarithm(a, b),
+    'SQRT': lambda a, b, c: np.sqrt(np.maximum(a, 0.0)),
+    'INVERSE_SQRT': lambda a, b, c: np.where(a > 0.0, 1.0 / np.sqrt(np.where(a > 0.0, a, 1.0)), 0.0),
+    'ABSOLUTE': lambda a, b, c: np.abs(a),
+    'EXPONENT': lambda a, b, c: np.exp(a),
+    'MINIMUM': lambda a, b, c: np.minimum(a, b),
+    'MAXIMUM': lambda a, b, c: np.maximum(a, b),
+    'LESS_THAN': lambda a, b, c: (a < b) * 1.0,
+    'GREATER_THAN': lambda a, b, c: (a > b) * 1.0,
+    'SIGN': lambda a, b, c: np.sign(a),
+    'COMPARE': lambda a, b, c: (np.abs(a - b) <= np.maximum(c, 1.1920929e-7)) * 1.0,
+    'SMOOTH_MIN': _smooth_minimum,
+    'SMOOTH_MAX': lambda a, b, c: -_smooth_minimum(-a, -b, c),
+    'ROUND': lambda a, b, c: np.floor(a + 0.5),
+    'FLOOR': lambda a, b, c: np.floor(a),
+    'CEIL': lambda a, b, c: np.ceil(a),
+    'TRUNC': lambda a, b, c: np.trunc(a),
+    'FRACT': lambda a, b, c: a - np.floor(a),
+    'MODULO': lambda a, b, c: _truncated_modulo(a, b),
+    'FLOORED_MODULO': lambda a, b, c: np.where(b != 0.0, a - np.floor(divide(a, b)) * b, 0.0),
+    'WRAP': _wrap,
+    'SNAP': lambda a, b, c: np.floor(divide(a, b)) * b,
+    'PINGPONG': lambda a, b, c: _ping_pong(a, b),
+    'SINE': lambda a, b, c: np.sin(a),
+    'COSINE': lambda a, b, c: np.cos(a),
+    'TANGENT': lambda a, b, c: np.tan(a),
+    'ARCSINE': lambda a, b, c: np.arcsin(clamp(a, -1.0, 1.0)),
+    'ARCCOSINE': lambda a, b, c: np.arccos(clamp(a, -1.0, 1.0)),
+    'ARCTANGENT': lambda a, b, c: np.arctan(a),
+    'ARCTAN2': lambda a, b, c: np.arctan2(a, b),
+    'SINH': lambda a, b, c: np.sinh(a),
+    'COSH': lambda a, b, c: np.cosh(a),
+    'TANH': lambda a, b, c: np.tanh(a),
+    'RADIANS': lambda a, b, c: np.radians(a),
+    'DEGREES': lambda a, b, c: np.degrees(a),
+}
+
+
+def _dot(a, b):
+    return (a * b).sum(axis=1, keepdims=True)
+
+
+def _length(a):
+    return np.sqrt(_dot(a, a))
+
+
+# Operations on vectors a, b, c (n, 3) and a number s (n, 1).
+VECTOR_MATH = {
+    'ADD': lambda a, b, c, s: a + b,
+    'SUBTRACT': lambda a, b, c, s: a - b,
+    'MULTIPLY': lambda a, b, c, s: a * b,
+    'DIVIDE': lambda a, b, c, s: divide(a, b),
+    'MULTIPLY_ADD': lambda a, b, c, s: a * b + c,
+    'CROSS_PRODUCT': lambda a, b, c, s: np.cross(a, b),
+    'DOT_PRODUCT': lambda a, b, c, s: _dot(a, b),
+    'DISTANCE': lambda a, b, c, s: _length(a - b),
+    'LENGTH': lambda a, b, c, s: _length(a),
+    'SCALE': lambda a, b, c, s: a * s,
+    'NORMALIZE': lambda a, b, c, s: divide(a, _length(a)),
+    'ABSOLUTE': lambda a, b, c, s: np.abs(a),
+    'SIGN': lambda a, b, c, s: np.sign(a),
+    'MINIMUM': lambda a, b, c, s: np.minimum(a, b),
+    'MAXIMUM': lambda a, b, c, s: np.maximum(a, b),
+    'FLOOR': lambda a, b, c, s: np.floor(a),
+    'CEIL': lambda a, b, c, s: np.ceil(a),
+    'FRACTION': lambda a, b, c, s: a - np.floor(a),
+    'MODULO': lambda a, b, c, s: _truncated_modulo(a, b),
+    'SNAP': lambda a, b, c, s: np.floor(divide(a, b)) * b,
+    'SINE': lambda a, b, c, s: np.sin(a),
+    'COSINE': lambda a, b, c, s: np.cos(a),
+    'TANGENT': lambda a, b, c, s: np.tan(a),
+}

@@ -1,0 +1,118 @@
+"""Plain copies of shader nodes, read once, for threads that must not call bpy.
+
+Nodes and sockets keep their property names, so the same code evaluates Blender's nodes and copies. Copies include
+curves, colour ramps, groups and object transforms that a node refers to.
+"""
+
+import types
+
+import bpy
+import numpy as np
+
+from .functions import CURVE_CELLS, RAMP_CELLS
+
+PLAIN = {'BOOLEAN', 'INT', 'FLOAT', 'STRING', 'ENUM'}
+# Sockets with a value.
+VALUED = {'VALUE', 'INT', 'BOOLEAN', 'VECTOR', 'RGBA', 'ROTATION', 'STRING'}
+
+
+class Copy(types.SimpleNamespace):
+    """A node, a socket or a link."""
+
+    # Compared by identity, as Blender's objects are.
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
+    def as_pointer(self) -> int:
+        return id(self)
+
+
+class Ramp(Copy):
+    """A colour ramp, tabulated."""
+
+    def evaluate(self, place):
+        return self.table[round(place * (RAMP_CELLS - 1))]
+
+
+class Curve(Copy):
+    """A float curve's mapping, tabulated."""
+
+    def update(self):
+        pass
+
+    def evaluate(self, curve, place):
+        low, high = (curve.points[end].location[0] for end in (0, -1))
+        return self.table[round((place - low) / (high - low) * CURVE_CELLS)]
+
+
+def snapshot(tree, node) -> Copy:
+    """A copy of one node of a tree, with all nodes that it is linked to."""
+    return _tree(tree, {})[node.as_pointer()]
+
+
+def _tree(tree, groups):
+    """Copies of a tree's nodes, by pointer. groups: copies of group trees made so far, by pointer."""
+    nodes, sockets = {}, {}
+    for node in tree.nodes:
+        copy = Copy(**_plain(node), name=node.name, bl_idname=node.bl_idname, bl_label=node.bl_label, mute=node.mute)
+        for side in ("inputs", "outputs"):
+            found = [_socket(socket, copy) for socket in getattr(node, side)]
+            sockets.update(zip((socket.as_pointer() for socket in getattr(node, side)), found))
+            setattr(copy, side, found)
+        _copy_references(copy, node, groups)
+        nodes[node.as_pointer()] = copy
+    for node in tree.nodes:
+        nodes[node.as_pointer()].internal_links = [_link(link, sockets) for link in node.internal_links]
+    for link in tree.links:
+        sockets[link.to_socket.as_pointer()].links.append(_link(link, sockets))
+    for socket in sockets.values():
+        socket.is_linked = bool(socket.links)
+    return nodes
+
+
+def _plain(node):
+    """Numbers, strings and choices that are specific to this type of node."""
+    common = bpy.types.Node.bl_rna.properties
+    return {p.identifier: _value(getattr(node, p.identifier)) for p in node.bl_rna.properties
+            if p.type in PLAIN and p.identifier not in common and not getattr(p, "is_enum_flag", False)}
+
+
+def _value(value):
+    return value if isinstance(value, (bool, int, float, str)) else tuple(np.array(value, float).ravel().tolist())
+
+
+def _socket(socket, node) -> Copy:
+    copy = Copy(node=node, name=socket.name, identifier=socket.identifier, type=socket.type, links=[])
+    if socket.type in VALUED and hasattr(socket, 'default_value'):
+        copy.default_value = _value(socket.default_value)
+    return copy
+
+
+def _link(link, sockets) -> Copy:
+    start, end = (sockets[socket.as_pointer()] for socket in (link.from_socket, link.to_socket))
+    return Copy(is_muted=link.is_muted, is_valid=link.is_valid, from_node=start.node, from_socket=start, to_socket=end)
+
+
+def _copy_references(copy, node, groups):
+    """Copy what a node refers to."""
+    if hasattr(node, "color_ramp"):
+        ramp = node.color_ramp
+        copy.color_ramp = Ramp(interpolation=ramp.interpolation, table=[
+            tuple(ramp.evaluate(n / (RAMP_CELLS - 1))) for n in range(RAMP_CELLS)])
+    if node.bl_idname == 'ShaderNodeFloatCurve':
+        copy.mapping = _curve(node.mapping)
+    if hasattr(node, "object"):
+        copy.object = node.object and Copy(matrix_world=np.array(node.object.matrix_world))
+    if hasattr(node, "node_tree"):
+        key = node.node_tree and node.node_tree.as_pointer()
+        if key and key not in groups:
+            groups[key] = _tree(node.node_tree, groups)
+        copy.node_tree = Copy(nodes=list(groups[key].values())) if key else None
+
+
+def _curve(mapping) -> Curve:
+    mapping.update()
+    curve = mapping.curves[0]
+    points = [Copy(location=tuple(point.location)) for point in curve.points]
+    low, high = points[0].location[0], points[-1].location[0]
+    return Curve(extend=mapping.extend, curves=[Copy(points=points)], table=[
+        mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS) for n in range(CURVE_CELLS + 1)])

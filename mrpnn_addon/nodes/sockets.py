@@ -1,0 +1,86 @@
+"""Follows the links of node sockets through reroutes, groups and muted nodes."""
+
+from dataclasses import dataclass
+
+import bpy
+
+
+class Unsupported(Exception):
+    """A node or link that cannot be evaluated; the message names it."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What drives a socket.
+
+    node, output: the node and its output socket; both None where nothing is linked. socket: the input that holds the
+    value where nothing is linked. groups: the enclosing group nodes, outermost first.
+    """
+
+    # Quoted: see `objects.visibility.VisibleObject`.
+    node: "bpy.types.Node | None"
+    output: "bpy.types.NodeSocket | None"
+    socket: "bpy.types.NodeSocket"
+    groups: tuple = ()
+
+
+def always_has_nodes(block) -> bool:
+    """Whether materials, Worlds or lights always have nodes; querying `use_nodes` of them is then deprecated."""
+    return bpy.app.version >= (5, 0, 0) and not isinstance(block, bpy.types.Light)
+
+
+def has_nodes(block) -> bool:
+    """Whether a material, World or light is shaded by nodes."""
+    return block.node_tree is not None and (always_has_nodes(block) or block.use_nodes)
+
+
+def active_output(block):
+    """The output node that Cycles uses for a material, World or light; None without nodes."""
+    return block.node_tree.get_output_node('CYCLES') if has_nodes(block) else None
+
+
+def source_of(socket, groups=()) -> Source:
+    """Follow the links of an input socket, through reroutes, muted nodes and groups."""
+    while socket.is_linked:
+        link = socket.links[0]
+        if link.is_muted or not link.is_valid:
+            break
+        node, output = link.from_node, link.from_socket
+        if node.mute:
+            through = next((inner.from_socket for inner in node.internal_links if inner.to_socket == output), None)
+            if through is None:
+                break
+            socket = through
+        elif node.bl_idname == 'NodeReroute':
+            if not node.inputs[0].is_linked:
+                break
+            socket = node.inputs[0]
+        elif node.bl_idname == 'NodeGroupInput' and groups:
+            socket, groups = _same(groups[-1].inputs, output), groups[:-1]
+        elif node.bl_idname == 'ShaderNodeGroup':
+            socket, groups = _same(_group_output(node).inputs, output), (*groups, node)
+        else:
+            return Source(node, output, socket, groups)
+    return Source(None, None, socket, groups)
+
+
+def _same(sockets, wanted):
+    return next(socket for socket in sockets if socket.identifier == wanted.identifier)
+
+
+def _group_output(group):
+    nodes = group.node_tree.nodes if group.node_tree else ()
+    for node in nodes:
+        if node.bl_idname == 'NodeGroupOutput' and node.is_active_output:
+            return node
+    raise Unsupported(f"group \"{group.name}\" has no output")
+
+
+def linked_node(socket):
+    """The node linked to an input socket, or None."""
+    return source_of(socket).node
+
+
+def input_of(node, identifier: str):
+    """A node's input socket by its identifier, which is unique where its name is not."""
+    return next(socket for socket in node.inputs if socket.identifier == identifier)

@@ -1,0 +1,1 @@
+"""Transforms, visibility, cameras, lights, meshes and surfaces of a scene's objects."""

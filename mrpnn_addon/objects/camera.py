@@ -1,0 +1,106 @@
+"""The active camera as a `Camera`."""
+
+import math
+
+import numpy as np
+
+from ...inference.scene import Camera, SceneError
+from .placement import placement_problem
+
+PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
+
+
+def read_camera(depsgraph) -> tuple[Camera, list[str]]:
+    """The scene's active camera at the render resolution, and warnings.
+
+    The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
+
+    Raises SceneError without a camera, for a panoramic camera that is not equirectangular, for one of scale 0, and for
+    non-square pixels.
+    """
+    scene = depsgraph.scene
+    if scene.camera is None:
+        raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
+    camera = scene.camera.evaluated_get(depsgraph)
+    where, lens = f"camera \"{camera.name}\"", camera.data
+    panorama = _panorama(lens) if lens.type == 'PANO' else None
+    if lens.type not in PROJECTIONS or panorama not in (None, 'EQUIRECTANGULAR'):
+        raise SceneError(f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
+                         "equirectangular are supported")
+    matrix = np.array(camera.matrix_world, dtype=np.float64)
+    problem = placement_problem(matrix)
+    if problem:
+        raise SceneError(f"{where}: {problem}")
+    if not np.linalg.norm(matrix[:3, :3], axis=0).all():
+        raise SceneError(f"{where}: it has scale 0; set it to 1")
+    render = scene.render
+    if render.pixel_aspect_x != render.pixel_aspect_y:
+        raise SceneError(f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
+                         "supported; set both to 1 in the output properties")
+    width, height = (size * render.resolution_percentage // 100 for size in (render.resolution_x, render.resolution_y))
+    if width < 1 or height < 1:
+        raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
+
+    if panorama:
+        return Camera(
+            _orthonormal(matrix), projection="equirectangular", resolution=(width, height),
+            longitude=_ends(lens, "longitude"), latitude=_ends(lens, "latitude"),
+            clip=(lens.clip_start, lens.clip_end), region=_region(render, width, height),
+        ), _warnings(where, lens, render)
+    window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
+    perspective = lens.type == 'PERSP'
+    # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
+    half_width = 1.0 / window[0, 0]
+    centre = window[:2, 2] if perspective else -window[:2, 3]
+    return Camera(
+        _orthonormal(matrix),
+        projection=PROJECTIONS[lens.type],
+        resolution=(width, height),
+        fov=2.0 * math.atan(half_width),
+        ortho_scale=2.0 * half_width,
+        shift=(centre[0] / 2.0, centre[1] / 2.0 * height / width),
+        clip=(lens.clip_start, lens.clip_end),
+        region=_region(render, width, height),
+    ), _warnings(where, lens, render)
+
+
+def panorama_settings(lens):
+    """The data that holds a lens' panorama type; None where Cycles is disabled and keeps it."""
+    # Before 4.3, panoramas are Cycles' own property.
+    return lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
+
+
+def _panorama(lens) -> str:
+    return getattr(panorama_settings(lens), 'panorama_type', lens.type)
+
+
+def _ends(lens, name: str) -> tuple[float, float]:
+    settings = panorama_settings(lens)
+    return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
+
+
+def _orthonormal(matrix: np.ndarray) -> np.ndarray:
+    """The matrix without scale: Blender ignores the scale of cameras."""
+    matrix = matrix.copy()
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    return matrix
+
+
+def _region(render, width: int, height: int) -> tuple[int, int, int, int] | None:
+    if not render.use_border:
+        return None
+    # Blender's border is a fraction from the lower left, rounded to whole pixels in single precision.
+    x0, x1 = (int(np.float32(x) * np.float32(width)) for x in (render.border_min_x, render.border_max_x))
+    y0, y1 = (height - int(np.float32(y) * np.float32(height)) for y in (render.border_max_y, render.border_min_y))
+    if x0 >= x1 or y0 >= y1:
+        raise SceneError("the render region holds no pixel; make it larger or turn it off")
+    return x0, y0, x1, y1
+
+
+def _warnings(where: str, lens, render) -> list[str]:
+    warnings = []
+    if lens.dof.use_dof:
+        warnings.append(f"{where}: depth of field is not rendered")
+    if render.use_motion_blur:
+        warnings.append("motion blur is not rendered")
+    return warnings

@@ -1,0 +1,136 @@
+"""The objects and instances that a render or a viewport shows."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...inference.scene import SceneError
+from ..nodes.material import shows_volume
+
+
+@dataclass
+class VisibleObject:
+    """One visible object or instance.
+
+    object: the evaluated object; valid only until the iterator advances. matrix: float64 (4, 4), object to world. name:
+    for messages. source: the original object, or the one that instances it.
+    """
+
+    # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then
+    # hangs when the process ends.
+    object: "bpy.types.Object"
+    matrix: np.ndarray
+    name: str
+    source: "bpy.types.Object"
+
+
+def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
+    """All objects and instances of the view layer that renders, or a viewport, show.
+
+    space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
+    (eye icon, local view, collections, its filter of object types) and not the visibility in renders.
+    """
+    in_render = None if space or depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
+    for instance in depsgraph.object_instances:
+        instanced = instance.object
+        # Instances have the visibility of their instancer.
+        if space is not None and not instanced.visible_in_viewport_get(space):
+            continue
+        # An instance exists because of its instancer.
+        source = instance.parent if instance.is_instance else instanced
+        name = source.original.name
+        if instance.is_instance and instanced.name != name:
+            name = f"{instanced.name} in {name}"
+        if in_render is not None:
+            # Geometry nodes and particles show instances of objects that are themselves hidden.
+            from_nodes = instance.is_instance and source.instance_type == 'NONE'
+            if source.original not in in_render or instanced.original.hide_render and not from_nodes:
+                continue
+        if instance.show_self and not _is_replaced(instanced):
+            yield VisibleObject(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+
+
+def _is_replaced(shown_object) -> bool:
+    """Whether geometry nodes leave nothing of a mesh; their instances are objects of their own."""
+    return shown_object.type == 'MESH' and not shown_object.data.polygons and any(
+        modifier.type == 'NODES' for modifier in shown_object.modifiers)
+
+
+def visibility_state(depsgraph, space) -> tuple:
+    """A value that changes when a viewport shows other objects, or shows them differently, although no object has
+    changed.
+
+    Blender notifies engines of hiding, local view and collections as of selection: the scene has changed.
+    """
+    view_layer = depsgraph.view_layer
+    return view_layer.name, frozenset(
+        (shown.name_full, shown.original.holdout_get(view_layer=view_layer),
+         shown.original.indirect_only_get(view_layer=view_layer))
+        for shown in depsgraph.objects if shown.visible_in_viewport_get(space))
+
+
+def hidden_from_camera(shown: VisibleObject, view_layer) -> str:
+    """The reason why the camera does not see a volume of the scene; "" where it does."""
+    if shown.source.holdout_get(view_layer=view_layer):
+        return "is a holdout"
+    if shown.source.indirect_only_get(view_layer=view_layer):
+        return "is in an indirect-only collection"
+    return "" if shown.object.visible_camera else "is hidden from the camera"
+
+
+def ignored_visibility(shown: VisibleObject) -> list[str]:
+    """Ray visibility settings of a volume that have no effect here."""
+    rays = (("shadow", shown.object.visible_shadow), ("volume scatter", shown.object.visible_volume_scatter))
+    return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
+
+
+def render_visible(view_layer) -> set:
+    """The view layer's objects that neither they nor their collections hide in renders."""
+    return {
+        member
+        for layer_collection in _rendered_collections(view_layer.layer_collection)
+        for member in layer_collection.collection.objects
+        if not member.hide_render
+    }
+
+
+def _rendered_collections(layer_collection):
+    if layer_collection.exclude or layer_collection.collection.hide_render:
+        return
+    yield layer_collection
+    for child in layer_collection.children:
+        yield from _rendered_collections(child)
+
+
+def evaluated_world(depsgraph):
+    """The World of an evaluated scene in this frame, or None.
+
+    The evaluated scene refers to the original World, which is not animated during F12.
+    """
+    world = depsgraph.scene.world
+    return None if world is None else world.evaluated_get(depsgraph)
+
+
+def require_evaluated(depsgraph) -> None:
+    """Raises SceneError where a volume or sun is visible in renders but hidden in the viewport.
+
+    Outside a render, Blender evaluates only what the viewport shows, so the image would lack it.
+    """
+    if depsgraph.mode == 'RENDER':
+        return
+    for candidate in render_visible(depsgraph.view_layer):
+        kind = _rendered_kind(candidate)
+        if kind and not candidate.visible_get(view_layer=depsgraph.view_layer):
+            raise SceneError(
+                f"{kind} \"{candidate.name}\" is hidden in the viewport but not in renders; show it, "
+                "or hide it in renders too"
+            )
+
+
+def _rendered_kind(candidate) -> str | None:
+    if shows_volume(candidate):
+        return "volume"
+    if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':
+        return "sun"
+    return None

@@ -1,0 +1,1 @@
+"""Layers in Blender and on disk: images, passes, OpenEXR files and compositing."""

@@ -1,0 +1,268 @@
+"""Composites volumes, rendered with MRPNN in a second scene, over a scene rendered by Cycles.
+
+The first scene keeps its objects. Volumes are invisible to the camera only in its renders: a handler hides the
+evaluated copies of objects that Blender makes for a render, so instances, linked libraries and the viewport are
+unaffected. The second scene shows the same collections and copies the first one's settings.
+"""
+
+import threading
+
+import bpy
+from bpy.props import BoolProperty, PointerProperty, StringProperty
+
+from ..nodes.material import shows_volume
+from .composite_nodes import build_nodes, compositor_problems, remove_nodes
+
+ENGINE = 'MRPNN'
+# Properties that differ between the two scenes by design.
+_OWN_RENDER_PROPERTIES = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
+_OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
+# Set before other properties of a file format, whose values depend on them.
+_FORMAT = ("media_type", "file_format", "color_mode")
+_SCENE_PROPERTIES = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
+_LAYER_COLLECTION_PROPERTIES = ("exclude", "holdout", "indirect_only", "hide_viewport")
+_RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
+         "visible_shadow")
+
+
+class MRPNN_PG_composite(bpy.types.PropertyGroup):
+    """Of a composited scene: its volumes' scene, and what *Remove Composite* restores. Of a volumes' scene: surfaces.
+    """
+
+    active: BoolProperty(name="Composited", description="Whether the volumes are composited over this scene")
+    volumes: PointerProperty(name="Scene of the Volumes", type=bpy.types.Scene)
+    surfaces: PointerProperty(name="Scene of the Surfaces", type=bpy.types.Scene)
+    shadows: BoolProperty(
+        name="Shadows on Surfaces", default=True,
+        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces")
+    engine: StringProperty(name="Render Engine Before")
+    compositing: BoolProperty(name="Compositing Before")
+    made_tree: BoolProperty(name="Compositor Made")
+
+
+def composite(scene, shadows: bool) -> None:
+    """Composite a scene's volumes over its render by Cycles, or repair a composite.
+
+    Raises ValueError where another scene has the name of the volumes' scene.
+    """
+    state = scene.mrpnn_composite
+    if volume_scene(scene) is None:
+        name = f"{scene.name} MRPNN"
+        if name in bpy.data.scenes:
+            raise ValueError(f"there is a scene \"{name}\" already; delete or rename it")
+        volumes = _volume_scene(scene, name)
+        state.volumes, volumes.mrpnn_composite.surfaces = volumes, scene
+    if not state.active:
+        state.engine, state.compositing = scene.render.engine, scene.render.use_compositing
+    state.shadows = shadows
+    scene.render.engine, scene.render.use_compositing = 'CYCLES', True
+    state.made_tree = build_nodes(scene, state.volumes) or (state.active and state.made_tree)
+    state.active = True
+    synchronize(scene)
+
+
+def remove_composite(scene) -> None:
+    """Undo `composite`: restore the scene and remove the scene of its volumes."""
+    state, volumes = scene.mrpnn_composite, volume_scene(scene)
+    remove_nodes(scene, state.made_tree)
+    if state.engine:
+        scene.render.engine = state.engine
+    scene.render.use_compositing = state.compositing
+    for name in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
+        state.property_unset(name)
+    if volumes is not None:
+        bpy.data.scenes.remove(volumes)
+    # Persistent render data remembers the volumes as hidden.
+    for shown in bpy.data.objects:
+        if shows_volume(shown):
+            shown.update_tag()
+
+
+def volume_scene(scene) -> "bpy.types.Scene | None":
+    """The scene that renders this one's volumes; None without one, as for a copy of a composited scene."""
+    volumes = scene.mrpnn_composite.volumes
+    return volumes if volumes is not None and volumes.mrpnn_composite.surfaces == scene else None
+
+
+def out_of_date(scene) -> list[str]:
+    """Reasons why a composited scene does not show its volumes; `composite` repairs them."""
+    volumes, found = volume_scene(scene), []
+    if volumes is None:
+        other = scene.mrpnn_composite.volumes
+        found.append("The scene of the volumes was deleted" if other is None else
+                     f"The volumes are those of another scene, in \"{other.name}\"")
+    if scene.render.engine != 'CYCLES':
+        found.append("The render engine is not Cycles")
+    if not scene.render.use_compositing:
+        found.append("Output > Post Processing > Compositing is off")
+    return found + compositor_problems(scene, volumes)
+
+
+def synchronize(scene, structure: bool = True) -> None:
+    """Update the scene of a composited scene's volumes; writes only what differs.
+
+    structure: whether to update objects, collections and view layers too, which needs Blender's main thread.
+    """
+    volumes = volume_scene(scene)
+    if not scene.mrpnn_composite.active or volumes is None:
+        return
+    _set(volumes.render, "engine", ENGINE)
+    _set(volumes.render, "film_transparent", True)
+    _set(volumes.render, "use_compositing", False)
+    _set(volumes.render, "use_sequencer", False)
+    _copy_values(scene.render, volumes.render, _OWN_RENDER_PROPERTIES)
+    _set(volumes.render, "filepath", _beside(scene.render.filepath))
+    _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS_PROPERTIES)
+    for name in _SCENE_PROPERTIES:
+        _set(volumes, name, getattr(scene, name))
+    if not structure:
+        return
+    _copy_format(scene.render.image_settings, volumes.render.image_settings)
+    _copy_markers(scene, volumes)
+    for name in ("objects", "children"):
+        _copy_links(getattr(scene.collection, name), getattr(volumes.collection, name))
+    for view_layer in volumes.view_layers[1:]:
+        volumes.view_layers.remove(view_layer)
+    layer = volumes.view_layers[0]
+    _set(layer, "use", True)
+    _set(layer, "use_pass_z", True)
+    rendered = [one for one in scene.view_layers if one.use] or scene.view_layers[:1]
+    _copy_layer(layer.layer_collection, [one.layer_collection for one in rendered])
+
+
+def _volume_scene(scene, name: str):
+    """A scene with the same collections and animation."""
+    volumes = scene.copy()
+    volumes.name = name
+    own = volumes.mrpnn_composite
+    for prop in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
+        own.property_unset(prop)
+    if bpy.app.version >= (5, 0, 0):
+        volumes.compositing_node_group = None
+    else:
+        volumes.use_nodes = False
+    return volumes
+
+
+def _set(owner, name: str, value) -> None:
+    if getattr(owner, name) != value:
+        setattr(owner, name, value)
+
+
+def _copy_values(source, target, own) -> None:
+    """Copy all plain properties of `source` to `target` but those named in `own`."""
+    for prop in source.bl_rna.properties:
+        if prop.identifier in own or prop.is_readonly or prop.type in ('POINTER', 'COLLECTION'):
+            continue
+        value, known = getattr(source, prop.identifier), getattr(target, prop.identifier)
+        if getattr(prop, "is_array", False):
+            value, known = tuple(value), tuple(known)
+        if value != known:
+            try:
+                setattr(target, prop.identifier, value)
+            except TypeError:
+                # A choice of a later version of Blender.
+                continue
+
+
+def _copy_format(source, target) -> None:
+    for name in _FORMAT:
+        if hasattr(source, name):
+            _set(target, name, getattr(source, name))
+    _copy_values(source, target, {"rna_type", *_FORMAT})
+
+
+def _beside(path: str) -> str:
+    """The path of the volumes' files, beside the first scene's."""
+    start = max(path.rfind("/"), path.rfind("\\")) + 1
+    return f"{path[:start]}volumes_{path[start:]}"
+
+
+def _copy_markers(scene, volumes) -> None:
+    """Copy markers, which bind cameras to frames."""
+    def described(markers):
+        return [(marker.name, marker.frame, marker.camera) for marker in markers]
+
+    if described(scene.timeline_markers) != described(volumes.timeline_markers):
+        volumes.timeline_markers.clear()
+        for name, frame, camera in described(scene.timeline_markers):
+            volumes.timeline_markers.new(name, frame=frame).camera = camera
+
+
+def _copy_links(source, target) -> None:
+    """Make a collection's objects or children those of another."""
+    wanted, there = set(source), set(target)
+    for other in there - wanted:
+        target.unlink(other)
+    for missing in wanted - there:
+        target.link(missing)
+
+
+def _copy_layer(target, sources) -> None:
+    """Show what any of the rendered view layers shows."""
+    children = {}
+    for source in sources:
+        for child in source.children:
+            children.setdefault(child.collection, []).append(child)
+    for child in target.children:
+        found = children.get(child.collection, ())
+        for name in _LAYER_COLLECTION_PROPERTIES:
+            if found:
+                _set(child, name, all(getattr(one, name) for one in found))
+        _copy_layer(child, found)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _synchronize_all() -> None:
+    for scene in bpy.data.scenes:
+        if scene.library is None and scene.mrpnn_composite.active:
+            synchronize(scene)
+
+
+@bpy.app.handlers.persistent
+def _after_change(*_):
+    # During a render, Blender's render thread reads both scenes.
+    if _in_main_thread() and not bpy.app.is_job_running('RENDER'):
+        _synchronize_all()
+
+
+@bpy.app.handlers.persistent
+def _before_render(scene, *_):
+    """Apply changes without a depsgraph update, such as those of scripts."""
+    if scene.mrpnn_composite.active:
+        synchronize(scene, structure=_in_main_thread())
+
+
+@bpy.app.handlers.persistent
+def _hide_volumes(scene, depsgraph=None):
+    """Hide volumes from the camera, or from all rays if wanted, in a render of a composited scene."""
+    if depsgraph is None or depsgraph.mode != 'RENDER' or not scene.mrpnn_composite.active:
+        return
+    if volume_scene(scene) is None or scene.render.engine == ENGINE:
+        return
+    hidden = {instance.object.original for instance in depsgraph.object_instances if shows_volume(instance.object)}
+    for shown in hidden:
+        evaluated = shown.evaluated_get(depsgraph)
+        for name in _RAYS[:1] if scene.mrpnn_composite.shadows else _RAYS:
+            setattr(evaluated, name, False)
+
+
+_HANDLERS = {"depsgraph_update_post": _after_change, "save_pre": _after_change, "load_post": _after_change,
+             "render_init": _before_render, "frame_change_post": _hide_volumes}
+
+
+def register():
+    bpy.utils.register_class(MRPNN_PG_composite)
+    bpy.types.Scene.mrpnn_composite = PointerProperty(type=MRPNN_PG_composite)
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister():
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    del bpy.types.Scene.mrpnn_composite
+    bpy.utils.unregister_class(MRPNN_PG_composite)

@@ -1,0 +1,109 @@
+"""Writes OpenEXR files: one part, float channels, ZIP-compressed scanlines.
+
+Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Implemented with NumPy and zlib: not every Blender has an
+EXR writer for Python, and OpenEXR's package cannot be shipped, because its C functions bind to those of Blender's
+different version of OpenEXR, which crashes.
+"""
+
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ..runtime.atomic_write import atomic_write
+
+MAGIC = 20000630
+VERSION = 2
+LONG_NAMES = 0x400
+FLOAT_PIXELS = 2
+ZIP_COMPRESSION = 3
+LINES_PER_BLOCK = 16
+MAX_NAME_BYTES = 255
+
+
+def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float],
+              check=lambda: None) -> None:
+    """Write `channels`, float32 (H, W) each with rows from the top, under their names.
+
+    attributes: written to the header as string, int and float attributes. check: called often; an exception that it
+    raises stops the writing and leaves no file.
+
+    The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
+    """
+    names = sorted(channels)
+    height, width = channels[names[0]].shape
+    header = _header(names, width, height, attributes)
+
+    def block(y):
+        check()
+        # Scanlines store one channel after another, in the order of their names: (lines, C, W).
+        rows = [np.asarray(channels[name][y:y + LINES_PER_BLOCK], dtype="<f4") for name in names]
+        return _block(np.stack(rows, axis=1))
+
+    with ThreadPoolExecutor() as pool:
+        blocks = list(pool.map(block, range(0, height, LINES_PER_BLOCK)))
+
+    # The header is followed by a table of the blocks' offsets in the file.
+    place = len(header) + 8 * len(blocks)
+    places = []
+    for block in blocks:
+        places.append(place)
+        place += 8 + len(block)
+
+    with atomic_write(path) as file:
+        file.write(header)
+        file.write(struct.pack(f"<{len(places)}Q", *places))
+        for index, block in enumerate(blocks):
+            check()
+            file.write(struct.pack("<ii", index * LINES_PER_BLOCK, len(block)))
+            file.write(block)
+
+
+def _block(rows: np.ndarray) -> bytes:
+    """Up to 16 scanlines, compressed as OpenEXR's ZIP."""
+    raw = rows.tobytes()
+    data = np.frombuffer(raw, dtype=np.uint8)
+    # Even bytes, then odd bytes, each as the difference from the previous one, plus 128.
+    split = np.concatenate([data[0::2], data[1::2]])
+    split[1:] = np.diff(split) + np.uint8(128)
+    packed = zlib.compress(split.tobytes(), 4)
+    # A block that does not shrink is stored uncompressed.
+    return packed if len(packed) < len(raw) else raw
+
+
+def _header(names, width: int, height: int, attributes) -> bytes:
+    longest = max(len(name.encode()) for name in [*names, *attributes])
+    if longest > MAX_NAME_BYTES:
+        raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    entries = [
+        ("channels", "chlist", b"".join(map(_channel, names)) + b"\0"),
+        ("compression", "compression", bytes([ZIP_COMPRESSION])),
+        ("dataWindow", "box2i", window),
+        ("displayWindow", "box2i", window),
+        ("lineOrder", "lineOrder", b"\0"),
+        ("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+        ("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
+        ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+        *(_attribute(name, value) for name, value in attributes.items()),
+    ]
+    flags = VERSION | (LONG_NAMES if longest > 31 else 0)
+    body = b"".join(
+        name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+        for name, kind, value in entries
+    )
+    return struct.pack("<ii", MAGIC, flags) + body + b"\0"
+
+
+def _channel(name: str) -> bytes:
+    # Pixel type, linear flag with 3 reserved bytes, sampling 1 x 1.
+    return name.encode() + b"\0" + struct.pack("<iBxxxii", FLOAT_PIXELS, 0, 1, 1)
+
+
+def _attribute(name: str, value):
+    if isinstance(value, str):
+        return name, "string", value.encode()
+    if isinstance(value, int):
+        return name, "int", struct.pack("<i", value)
+    return name, "float", struct.pack("<f", value)

@@ -1,0 +1,40 @@
+"""A layer in the frame of Blender's images."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...inference.image.layer import Layer
+from ...inference.scene import Camera
+
+# Cycles' depth where nothing scatters; infinity would break sums in a compositor.
+NO_DEPTH = 1e10
+
+
+def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
+    """The layer at the size of its region if `crop`, else in the full frame."""
+    if crop or camera.region is None:
+        return layer
+    width, height = camera.resolution
+    x0, y0, x1, y1 = camera.region
+
+    def placed(array, background):
+        full = np.full((height, width) + array.shape[2:], background, dtype=np.float32)
+        full[y0:y1, x0:x1] = array
+        return full
+
+    return replace(
+        layer, rgb=placed(layer.rgb, 0.0), alpha=placed(layer.alpha, 0.0), depth=placed(layer.depth, np.inf),
+        single=placed(layer.single, 0.0), multiple=placed(layer.multiple, 0.0),
+        uncertainty=placed(layer.uncertainty, 0.0), emission=placed(layer.emission, 0.0),
+    )
+
+
+def finite_depth(layer: Layer) -> np.ndarray:
+    """float32 (H, W): depth, NO_DEPTH where it is infinite."""
+    return np.where(np.isfinite(layer.depth), layer.depth, np.float32(NO_DEPTH))
+
+
+def rgba(layer: Layer) -> np.ndarray:
+    """float32 (H, W, 4): premultiplied colour and alpha."""
+    return np.concatenate([layer.rgb, layer.alpha[..., None]], axis=2)

@@ -1,0 +1,40 @@
+"""Render passes of a view layer, by Cycles' names."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...inference.image.layer import Layer
+from .layer_frame import finite_depth
+
+# Cycles abbreviates pass names before 5.0.
+DIRECT, INDIRECT, EMISSION = (
+    ("Volume Direct", "Volume Indirect", "Emission") if bpy.app.version >= (5, 0, 0) else
+    ("VolumeDir", "VolumeInd", "Emit"))
+
+
+@dataclass
+class RenderPass:
+    """name, channels, kind: arguments of RenderEngine.register_pass. pixels: function from a Layer to float32 (H, W) or
+    (H, W, 3).
+    """
+
+    name: str
+    channels: str
+    kind: str
+    pixels: Callable[[Layer], np.ndarray]
+
+
+def extra_passes(view_layer) -> list[RenderPass]:
+    """Passes that a view layer requests besides Combined."""
+    switches = view_layer.mrpnn
+    passes = [
+        (view_layer.use_pass_z, RenderPass("Depth", "Z", 'VALUE', finite_depth)),
+        (switches.use_pass_volume_direct, RenderPass(DIRECT, "RGB", 'COLOR', lambda layer: layer.single)),
+        (switches.use_pass_volume_indirect, RenderPass(INDIRECT, "RGB", 'COLOR', lambda layer: layer.multiple)),
+        (switches.use_pass_emission, RenderPass(EMISSION, "RGB", 'COLOR', lambda layer: layer.emission)),
+        (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", 'VALUE', lambda layer: layer.uncertainty)),
+    ]
+    return [wanted for on, wanted in passes if on]

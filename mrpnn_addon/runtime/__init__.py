@@ -1,0 +1,1 @@
+"""Threads, processes and complete files, shared by the other rooms."""

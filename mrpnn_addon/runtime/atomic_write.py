@@ -1,0 +1,28 @@
+"""Files that are complete or absent."""
+
+import os
+import secrets
+from contextlib import contextmanager
+
+
+@contextmanager
+def atomic_write(path: str):
+    """A binary file to write, renamed to `path` when the `with` block ends.
+
+    Raises OSError, naming the file and the reason, where it cannot be written. An earlier file at `path` is then
+    unchanged, and no partial file is left.
+    """
+    # In the target's folder, so that it can be renamed; the name is unpredictable, and an existing file is never
+    # opened.
+    unfinished = os.path.join(os.path.dirname(os.path.abspath(path)), f".mrpnn-{secrets.token_hex(8)}.part")
+    try:
+        with open(unfinished, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        if os.path.exists(unfinished):
+            os.unlink(unfinished)

@@ -1,0 +1,57 @@
+"""Background threads that Blender's main thread polls; imports no bpy."""
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from ...inference.scene import Cancelled
+
+
+class Worker:
+    """Runs a subclass's `_work()` on a thread of its own, from `_start` on.
+
+    fraction, message: progress. error: the exception that ended it early, or None. stopped: whether it was asked to
+    stop.
+    """
+
+    fraction, message, error = 0.0, "", None
+
+    def _start(self, name: str, awaited: bool) -> None:
+        """name: of the thread. awaited: whether Blender waits for the thread when it quits."""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=not awaited)
+        self._thread.start()
+
+    def _run(self):
+        try:
+            self._work()
+        except BaseException as error:  # The main thread shows it.
+            self.error = error
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def stopped(self) -> bool:
+        return self._stop.is_set()
+
+    @property
+    def cancelled(self) -> bool:
+        return isinstance(self.error, Cancelled)
+
+    def stop(self) -> None:
+        """Ask the thread to stop, which takes at most a second."""
+        self._stop.set()
+
+    def wait(self, seconds=None) -> None:
+        """Block until the thread is done, or for at most so many seconds."""
+        self._thread.join(seconds)
+
+
+def in_background(work) -> Future:
+    """Run `work()` on a thread of its own; returns the future of its result."""
+    pool = ThreadPoolExecutor(1, "mrpnn work")
+    found = pool.submit(work)
+    # The thread ends when its work does.
+    pool.shutdown(wait=False)
+    return found

@@ -1,0 +1,1 @@
+"""The evaluated scene as `inference.render` takes it."""

@@ -1,0 +1,36 @@
+"""Counts scene changes, so that panels recompute only after one."""
+
+import bpy
+
+_HANDLERS = ("depsgraph_update_post", "frame_change_post", "load_post", "undo_post", "redo_post")
+_changes = 0
+
+
+def scene_state(scene) -> tuple:
+    """A value that differs where a render of the scene may differ. Selection does not change it."""
+    render = scene.render
+    return (
+        _changes, scene.name, scene.frame_current, scene.camera and scene.camera.name, scene.mrpnn.settings(),
+        scene.world and scene.world.name_full, scene.mrpnn.world_directions,
+        render.resolution_x, render.resolution_y, render.resolution_percentage, render.use_border,
+        render.border_min_x, render.border_min_y, render.border_max_x, render.border_max_y,
+    )
+
+
+@bpy.app.handlers.persistent
+def _changed(_scene=None, depsgraph=None):
+    # Scene data-blocks change with every selection; `scene_state` includes their relevant properties.
+    if depsgraph is not None and all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
+        return
+    global _changes
+    _changes += 1
+
+
+def register():
+    for name in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(_changed)
+
+
+def unregister():
+    for name in _HANDLERS:
+        getattr(bpy.app.handlers, name).remove(_changed)

@@ -1,0 +1,45 @@
+"""Warnings about approximations where volumes overlap or light each other."""
+
+
+import numpy as np
+
+from ...inference.plan.overlap import overlapping
+from ...inference.scene import Medium, Volume
+
+# Differences of albedo and mean cosine below these need no warning.
+ALBEDO, COSINE = 0.02, 0.05
+
+
+def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
+    """Warnings about overlapping volumes that the network treats as one mean medium or each as if alone, and about
+    emission that does not light other volumes.
+    """
+    groups, apart = overlapping([volume for volume, _ in pairs])
+    found = []
+    for group in groups:
+        media = [pairs[v][1] for v in group]
+        spread = np.ptp([medium.albedo for medium in media], axis=0).max()
+        if spread > ALBEDO or np.ptp([medium.anisotropy for medium in media]) > COSINE:
+            found.append(f"volumes {_names(pairs, group)} overlap; multiple scattering is predicted in one medium "
+                         "with their mean colour and mean anisotropy")
+    if apart:
+        more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""
+        found.append(f"volumes {_names(pairs, apart[0])} overlap and are of very different size{more}; multiple "
+                     "scattering is predicted as if each were alone")
+    return found + _unlit(pairs, groups)
+
+
+def _unlit(pairs, groups) -> list[str]:
+    """A warning about a volume whose emission does not light a separate one."""
+    for group in groups:
+        emitting = [v for v in group if pairs[v][0].emission is not None]
+        others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.albedo.any()]
+        if emitting and others:
+            return [f"light that volume \"{pairs[emitting[0]][0].name}\" emits does not light volume "
+                    f"\"{pairs[others[0]][0].name}\", whose grid does not overlap its own"]
+    return []
+
+
+def _names(pairs, numbers) -> str:
+    first, second, *others = (f"\"{pairs[v][0].name}\"" for v in numbers)
+    return f"{first} and {second}" + (f" and {len(others)} more" if others else "")

@@ -1,0 +1,205 @@
+"""The evaluated scene as plain descriptions for `inference.render`."""
+
+import functools
+from dataclasses import dataclass, field
+
+from ...inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
+from ..nodes.material import SURFACES, shows_volume
+from ..objects.camera import read_camera
+from ..objects.lights import read_suns
+from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
+from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
+from ..objects.workload import Box, Workload, estimate_workload
+from ..volumes.bounding_boxes import box_around, remember_density
+from ..volumes.reader import EmptyVolume, VolumeReader
+from ..world.lighting import read_world
+from .overlap_warnings import overlap_warnings
+
+NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)"
+
+
+@dataclass
+class SceneDescription:
+    """What a render needs of a scene.
+
+    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces. crop: whether the
+    image has the region's size instead of the full frame's. view_layer: its name. frame: its number. environment:
+    whether `suns` include the World's light. warnings: what is left out or approximated, naming each object. left_out:
+    names of visible volumes and lights that are not in the description. unseen: which volumes are invisible, and why.
+    empty: those among them that are empty in this frame; a scene of only such volumes has a description without
+    volumes. refused: user errors of objects or the World, which are left out, naming each. boxes: around the volumes,
+    each with the number of colour channels that differ; for `workload`.
+    """
+
+    volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
+    suns: list[Sun] = field(default_factory=list)
+    camera: Camera = None
+    opaque: list[OpaqueMesh] = field(default_factory=list)
+    crop: bool = True
+    view_layer: str = "ViewLayer"
+    frame: int = 0
+    environment: bool = False
+    warnings: list[str] = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)
+    unseen: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    boxes: list[tuple[Box, int]] = field(default_factory=list)
+
+    def workload(self, depth_samples: int) -> Workload:
+        """The work of a render."""
+        boxes, channels = zip(*self.boxes)
+        return estimate_workload(boxes, self.camera, len(self.suns), depth_samples, max(channels))
+
+    @functools.cached_property
+    def surfaces(self) -> list[Surface]:
+        """Made on first use by the rendering thread, since large meshes take a while."""
+        return [mesh.surface() for mesh in self.opaque]
+
+
+def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> SceneDescription:
+    """Read everything that a render needs; bpy is not needed afterwards.
+
+    An object that cannot be rendered is left out, with a warning that names it.
+
+    reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
+    that it raises stops the reading.
+
+    Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or where no volume or no light
+    is left.
+    """
+    require_evaluated(depsgraph)
+    camera, warnings = read_camera(depsgraph)
+    description = _describe(depsgraph, reader, check)
+    description.camera, description.warnings = camera, warnings + description.warnings
+    description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
+    if not description.volumes and description.empty:
+        return description
+    require_volumes(description)
+    if not description.volumes:
+        raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
+                         "closed mesh a material with a volume and no surface")
+    if not _has_light(description):
+        raise SceneError("; ".join([NO_LIGHT, *description.refused]))
+    return description
+
+
+def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription:
+    """What a SpaceView3D's viewport shows of the scene, without a camera; see `read_scene`.
+
+    The description may be empty. Without light, volumes are black as in Cycles.
+    """
+    description = _describe(depsgraph, reader, space=space)
+    if description.volumes and not _has_light(description):
+        description.suns.append(Sun((0.0, 0.0, 1.0), 0.0, name="no light"))
+        description.refused.append(NO_LIGHT)
+        description.warnings.append(NO_LIGHT)
+    return description
+
+
+def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
+    scene = depsgraph.scene
+    description = SceneDescription(
+        crop=scene.render.use_crop_to_border, view_layer=depsgraph.view_layer.name, frame=scene.frame_current,
+        warnings=_view_layer_warnings(depsgraph.view_layer))
+    reader = reader or VolumeReader()
+    for shown in visible_objects(depsgraph, space):
+        check()
+        try:
+            _add(description, shown, reader, depsgraph.view_layer)
+        except SceneError as problem:
+            _refuse(description, shown, problem)
+    description.warnings += overlap_warnings(description.volumes)
+    try:
+        lights, warnings = read_world(depsgraph, description.suns, check)
+    except SceneError as problem:
+        lights, warnings = [], _refused(description, problem)
+    description.environment = bool(lights)
+    description.suns += lights
+    description.warnings += warnings
+    return description
+
+
+def _refuse(description: SceneDescription, shown, problem: SceneError) -> None:
+    """Leave an object out."""
+    description.left_out.add(shown.name)
+    if shows_volume(shown.object) and str(problem) not in description.unseen:
+        description.unseen.append(str(problem))
+    description.warnings += _refused(description, problem)
+
+
+def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
+    """Record why something is left out; returns the warning, once for all instances."""
+    if str(problem) in description.refused:
+        return []
+    description.refused.append(str(problem))
+    return [f"{problem} (left out)"]
+
+
+def _has_light(description: SceneDescription) -> bool:
+    return bool(description.suns) or any(volume.emission is not None for volume, _ in description.volumes)
+
+
+def require_volumes(description: SceneDescription) -> None:
+    """Raises SceneError, with the reasons, where all volumes are left out."""
+    if not description.volumes and description.unseen:
+        raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
+
+
+def require_all(description: SceneDescription) -> None:
+    """Raises SceneError, with the reasons, where visible objects cannot be rendered."""
+    if description.refused:
+        raise SceneError("; ".join(description.refused))
+
+
+def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
+    kind = shown.object.type
+    if shows_volume(shown.object):
+        _add_volume(description, shown, reader, view_layer)
+    elif kind == 'LIGHT' and shown.object.data.type == 'SUN':
+        # Cycles' ray visibility of a lamp: otherwise the sun lights surfaces only.
+        if not shown.object.visible_volume_scatter:
+            description.warnings.append(f"sun \"{shown.name}\" is hidden from volume scattering and left out")
+            return
+        suns, warnings = read_suns(shown)
+        description.suns += suns
+        description.warnings += warnings
+    elif kind == 'LIGHT':
+        lamp = shown.object.data.type.lower()
+        description.warnings.append(
+            f"light \"{shown.name}\" ({lamp}) is left out; only suns and the World light volumes")
+    elif kind in SURFACES:
+        surface, warnings = read_surface(shown, view_layer, reader.meshes)
+        description.opaque += [surface] if surface else []
+        description.warnings += warnings
+
+
+def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
+    where, unseen = f"volume \"{shown.name}\"", hidden_from_camera(shown, view_layer)
+    if not unseen:
+        try:
+            volume, medium, warnings = reader.read(shown)
+            description.volumes.append((volume, medium))
+            remember_density(shown, volume, medium)
+            description.boxes.append(box_around(shown))
+            description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
+            return
+        except EmptyVolume as nothing:
+            unseen = f"{nothing} frame {description.frame}"
+            description.empty.append(f"{where} {unseen}")
+    description.left_out.add(shown.name)
+    description.unseen.append(f"{where} {unseen}")
+    description.warnings.append(f"{where} {unseen} and is left out")
+
+
+def _view_layer_warnings(view_layer) -> list[str]:
+    """Warnings about settings of a view layer that have no effect."""
+    where, found = f"view layer \"{view_layer.name}\"", []
+    if view_layer.material_override is not None:
+        found.append(f"{where} overrides materials; volumes keep their own")
+    # Not in Blender 4.2.
+    if getattr(view_layer, "world_override", None) is not None:
+        found.append(f"{where} overrides the World; the scene's own is rendered")
+    if not view_layer.use_volumes:
+        found.append(f"{where} filters volumes out; they are rendered")
+    return found

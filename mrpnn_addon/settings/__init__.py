@@ -1,0 +1,1 @@
+"""Settings of scenes, view layers and this machine."""

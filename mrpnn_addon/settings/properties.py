@@ -1,0 +1,136 @@
+"""Render settings of a scene: `scene.mrpnn`."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+
+from ...inference import Settings
+from ...inference.scene.optimizations import ALL, OPTIMIZATIONS
+from .models import model_items
+from .preferences import machine
+
+# Version of the properties in files. 0: networks are numbered by their position in the list.
+VERSION = 1
+
+# Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
+RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
+
+# Depth samples of each preset.
+PRESETS = {'PREVIEW': 1, 'DRAFT': 4, 'FINAL': 16}
+_PRESET_ITEMS = [
+    ('PREVIEW', "Preview", "1 depth sample: fastest; shape and single scattering are final"),
+    ('DRAFT', "Draft", "4 depth samples: little sampling error"),
+    ('FINAL', "Final", "16 depth samples: no visible sampling error but in the densest clouds"),
+    ('CUSTOM', "Custom", "Another number of depth samples"),
+]
+
+_OPTIMIZATION_ITEMS = [
+    (name, optimization.title, optimization.what, 'NONE', 1 << number)
+    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())]
+
+# The scene's choice to follow the preferences.
+AS_PREFERRED = ('PREFERENCES', "From Preferences", "The network chosen in the preferences", 'NONE', 0)
+_model_items = []
+
+
+def _scene_models(_owner=None, _context=None):
+    _model_items[:] = [AS_PREFERRED, *model_items()]
+    return _model_items
+
+
+def _preset(settings) -> int:
+    samples = list(PRESETS.values())
+    return samples.index(settings.depth_samples) if settings.depth_samples in samples else len(samples)
+
+
+def _choose_preset(settings, number):
+    samples = list(PRESETS.values())
+    if number < len(samples):
+        settings.depth_samples = samples[number]
+
+
+class MRPNN_PG_scene(bpy.types.PropertyGroup):
+    version: IntProperty(options={'HIDDEN'})
+    preset: EnumProperty(
+        name="Preset", items=_PRESET_ITEMS, get=_preset, set=_choose_preset, options={'SKIP_SAVE'},
+        description="Number of depth samples")
+    depth_samples: IntProperty(
+        name="Depth Samples", default=PRESETS['DRAFT'], min=1, max=256, soft_max=64,
+        description="Points along each camera ray at which the network predicts multiple scattering",
+    )
+    model: EnumProperty(
+        name="Network", items=_scene_models, default=AS_PREFERRED[-1],
+        description="Network that predicts multiple scattering")
+    seed: IntProperty(
+        name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image")
+    leave_out: EnumProperty(
+        name="Optimizations", items=_OPTIMIZATION_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
+        description="Shortcuts that save time without changing the picture. Turn one off to check")
+    threads: IntProperty(
+        name="Threads", default=0, min=0, max=1024,
+        description="Number of render threads. 0 uses the number in the preferences")
+    memory_limit: IntProperty(
+        name="Memory (GiB)", default=0, min=0, max=1024,
+        description="Memory that a render may use, in GiB. A render that needs more is refused before it starts. "
+        "0 uses the limit in the preferences")
+    world_directions: IntProperty(
+        name="World Directions", default=12, min=0, max=256,
+        description="Directions from which the World lights the volumes, halved where suns are bright. Each takes as "
+                    "long as a sun. 0 ignores the World")
+    use_exr: BoolProperty(
+        name="Write EXR", default=False, description="Write a multi-layer OpenEXR file after each "
+        "Render Volumes. F12 follows the output properties")
+    exr_path: StringProperty(
+        name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
+        description="Multi-layer OpenEXR file to write")
+
+    def settings(self) -> Settings:
+        """The settings of `inference.render`."""
+        preferred = machine()
+        # A number of no available network, written by another version, reads as "".
+        model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
+        return Settings(
+            depth_samples=self.depth_samples, model=model, seed=self.seed, leave_out=self.leave_out,
+            threads=self.threads or preferred.threads, provider=preferred.provider,
+            memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
+
+
+def migrate(scene) -> None:
+    """Bring a scene's properties up to VERSION; those of a newer version stay unchanged."""
+    settings = scene.mrpnn
+    if settings.version >= VERSION:
+        return
+    # Version 0 numbered networks by position, and there was one.
+    if settings.is_property_set("model"):
+        settings.model = Settings.model
+    settings.version = VERSION
+
+
+def _own_scenes():
+    # Linked scenes are read-only.
+    return [scene for scene in bpy.data.scenes if scene.library is None]
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_):
+    for scene in _own_scenes():
+        migrate(scene)
+
+
+@bpy.app.handlers.persistent
+def _before_save(*_):
+    for scene in _own_scenes():
+        scene.mrpnn.version = max(scene.mrpnn.version, VERSION)
+
+
+def register():
+    bpy.utils.register_class(MRPNN_PG_scene)
+    bpy.types.Scene.mrpnn = PointerProperty(type=MRPNN_PG_scene)
+    bpy.app.handlers.load_post.append(_after_load)
+    bpy.app.handlers.save_pre.append(_before_save)
+
+
+def unregister():
+    bpy.app.handlers.save_pre.remove(_before_save)
+    bpy.app.handlers.load_post.remove(_after_load)
+    del bpy.types.Scene.mrpnn
+    bpy.utils.unregister_class(MRPNN_PG_scene)

@@ -1,0 +1,1 @@
+"""What panels show: forecasts, checks, and the last render and comparison of the open file."""

@@ -1,0 +1,90 @@
+"""Calibrates the cost model by renders, of this session and of earlier ones on this machine."""
+
+import json
+import math
+import os
+
+import bpy
+
+from ...inference.scene import SceneError
+from ..objects.workload import Workload
+from ..runtime.json_file import write_json
+from ..volumes.bounding_boxes import forget_densities
+from .cost_model import STAGES, Calibration, calibrate
+
+FILE = "mrpnn_speed.json"
+# Smaller changes of a machine's rates are not written.
+TOLERANCE = 0.1
+
+_known: Calibration | None = None
+
+
+def calibration() -> Calibration:
+    """The current calibration."""
+    global _known
+    if _known is None:
+        _known = _read()
+    return _known
+
+
+def calibrate_by(workload: Workload | None, layer) -> None:
+    """Calibrate by a render. workload: its work, or None without volumes."""
+    if workload is None:
+        return
+    known = calibration()
+    before = dict(known.rates), known.threads
+    calibrate(known, workload, layer.report, layer.alpha)
+    rates, threads = before
+    if threads != known.threads or any(
+            abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
+        _write(known)
+
+
+def forget() -> None:
+    """Start over as in a new session; for tests."""
+    global _known
+    _known = None
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_):
+    # Another file's volumes may have the same names.
+    calibration().shares.clear()
+    forget_densities()
+
+
+def register():
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister():
+    bpy.app.handlers.load_post.remove(_after_load)
+
+
+def _path() -> str:
+    """File in Blender's configuration folder; "" without one."""
+    folder = bpy.utils.user_resource('CONFIG')
+    return os.path.join(folder, FILE) if folder and os.path.isdir(folder) else ""
+
+
+def _read() -> Calibration:
+    try:
+        with open(_path()) as file:
+            found = json.load(file)
+        rates = {stage: float(found["rates"][stage]) for stage in STAGES if stage in found["rates"]}
+        if all(0.0 < rate < math.inf for rate in rates.values()) and int(found["threads"]) > 0:
+            return Calibration(rates=rates, threads=int(found["threads"]))
+    except (OSError, ValueError, TypeError, KeyError):
+        # The file is missing, or was written by another version.
+        pass
+    return Calibration()
+
+
+def _write(known: Calibration) -> None:
+    path = _path()
+    try:
+        if path:
+            write_json(path, {"rates": known.rates, "threads": known.threads})
+    except SceneError:
+        # Calibration is optional: ignore folders that cannot be written to.
+        pass

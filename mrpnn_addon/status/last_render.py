@@ -1,0 +1,47 @@
+"""The last render of the open file, for the panel."""
+
+from dataclasses import dataclass, field
+
+from .calibration import calibrate_by
+
+
+@dataclass
+class LastRender:
+    """seconds: of the render. warnings: its warnings. error: why it failed, or "". points: predictions of the network.
+    network_seconds: time they took. saved: seconds that optimizations saved, roughly.
+    """
+
+    seconds: float = 0.0
+    warnings: list[str] = field(default_factory=list)
+    error: str = ""
+    points: int = 0
+    network_seconds: float = 0.0
+    saved: float = 0.0
+
+
+_last = None
+
+
+def remember(last: LastRender) -> None:
+    """Store a render until the next render or another file."""
+    global _last
+    _last = last
+
+
+def remember_finished(finished) -> None:
+    """Store the result of an `engine.render_job.Finished`."""
+    report = finished.layer.report
+    remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
+                        network_seconds=report.seconds.get("network", 0.0), saved=sum(report.saved.values())))
+    calibrate_by(finished.workload, finished.layer)
+
+
+def forget() -> None:
+    """Called when another file is loaded."""
+    global _last
+    _last = None
+
+
+def last_render():
+    """The LastRender, or None before the first."""
+    return _last

@@ -1,0 +1,61 @@
+"""The plan of a scene's render, found by reading the scene: for the panel, before rendering."""
+
+from dataclasses import dataclass, field
+
+from ...inference.plan.plan import make_plan
+from ...inference.scene import SceneError
+from ..runtime.onnxruntime_version import check_runtime
+from ..scene.changes import scene_state
+from ..scene.reader import read_scene, require_volumes
+
+
+@dataclass
+class SceneCheck:
+    """error: why the scene cannot be rendered, or "". warnings: what is ignored or approximated, naming each object.
+    planned, left_out: sentences of the plan. memory: bytes. voxels: grid shape by volume. state: `scene_state` of the
+    scene.
+    """
+
+    state: tuple
+    error: str = ""
+    warnings: list[str] = field(default_factory=list)
+    planned: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    memory: int = 0
+    voxels: dict[str, tuple] = field(default_factory=dict)
+
+    def outdated(self, scene) -> bool:
+        """Whether the scene has changed since, or is another one."""
+        return self.state != scene_state(scene)
+
+
+_last = None
+
+
+def check_scene(depsgraph, reader=None) -> SceneCheck:
+    """Read the scene and plan its render; stored as `last_check`. reader: as of `read_scene`."""
+    global _last
+    # The evaluated scene's name and camera are those of the original.
+    state, settings = scene_state(depsgraph.scene), depsgraph.scene.mrpnn.settings()
+    try:
+        warnings = check_runtime()
+        scene = read_scene(depsgraph, reader)
+        require_volumes(scene)
+        plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
+        voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
+        _last = SceneCheck(state, warnings=[*scene.warnings, *warnings], planned=plan.planned, left_out=plan.left_out,
+                           memory=plan.memory, voxels=voxels)
+    except SceneError as error:
+        _last = SceneCheck(state, str(error))
+    return _last
+
+
+def forget() -> None:
+    """Called when another file is loaded."""
+    global _last
+    _last = None
+
+
+def last_check():
+    """The SceneCheck, or None before the first."""
+    return _last

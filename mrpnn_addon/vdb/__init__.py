@@ -1,0 +1,1 @@
+"""Density grids of .vdb files, read by a separate process."""

@@ -1,0 +1,230 @@
+"""One density grid of one .vdb file. Any thread may read it: bpy is only imported."""
+
+import os
+import weakref
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...inference.scene import SceneError
+from ...inference.scene.sparse_grid import SparseGrid
+from .openvdb_module import load_openvdb
+from .process import read_in_process
+from .worker import LEAF, SCALAR_GRIDS, read_grid
+
+# Limit of voxels in an array, and in leaves that are not empty: 2 GiB as float32.
+MAX_VOXELS = 1 << 29
+# Limit of voxels in the bounding box, 4096 x 2048 x 2048.
+MAX_SPAN = 1 << 34
+# Smaller boxes, and those with a larger share of leaves that are not empty, become arrays, which are faster.
+DENSE_SPAN, DENSE_SHARE = 1 << 24, 0.5
+# Files up to so many bytes are read in this process once another process has read them without crashing.
+SMALL = 1 << 20
+# Python's types of OpenVDB's exceptions.
+READ_ERRORS = (OSError, LookupError, RuntimeError, ValueError, TypeError)
+# Index coordinate, on each axis, at which Blender draws the centre of voxel 0. OpenVDB has 0. Blender before 5.0 draws
+# voxel i over [i, i + 1], so its centre is at 1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 has 0.
+VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
+
+
+class EmptyGrid(SceneError):
+    """A grid without a positive voxel."""
+
+
+@dataclass
+class DensityGrid:
+    """density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only. low: int
+    (3,), the file's index of its first voxel. object_from_index: float64 (4, 4), from index of `density` to object
+    space. warnings: changes made to the data, naming the object.
+    """
+
+    density: np.ndarray | SparseGrid
+    object_from_index: np.ndarray
+    low: np.ndarray
+    warnings: list[str] = field(default_factory=list)
+
+
+# Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, notes.
+_in_use = {}
+# Files that another process has read without crashing, and grids without a positive voxel, by the same key.
+_verified, _empty = set(), set()
+
+
+def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
+    """Read grid `grid_name` of the file `path` for the object `owner`; cached while the result is in use.
+
+    Negative and non-finite voxels become 0, as Cycles clamps them when shading; a warning gives their number. started:
+    see `read_in_process`. Any thread may call this; other threads run meanwhile.
+
+    Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a scalar fog
+    volume, or one too large; EmptyGrid for one without a positive voxel.
+    """
+    where = f"Volume object \"{owner}\""
+    known = density_grid_in_use(path, grid_name, owner)
+    if known is not None:
+        return known
+    key = _key(path, grid_name)
+    if key in _empty:
+        raise _nothing(key, grid_name, where)
+    facts, leaves = _read(path, grid_name, where, key, started)
+    notes = _require_density(facts["grids"], path, grid_name, where)
+    # The background is known only once the tree is read.
+    if facts["background"] != 0.0:
+        raise SceneError(
+            f"{where}: grid \"{grid_name}\" has background {facts['background']:g}, endless fog "
+            "outside its voxels; save it with background 0"
+        )
+    _require_box(facts["shape"], grid_name, where)
+    numbers, values = leaves
+    notes += _clean(values, grid_name)
+    if not values.any():
+        raise _nothing(key, grid_name, where)
+    if facts["matrix"] is None:
+        raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
+    matrix = np.array(facts["matrix"])
+    # Index 0 of the array is the box's lower voxel.
+    matrix[:3, 3] += matrix[:3, :3] @ (np.array(facts["low"]) + VOXEL_CENTRE)
+    density = _arranged(facts, numbers, values)
+    for old in [old for old, (density, *_) in list(_in_use.items()) if density() is None]:
+        _in_use.pop(old, None)
+    low = np.array(facts["low"])
+    _in_use[key] = weakref.ref(density), matrix, low, notes
+    _verified.add(key)
+    return DensityGrid(density, matrix.copy(), low, [f"{where}: {note}" for note in notes])
+
+
+def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | None:
+    """As `read_density_grid` where the grid is in use, else None."""
+    density, matrix, low, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, ()))
+    values = density()
+    if values is None:
+        return None
+    return DensityGrid(values, matrix.copy(), low, [f"Volume object \"{owner}\": {note}" for note in notes])
+
+
+def _nothing(key, grid_name, where) -> EmptyGrid:
+    _empty.add(key)
+    return EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
+
+
+def _key(path: str, grid_name: str):
+    """Differs when the file has changed."""
+    try:
+        facts = os.stat(path)
+    except OSError:
+        return None
+    return path, facts.st_mtime_ns, facts.st_size, grid_name
+
+
+def unreadable(path: str, reason: str) -> str:
+    """The reason why a volume file cannot be read, for a message."""
+    if not os.path.isfile(path):
+        return f"file not found: {path}"
+    with open(path, "rb") as file:
+        if file.read(40).startswith(b"version https://git-lfs"):
+            return f"{path} is a Git LFS pointer; fetch the real file with 'git lfs pull'"
+    return f"cannot read {path} as OpenVDB ({reason})"
+
+
+def _require_density(grids, path, grid_name, where) -> list[str]:
+    """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
+    found = [(kind, use) for name, kind, use in grids if name == grid_name]
+    if not found:
+        names = ", ".join(f"\"{name}\"" for name, *_ in grids) or "none"
+        raise SceneError(
+            f"{where}: {os.path.basename(path)} has no grid \"{grid_name}\" (grids: {names}); "
+            "set the density attribute in the volume's material to one of them"
+        )
+    kind, use = found[0]
+    if kind not in SCALAR_GRIDS:
+        raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a float density")
+    if use == "level set":
+        raise SceneError(
+            f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
+            "convert it to a fog volume"
+        )
+    several = f"{len(found)} grids are named \"{grid_name}\"; the first is rendered, as in Cycles"
+    return [several] if len(found) > 1 else []
+
+
+def _read(path, grid_name, where, key, started):
+    """(facts, leaves) of `read_grid` and `_collect`: from another process, or from this one where no process can be
+    started or the file is small and verified.
+    """
+    def collect(pieces):
+        return _collect(pieces, grid_name, where)
+
+    found = None
+    if key not in _verified or key[2] > SMALL:
+        found = read_in_process(path, grid_name, MAX_SPAN, where, collect, started)
+    if found is None:
+        try:
+            facts, pieces = read_grid(load_openvdb(), path, grid_name, MAX_SPAN)
+            found = facts, collect(pieces)
+        except SceneError:
+            raise
+        except READ_ERRORS as error:
+            found = {"error": error}, None
+    if "error" in found[0]:
+        raise SceneError(f"{where}: {unreadable(path, found[0]['error'])}")
+    return found
+
+
+def _collect(pieces, grid_name, where):
+    """(numbers, values) of all pieces; `values` has an extra first row of zeros.
+
+    Raises SceneError where there are too many.
+    """
+    parts, count = [], 0
+    for part in pieces:
+        parts.append(part)
+        count += len(part[0])
+        if count * LEAF**3 > MAX_VOXELS:
+            raise SceneError(f"{where}: grid \"{grid_name}\" holds more than the {MAX_VOXELS} voxels that can be "
+                             "rendered; crop or resample it")
+    numbers = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in parts)])
+    values = np.zeros((1 + count, LEAF, LEAF, LEAF), np.float32)
+    # Pieces are freed once they are copied, so that memory holds the values once.
+    while parts:
+        part = parts.pop()[1]
+        values[1 + count - len(part):1 + count] = part
+        count -= len(part)
+    return numbers, values
+
+
+def _arranged(facts, numbers, values):
+    """The grid as a SparseGrid or, where that is faster, an array."""
+    first = np.subtract(facts["low"], facts["first"])
+    sparse = SparseGrid.of_blocks(facts["shape"], first, facts["count"], numbers, values)
+    span = np.prod(np.array(facts["shape"], float))
+    if span <= DENSE_SPAN or (len(numbers) > DENSE_SHARE * np.prod(facts["count"]) and span <= MAX_VOXELS):
+        dense = sparse.dense()
+        dense.flags.writeable = False
+        return dense
+    values.flags.writeable = False
+    return sparse
+
+
+def _require_box(shape, grid_name, where) -> None:
+    """Raise SceneError for a box that is too large; measured on the tree, not on metadata."""
+    # OpenVDB's box is inverted where there are no active voxels.
+    if min(shape) < 1:
+        return
+    count = shape[0] * shape[1] * shape[2]
+    if count > MAX_SPAN:
+        raise SceneError(
+            f"{where}: grid \"{grid_name}\" spans {shape[0]} x {shape[1]} x {shape[2]} = {count} voxels, "
+            f"more than the {MAX_SPAN} that can be rendered; crop or resample it"
+        )
+
+
+def _clean(values, grid_name) -> list[str]:
+    """Set negative and non-finite voxels to 0; notes their number."""
+    # NaN fails both comparisons.
+    if values.min() >= 0.0 and values.max() < np.inf:
+        return []
+    invalid, negative = ~np.isfinite(values), values < 0.0
+    values[invalid | negative] = 0.0
+    return [f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
+            f"of grid \"{grid_name}\" were set to 0"]

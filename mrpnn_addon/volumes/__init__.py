@@ -1,0 +1,1 @@
+"""Volume objects, closed meshes and fluid domains as density grids."""

@@ -1,0 +1,47 @@
+"""Reads volumes, and has Cycles render the World, on a thread.
+
+`read_scene` then finds them cached on Blender's main thread.
+"""
+
+
+from ...inference.scene import Cancelled
+from ..runtime.background import Worker
+from .source import VolumeSource
+
+
+class VolumeLoading(Worker):
+    """Reads sources one after the other into a VolumeReader.
+
+    message: the current step. number: of pictures, as of a Preview.
+    """
+
+    number = 0
+
+    def __init__(self, reader, sources: list[VolumeSource]):
+        self.reader, self.sources, self._process = reader, sources, None
+        self.message = sources[0].message if sources else ""
+        self._start("mrpnn reading", awaited=False)
+
+    def stop(self) -> None:
+        """Ask the thread to stop, which it does at once."""
+        super().stop()
+        if self._process is not None:
+            self._process.kill()
+
+    def _work(self):
+        try:
+            for number, source in enumerate(self.sources):
+                self.message = source.message
+                self.reader.load(source, self._started, self._check)
+                self.fraction = (number + 1) / len(self.sources)
+        finally:
+            self._check()
+
+    def _check(self):
+        if self.stopped:
+            raise Cancelled()
+
+    def _started(self, process):
+        self._process = process
+        if self.stopped:
+            process.kill()

@@ -1,0 +1,146 @@
+"""The World's light as a few directional lights."""
+
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...inference.scene import Sun
+from ..nodes.evaluation import NodeEvaluator, Nowhere
+from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..objects.lights import disc_directions
+from ..objects.visibility import evaluated_world
+from .picture import WorldSource, is_known, world_picture, world_source
+from .process import PictureFailed
+from .quadrature import Sphere, quadrature
+
+# Below this share of the suns' light, the World gets half the directions.
+MINOR = 0.1
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+
+
+def wanted_world(depsgraph) -> list[WorldSource]:
+    """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
+    scene, world = depsgraph.scene, evaluated_world(depsgraph)
+    if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
+        return []
+    try:
+        _radiance(world, active_output(world), Sphere(1, images=False))
+    except Unsupported:
+        return [] if is_known(world, scene) else [world_source(world, scene)]
+    return []
+
+
+def read_world(depsgraph, suns: list[Sun], check=lambda: None) -> tuple[list[Sun], list[str]]:
+    """Directional lights that represent the World's light in volumes, and warnings.
+
+    suns: of the scene; beside bright suns the World gets fewer directions. check: called often while Cycles renders.
+
+    Cycles renders a World whose nodes cannot be evaluated. Where that fails, or its light cannot be read, it is left
+    out with a warning that names it.
+    """
+    scene, world = depsgraph.scene, evaluated_world(depsgraph)
+    directions = scene.mrpnn.world_directions
+    if world is None:
+        return [], []
+    name, warnings = f"World \"{world.name}\"", []
+    output = active_output(world)
+    if output is not None and source_of(output.inputs['Volume']).node is not None:
+        warnings.append(f"{name}: its fog is not rendered")
+    if not _lights_volumes(world):
+        return [], warnings
+    sphere, discs = Sphere(), []
+    try:
+        radiance = _radiance(world, output, sphere)
+    except Unsupported as problem:
+        if directions < 1:
+            return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
+        try:
+            radiance, discs = _picture(world, scene, sphere, name, check)
+        except PictureFailed as failure:
+            return [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
+    if not radiance.max() > 0.0 and not discs:
+        return [], warnings
+    if directions < 1:
+        return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
+    suns = suns + discs
+    count = _count(float((radiance * sphere.solid_angle[:, None]).sum(axis=0) @ LUMA), suns, directions)
+    lights = quadrature(sphere, radiance, count, name) if count else []
+    beside = " beside its sun" if discs else ""
+    return discs + lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions{beside}"]
+
+
+def _picture(world, scene, sphere, name, check):
+    """Radiance (n, 3) at the sphere's directions and the Suns of discs, rendered by Cycles. Raises PictureFailed."""
+    picture, discs = world_picture(world, scene, check), []
+    for x, y, z, red, green, blue, angle in picture.suns:
+        frame = np.array(Vector((x, y, z)).to_track_quat('Z', 'Y').to_matrix())
+        discs += [Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")
+                  for direction, share in disc_directions(frame, angle)]
+    return np.maximum(picture.radiance(sphere.directions), 0.0), discs
+
+
+def expected_lights(world, suns: list[Sun], directions: int) -> int:
+    """Approximate number of lights of `read_world`, without reading images: fast enough for a panel."""
+    if world is None or not _lights_volumes(world):
+        return 0
+    try:
+        radiance = _radiance(world, active_output(world), Sphere(1, images=False))
+    except Unsupported:
+        return directions
+    return _count(4.0 * np.pi * float(radiance.mean(axis=0) @ LUMA), suns, directions)
+
+
+def _count(fluence: float, suns, directions: int) -> int:
+    if not fluence > 0.0:
+        return 0
+    others = sum(float(sun.irradiance @ LUMA) for sun in suns)
+    return (directions + 1) // 2 if fluence < MINOR * others else directions
+
+
+def _lights_volumes(world) -> bool:
+    # Properties of Cycles, absent while Cycles is disabled.
+    visibility = getattr(world, 'cycles_visibility', None)
+    return visibility is None or visibility.scatter
+
+
+def constant_background(world) -> np.ndarray:
+    """(3,) radiance of an evaluated World that cameras see as one colour.
+
+    Raises Unsupported, naming the node, where it is not known to be uniform.
+    """
+    return _radiance(world, active_output(world), _Anywhere())[0]
+
+
+class _Anywhere(Nowhere):
+    """Every direction that a camera sees."""
+
+    directions, visible_to_camera = np.zeros((1, 3)), True
+
+
+def _radiance(world, output, points) -> np.ndarray:
+    """(n, 3) radiance at the directions of `points`."""
+    if output is None:
+        # Without nodes, Blender before 5.0 renders the World's colour.
+        plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
+        return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
+    light = _surface(NodeEvaluator(points), source_of(output.inputs['Surface']))
+    return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
+
+
+def _surface(values: NodeEvaluator, source) -> np.ndarray:
+    node, groups = source.node, source.groups
+    if node is None:
+        return np.zeros((1, 3))
+    if node.bl_idname in ('ShaderNodeBackground', 'ShaderNodeEmission'):
+        return values.number(node, "Strength", groups) * values.colour(node, "Color", groups)
+    if node.bl_idname == 'ShaderNodeAddShader':
+        first, second = (_surface(values, source_of(socket, groups)) for socket in node.inputs)
+        return first + second
+    if node.bl_idname == 'ShaderNodeMixShader':
+        factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
+        # A shader of weight 0 need not be supported.
+        shares = (("Shader", 1.0 - factor), ("Shader_001", factor))
+        return sum((share * _surface(values, source_of(input_of(node, name), groups)) for name, share in shares
+                    if share.any()), np.zeros((1, 3)))
+    raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated")

@@ -1,0 +1,148 @@
+"""Pictures of Worlds, rendered by Cycles: as volumes and as cameras see them."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...inference.scene import Camera
+from ..nodes.environment_image import sampler
+from .content_key import trees, world_key
+from .process import SECONDS, PictureFailed, WorldProcess
+
+# Number of Worlds whose light is cached: an animated sky is another World in each frame.
+MAX_LIGHTS = 16
+# Numbers of Worlds whose process and views are cached, and of views of each.
+MAX_SOURCES, MAX_VIEWS = 2, 2
+# Samples per second that any machine renders.
+SAMPLES_PER_SECOND = 500_000
+# Coordinates that depend on the view, not only on the direction.
+VIEW_COORDINATES = {'Window', 'Camera'}
+
+
+@dataclass
+class WorldPicture:
+    """sky: float32 (rows, columns, 3), equirectangular, rows from the bottom, without sun discs.
+
+    suns: float64 (n, 7), direction, irradiance and angular diameter in radians of each disc.
+    """
+
+    sky: np.ndarray
+    suns: np.ndarray
+
+    def radiance(self, directions) -> np.ndarray:
+        """(n, 3) from directions (n, 3), without the discs."""
+        return sampler(self.sky)(directions)
+
+
+class WorldSource:
+    """A World of a scene, to be rendered by another Blender; any thread may read it, as a `VolumeSource`.
+
+    key: equal where the World looks the same. depends_on_view: whether its radiance depends on more than the direction.
+    panorama: its cached 360-degree view, set by `engine.backdrop`. Made by `world_source` on Blender's main thread.
+    """
+
+    message, panorama = "rendering the sky", None
+
+    def __init__(self, key, world, scene):
+        """world: evaluated. scene: gives the frame."""
+        self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
+        links = [link for tree in trees(world) for link in tree.links]
+        self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord'
+                                   and link.from_socket.name in VIEW_COORDINATES for link in links)
+        self._process = WorldProcess(world, scene)
+
+    def read(self, started=lambda process: None, check=lambda: None):
+        """The WorldPicture, or a PictureFailed with the reason; cached for `world_picture`.
+
+        check: called often; an exception that it raises stops the work.
+        """
+        try:
+            found = WorldPicture(**self._ask({}, check))
+        except PictureFailed as failure:
+            found = failure
+        while len(_known) >= MAX_LIGHTS:
+            del _known[next(iter(_known))]
+        _known[self.key] = found
+        return found
+
+    def view(self, camera: Camera, samples: int, pixel_filter: tuple[str, float], check=lambda: None) -> np.ndarray:
+        """float32 (h, w, 3): the World in the camera's window, rows from the top. Raises PictureFailed.
+
+        pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
+        """
+        numbers = {name: np.array(getattr(camera, name)).tolist()
+                   for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")}
+        job = {"matrix": camera.world_matrix.tolist(), "projection": camera.projection, "region": camera.region,
+               "samples": samples, "filter": pixel_filter, **numbers}
+        key = repr(job)
+        if key not in self._views:
+            x0, y0, x1, y1 = camera.window
+            seconds = SECONDS + (x1 - x0) * (y1 - y0) * samples / SAMPLES_PER_SECOND
+            found = np.ascontiguousarray(self._ask({"view": job}, check, seconds)["pixels"][::-1])
+            while len(self._views) >= MAX_VIEWS:
+                del self._views[next(iter(self._views))]
+            self._views[key] = found
+        return self._views[key]
+
+    def _ask(self, job, check, seconds=SECONDS):
+        if self._unsaved:
+            raise PictureFailed(f"image \"{self._unsaved}\" has unsaved changes; save or pack it")
+        return self._process.ask(job, check, seconds)
+
+    def stop(self) -> None:
+        """End its process."""
+        self._process.stop()
+
+
+_known, _sources = {}, {}
+
+
+def world_source(world, scene) -> WorldSource:
+    """The source of an evaluated World in its scene's frame; shared while the World looks the same."""
+    key = _key(world, scene)
+    source = _sources.pop(key, None) or WorldSource(key, world, scene)
+    while len(_sources) >= MAX_SOURCES:
+        del _sources[next(iter(_sources))]
+    # Least recently used first.
+    _sources[key] = source
+    return source
+
+
+def is_known(world, scene) -> bool:
+    """Whether `world_picture` is cached."""
+    return _key(world, scene) in _known
+
+
+def world_picture(world, scene, check=lambda: None) -> WorldPicture:
+    """An evaluated World in its scene's frame as volumes see it; rendered on the first request, which takes seconds.
+
+    check: as of `WorldSource.read`. Raises PictureFailed.
+    """
+    found = _known.get(_key(world, scene)) or world_source(world, scene).read(check=check)
+    if isinstance(found, PictureFailed):
+        raise found
+    return found
+
+
+def forget() -> None:
+    """End all processes and drop all pictures."""
+    for source in _sources.values():
+        source.stop()
+    _sources.clear()
+    _known.clear()
+
+
+def _key(world, scene) -> tuple:
+    moves = any(image.source in ('SEQUENCE', 'MOVIE') for image in _images(world))
+    return "world", world_key(world), scene.frame_current if moves else None
+
+
+def _images(world) -> list[bpy.types.Image]:
+    nodes = (node for tree in trees(world) for node in tree.nodes)
+    return [node.image for node in nodes if isinstance(getattr(node, "image", None), bpy.types.Image)]
+
+
+def _unsaved_image(world) -> str:
+    """Name of an image with unsaved changes, or ""."""
+    return next((image.name for image in _images(world) if image.is_dirty), "")

@@ -1,0 +1,147 @@
+"""Adaptive interpolation: pixels that take their multiple scattering from their neighbours."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import Camera, Medium, Settings, Sun, Volume, render
+from inference.scene.optimizations import ALL
+from inference.plan.plan import make_tiles
+from inference.image.adaptive_interpolation import LEVELS, Squares, interpolable
+from inference.plan.resolution import BAND
+
+from tests.support.volumes import SUN, camera, cloud
+
+WINDOWS = [(0, 0, 40, 70), (3, 5, 31, 62), (0, 0, 4, 4), (7, 30, 8, 90), (0, 33, 5, 38)]
+
+
+STRIDES = [stride for stride, _ in LEVELS]
+
+
+@pytest.mark.parametrize("stride", STRIDES)
+@pytest.mark.parametrize("window", WINDOWS)
+def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
+    squares = Squares(window, stride)
+    shared = np.ones(len(squares.known), bool)
+    look, between = squares.known_pixels(), squares.interior(shared)
+    inside = np.zeros(squares.size, bool)
+    inside[squares.pixels] = True
+    np.testing.assert_array_equal(look ^ between, inside)
+    assert not np.any(look & between)
+    # No square leaves the window, its band, or its place in the whole image.
+    width = window[2] - window[0]
+    row, column = squares.pixels // width + window[1], squares.pixels % width + window[0]
+    assert np.all(np.ptp(column, axis=1) == stride) and np.all(np.ptp(row, axis=1) == stride)
+    assert np.all(np.ptp(row // BAND, axis=1) == 0) and np.all(column[:, 0] % stride == 0)
+
+
+def test_pixels_outside_interpolated_squares_are_evaluated():
+    """So are those on an edge between an interpolated square and one that is not."""
+    squares = Squares((0, 0, 9, 9), 4)
+    between = squares.interior(np.array([True, False, True, True])).reshape(9, 9)
+    assert between[1:4, 4].sum() == 0 and between[4, 5:8].sum() == 0
+    assert between[4, 1:4].all() and between[1, 1:4].all() and not between[:4, 5:].any()
+
+
+def test_squares_with_known_corners_or_middles_are_skipped():
+    squares = Squares((0, 0, 9, 9), 4)
+    settled = np.zeros(81, bool)
+    # A corner of two squares, another's middle, and a pixel on an edge.
+    settled[[4, 6 * 9 + 2, 5 * 9 + 4]] = True
+    np.testing.assert_array_equal(squares.without(settled).pixels, squares.pixels[3:])
+
+
+@pytest.mark.parametrize("stride", STRIDES)
+def test_linear_functions_are_interpolated_exactly(stride):
+    squares = Squares((2, 3, 45, 60), stride)
+    y, x = np.mgrid[3:60, 2:45].astype(np.float32)
+    values = (5.0 + 0.25 * x - 0.5 * y + 40.0).ravel()
+    shared = np.ones(len(squares.known), bool)
+    between = squares.interior(shared)
+    found = np.where(between, np.float32(np.nan), values)
+    squares.fill(found, shared, between)
+    np.testing.assert_allclose(found, values, rtol=1e-6)
+    assert squares.centre_error(values).max() < 1e-4
+    assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
+
+
+def test_only_squares_whose_middles_are_predicted_are_interpolated():
+    squares = Squares((0, 0, 21, 21), 4)
+    ones = np.ones(21 * 21, np.float32)
+    mean, dark = ones.copy(), 0.0 * ones
+    mean[squares.known[7, 4]] = 1.2
+    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03)
+    assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
+    # What hides behind a little opacity does not matter, nor beside much more light, nor what may be noise.
+    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
+    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
+    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
+    mean[squares.known[7, 4]] = 1.02
+    assert interpolable(squares, mean, dark, ones, dark, None, 0.03)[0].all()
+    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01)[0].all()
+    # A shadow's edge between the places looked at.
+    ahead = ones.copy()
+    ahead[squares.pixels[3, 2]] = 0.3
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
+    # A place that shows nothing of the volume says nothing of it.
+    opacity = ones.copy()
+    opacity[squares.known[12, 4]] = 0.0
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
+
+
+@pytest.fixture(scope="module")
+def close():
+    """A view of a cloud in which a voxel covers many pixels."""
+    return [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN], camera(resolution=(150, 110), fov=0.3)
+
+
+def test_interpolation_saves_predictions_and_keeps_the_picture(close):
+    """Two thirds of them here; its error is below that of so few depth samples, and reported."""
+    every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))
+    shared = render(*close, Settings(4))
+    many = render(*close, Settings(32, leave_out=ALL - {"shared_pixels"}))
+    assert shared.report.counts["network points"] < 0.35 * every.report.counts["network points"]
+    for name in ("single", "alpha", "depth"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(every, name))
+    shown = every.alpha > 0.02
+
+    def error(a, b):
+        return np.sqrt(np.mean((a - b)[shown] ** 2)) / many.rgb[shown].mean()
+
+    assert error(shared.rgb, many.rgb) < 1.1 * error(every.rgb, many.rgb)
+    assert error(shared.rgb, many.rgb) < error(shared.uncertainty, 0.0)
+    assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
+
+
+def test_a_region_shows_what_the_whole_image_shows(close):
+    """Squares lie where they lie in the whole image; those cut by the region's border are evaluated."""
+    volumes, suns, whole = close
+    picture = render(*close, Settings(4)).rgb
+    part = render(volumes, suns, replace(whole, region=(40, 33, 101, 99)), Settings(4)).rgb
+    np.testing.assert_array_equal(part, picture[33:99, 40:101])
+
+
+def test_a_sharp_step_in_a_volume_stays_sharp():
+    """A dense and a thin half of a box, whose border lies between evaluated pixels."""
+    density = np.full((32, 32, 32), 0.05, np.float32)
+    density[16:] = 1.0
+    matrix = np.diag([1 / 32] * 3 + [1.0])
+    matrix[:3, 3] = 0.5 / 32 - 0.5
+    view = Camera(np.array([[1, 0, 0, 0.01], [0, 1, 0, 0], [0, 0, 1, 3.0], [0, 0, 0, 1]]), "orthographic", (101, 101),
+                  ortho_scale=1.1)
+    scene = [(Volume(density, matrix, "halves"), Medium(40.0, 1.0, 0.5))], [Sun((0.3, 0.5, 0.8))], view
+    every, shared = (render(*scene, Settings(8, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
+    assert shared.report.counts["network points"] < 0.6 * every.report.counts["network points"]
+    off = np.abs(shared.rgb - every.rgb).mean(axis=2)
+    assert off.max() < 0.1 * every.rgb[every.alpha > 0.02].mean()
+
+
+@pytest.mark.parametrize("rows", [(0, 500), (7, 500), (40, 41), (32, 100)])
+@pytest.mark.parametrize("size", [1, 33, 50, 10_000])
+def test_tiles_are_whole_bands(rows, size):
+    tiles = make_tiles(*rows, size)
+    assert tiles[0][0] == rows[0] and tiles[-1][1] == rows[1]
+    assert all(end == start for (_, end), (start, _) in zip(tiles, tiles[1:]))
+    assert all(start % BAND == 0 for start, _ in tiles[1:])
+    assert all(end - start <= max(size, BAND) for start, end in tiles)

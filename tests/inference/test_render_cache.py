@@ -1,0 +1,68 @@
+"""The render cache changes nothing but the time."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import Camera, Cancelled, RenderCache, Medium, Settings, Sun, Volume, render
+
+SETTINGS = Settings(depth_samples=1, threads=1)
+
+
+def ball(cells=24):
+    axis = (np.arange(cells) + 0.5) / cells - 0.5
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    matrix = np.diag([1 / cells, 1 / cells, 1 / cells, 1.0])
+    matrix[:3, 3] = axis[0]
+    return Volume(np.clip(4 - 10 * np.sqrt(x**2 + 2 * y**2 + z**2), 0, 1).astype(np.float32), matrix, name="ball")
+
+
+def camera(size=12):
+    matrix = np.eye(4)
+    matrix[2, 3] = 2.5
+    return Camera(matrix, resolution=(size, size), fov=0.6)
+
+
+
+def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
+    volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
+    thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
+    expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
+    render([(volume, thin)], sun, camera(), SETTINGS, cache=cache)
+    for medium in (thick, thin):
+        # The ninth time that it asks, half of the lattices are built.
+        asked = iter(range(9))
+        with pytest.raises(Cancelled):
+            render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)
+        found = render([(volume, medium)], sun, camera(), SETTINGS, cache=cache)
+        np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
+
+
+def test_two_threads_share_the_render_cache():
+    volume, cache = ball(), RenderCache()
+    scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
+              for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
+    expected = [render(*scene, camera(), SETTINGS).rgb for scene in scenes]
+    found = {}
+
+    def run(number):
+        found[number] = render(*scenes[number], camera(), SETTINGS, cache=cache).rgb
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for number in range(2):
+        np.testing.assert_array_equal(found[number], expected[number])
+
+
+def test_without_multiple_scattering_the_other_passes_are_unchanged():
+    volume, sun = ball(), [Sun((0.3, 0.5, 0.8))]
+    whole = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), SETTINGS)
+    single = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), replace(SETTINGS, multiple=False))
+    np.testing.assert_array_equal(single.rgb, whole.single)
+    np.testing.assert_array_equal(single.alpha, whole.alpha)
+    assert "multiple scattering" in " ".join(single.report.left_out) and not single.report.model

@@ -1,0 +1,140 @@
+"""Files are written completely or not at all: full disks, limits, unwritable folders, killed processes."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+# Before OpenEXR: its compiled libraries must come first.
+pytest.importorskip("bpy")
+pytestmark = pytest.mark.blender
+
+from mrpnn_addon.output.exr_file import LINES_PER_BLOCK, write_exr
+from mrpnn_addon.runtime.atomic_write import atomic_write
+
+from tests.support.exr_files import channels
+from tests.support.paths import ROOT
+
+# Noise does not compress: 3 MB.
+PICTURE = {"Z": np.random.default_rng(0).random((768, 1024), np.float32)}
+
+
+@pytest.fixture
+def files_of_a_megabyte():
+    """No file of this process may grow beyond a megabyte."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    """A file system of one megabyte."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True).returncode:
+        pytest.skip("only an administrator can mount a small file system")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_limit_on_files_keeps_the_old_one(tmp_path, files_of_a_megabyte):
+    path = tmp_path / "layer.exr"
+    path.write_bytes(b"old")
+    with pytest.raises(OSError, match="cannot write .*layer.exr: File too large"):
+        write_exr(str(path), PICTURE, {})
+    assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["layer.exr"]
+
+
+def test_writing_can_be_cancelled(tmp_path):
+    """While scan lines are compressed, and while they are written."""
+    path, asked = tmp_path / "layer.exr", []
+    path.write_bytes(b"old")
+
+    class Stopped(Exception):
+        pass
+
+    def check():
+        asked.append(len(asked))
+        if len(asked) > before:
+            raise Stopped()
+
+    lines = PICTURE["Z"].shape[0] // LINES_PER_BLOCK
+    for before in (3, lines + 3):
+        asked.clear()
+        with pytest.raises(Stopped):
+            write_exr(str(path), PICTURE, {}, check)
+        assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["layer.exr"]
+    asked.clear()
+    before = 2 * lines
+    write_exr(str(path), PICTURE, {}, check)
+    np.testing.assert_array_equal(channels(path)["Z"], PICTURE["Z"])
+
+
+def test_a_full_disk_keeps_the_old_file(full_disk):
+    path = full_disk / "layer.exr"
+    path.write_bytes(b"old")
+    with pytest.raises(OSError, match="cannot write .*layer.exr: No space left"):
+        write_exr(str(path), PICTURE, {})
+    assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
+
+
+def test_a_read_only_disk_keeps_the_old_file(full_disk):
+    path = full_disk / "layer.exr"
+    path.write_bytes(b"old")
+    subprocess.run(["mount", "-o", "remount,ro", full_disk], check=True)
+    with pytest.raises(OSError, match="cannot write .*layer.exr: Read-only file system"):
+        write_exr(str(path), PICTURE, {})
+    assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
+
+
+@pytest.mark.parametrize("folder", ["/proc", "/nowhere/at/all"])
+def test_an_unwritable_folder_is_named(folder):
+    with pytest.raises(OSError, match=f"cannot write {folder}/layer.exr: "):
+        write_exr(f"{folder}/layer.exr", PICTURE, {})
+
+
+def test_any_file_name_works(tmp_path):
+    path = tmp_path / "Wolke über dem Meer 雲 'n' $HOME" / "Ebene 層 #1.exr"
+    path.parent.mkdir()
+    write_exr(str(path), PICTURE, {"höhe": "5 m"})
+    np.testing.assert_array_equal(channels(path)["Z"], PICTURE["Z"])
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_symbolic_link_is_replaced_not_followed(tmp_path):
+    """The link is replaced, not the file that it points to."""
+    (tmp_path / "precious").write_bytes(b"old")
+    (tmp_path / "layer.exr").symlink_to(tmp_path / "precious")
+    with atomic_write(str(tmp_path / "layer.exr")) as file:
+        file.write(b"new")
+    assert (tmp_path / "precious").read_bytes() == b"old" and not (tmp_path / "layer.exr").is_symlink()
+
+
+def test_an_error_while_writing_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError), atomic_write(str(tmp_path / "layer.exr")) as file:
+        file.write(b"half")
+        raise RuntimeError("in the middle")
+    assert os.listdir(tmp_path) == []
+
+
+def test_killed_while_writing_the_old_file_stays(tmp_path):
+    path = tmp_path / "layer.exr"
+    path.write_bytes(b"old")
+    program = ("import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
+               "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
+    writer = subprocess.Popen([sys.executable, "-c", program, path], cwd=ROOT)
+    while not list(tmp_path.glob(".mrpnn-*.part")) and writer.poll() is None:
+        time.sleep(0.01)
+    writer.send_signal(signal.SIGKILL)
+    assert writer.wait() == -signal.SIGKILL
+    assert path.read_bytes() == b"old"
+    # The next render works.
+    write_exr(str(path), PICTURE, {})
+    np.testing.assert_array_equal(channels(path)["Z"], PICTURE["Z"])

@@ -1,0 +1,83 @@
+"""Holdouts, indirect-only collections and ray visibility: volumes left out or settings ignored, and named."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import SceneError
+
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def two(scene, tmp_path):
+    """Two clouds, the second in a collection of its own; gives the second and its layer collection."""
+    scene.render.resolution_x, scene.render.resolution_y = 16, 12
+    blender_scenes.cloud_scene(scene, tmp_path)
+    second, _ = blender_scenes.add_volume(
+        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Second")
+    collection = bpy.data.collections.new("Apart")
+    scene.collection.children.link(collection)
+    collection.objects.link(second)
+    scene.collection.objects.unlink(second)
+    return second, scene.view_layers[0].layer_collection.children["Apart"]
+
+
+def read(addon):
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+@pytest.mark.parametrize("how, word", [
+    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect-only"),
+    ("camera", "hidden from the camera")])
+def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, word):
+    second, layer = two
+    assert len(read(addon).volumes) == 2 and not read(addon).warnings[1:]
+    if how == "layer holdout":
+        layer.holdout = True
+    elif how == "object holdout":
+        second.is_holdout = True
+    elif how == "indirect only":
+        layer.indirect_only = True
+    else:
+        second.visible_camera = False
+    found = read(addon)
+    assert [volume.name for volume, _ in found.volumes] == ["Cloud"]
+    (warning,) = [text for text in found.warnings if "\"Second\"" in text]
+    assert word in warning and "left out" in warning
+    assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
+
+
+def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, two):
+    second, layer = two
+    layer.holdout = True
+    scene.objects["Cloud"].visible_camera = False
+    with pytest.raises(SceneError) as problem:
+        read(addon)
+    assert "\"Cloud\" is hidden from the camera" in str(problem.value)
+    assert "\"Second\" is a holdout" in str(problem.value)
+
+
+def test_a_holdout_in_one_view_layer_is_rendered_in_another(addon, scene, two):
+    _, layer = two
+    layer.holdout = True
+    other = scene.view_layers.new("Other")
+    with bpy.context.temp_override(view_layer=other):
+        found = addon.mrpnn_addon.scene.reader.read_scene(bpy.context.evaluated_depsgraph_get())
+    assert len(found.volumes) == 2
+
+
+def test_ignored_settings_are_named(addon, scene, two):
+    second, _ = two
+    before = read(addon)
+    second.visible_shadow = second.visible_volume_scatter = False
+    view_layer = scene.view_layers[0]
+    view_layer.material_override, view_layer.use_volumes = bpy.data.materials.new("Clay"), False
+    found = read(addon)
+    said = set(found.warnings) - set(before.warnings)
+    assert {word for word in ("shadow rays", "volume scatter rays", "overrides materials", "filters volumes")
+            if any(word in text for text in said)} == {
+                "shadow rays", "volume scatter rays", "overrides materials", "filters volumes"}
+    assert len(said) == 4
+    np.testing.assert_array_equal(found.volumes[1][0].density, before.volumes[1][0].density)

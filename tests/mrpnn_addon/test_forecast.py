@@ -1,0 +1,162 @@
+"""The panel's estimate of render time: the work it counts, and what it learns from renders."""
+
+import os
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import render
+
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def cloud(addon, scene, tmp_path, monkeypatch):
+    """A cloud of 64^3 voxels, before anything is known of it or of the machine's speed."""
+    monkeypatch.setenv("BLENDER_USER_CONFIG", str(tmp_path))
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
+    addon.mrpnn_addon.status.calibration.forget()
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    scene.mrpnn.depth_samples = 1
+    shown, _ = blender_scenes.add_volume(
+        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(64), blender_scenes.centred(64, 2.0)),
+        Density=4.0, Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=0.5)
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene)
+    yield shown
+    addon.mrpnn_addon.status.calibration.forget()
+
+
+@pytest.fixture
+def said(addon, cloud):
+    return lambda: addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
+
+
+def shader(cloud):
+    return cloud.data.materials[0].node_tree.nodes["Principled Volume"]
+
+
+def described(addon):
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+def test_dense_volumes_take_longer_once_their_density_is_known(addon, scene, cloud, said):
+    assert said().rough
+    described(addon)
+    assert not said().rough
+    # Without reading it again: by what has changed in the material.
+    seconds = []
+    for density in (4.0, 40.0, 400.0):
+        shader(cloud).inputs["Density"].default_value = density
+        seconds.append(said().seconds)
+    assert seconds[0] < seconds[1] < seconds[2] and seconds[2] > 1.3 * seconds[0]
+
+
+def test_the_known_density_gives_the_renderers_step_count(addon, scene, cloud, said):
+    """Ray steps of the render, and estimated from the boxes of the file."""
+    for density in (4.0, 200.0):
+        shader(cloud).inputs["Density"].default_value = density
+        found = described(addon)
+        report = render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
+        np.testing.assert_allclose(found.workload(1).steps, report.counts["steps"], rtol=0.15)
+
+
+def test_black_lights_are_ignored(addon, scene, cloud, said):
+    one = said()
+    assert one.suns == 1
+    dark = blender_scenes.add_sun(scene, "Dark", strength=0.0, rotation=(1.0, 0.0, 0.0))
+    hidden = blender_scenes.add_sun(scene, "Hidden", rotation=(0.0, 1.0, 0.0))
+    hidden.visible_volume_scatter = False
+    off = blender_scenes.add_sun(scene, "Off", rotation=(0.0, 1.5, 0.0))
+    off.hide_render = True
+    # Parallel to the first one.
+    blender_scenes.add_sun(scene, "Parallel")
+    assert (said().suns, said().seconds) == (1, one.seconds)
+    dark.data.energy = 1.0
+    assert said().suns == 2 and said().seconds > one.seconds
+    dark.data.energy = 0.0
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    assert said().suns == 1 + scene.mrpnn.world_directions and said().seconds > 3 * one.seconds
+
+
+def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
+    whole = said().seconds
+    scene.camera.location.z = 60.0
+    far = said()
+    assert far.pixels < 100 and far.seconds < whole
+    scene.camera.location.z = -6.0
+    # Behind the camera all pixels might show it, but no ray meets its box.
+    assert addon.mrpnn_addon.objects.workload.estimate_workload(
+        [addon.mrpnn_addon.volumes.bounding_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
+        addon.mrpnn_addon.objects.camera.read_camera(blender_scenes.depsgraph())[0], 1, 1).pixels == 0.0
+
+
+def shown_volumes(addon):
+    visibility = addon.mrpnn_addon.objects.visibility
+    return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
+
+
+def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
+    """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
+    cost_model = addon.mrpnn_addon.status.cost_model
+    bpy.ops.mrpnn.render()
+    known = addon.mrpnn_addon.status.calibration.calibration()
+    second = blender_scenes.add_sun(scene, "Second", strength=0.0, rotation=(1.0, 0.4, 0.0))
+    for percentage, samples, strength in ((200, 1, 0.0), (200, 4, 0.0), (100, 4, 1.0), (150, 2, 1.0)):
+        scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
+        second.data.energy = strength
+        found = described(addon)
+        asked = found.workload(samples)
+        assert asked.lights == said().suns or strength == 0.0
+        counts = render(
+            found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
+        shares = known.shares[asked.names]
+        _, points = cost_model._points(asked, shares)
+        np.testing.assert_allclose(asked.steps * shares.evaluated, counts["steps evaluated"], rtol=0.3)
+        np.testing.assert_allclose(points * counts["suns"], counts["network points"], rtol=0.3)
+
+
+def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
+    scene.render.resolution_percentage, scene.mrpnn.depth_samples = 500, 4
+    # Without the seconds in which the network is loaded.
+    bpy.ops.mrpnn.render()
+    bpy.ops.mrpnn.render()
+    taken = addon.mrpnn_addon.status.last_render.last_render().seconds
+    assert abs(said().seconds / taken - 1.0) < 0.3
+    # On twice as many threads it is estimated to take about half.
+    scene.mrpnn.threads = 2 * (os.cpu_count() or 1)
+    assert 0.45 * taken < said().seconds < 0.75 * taken
+
+
+def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
+    scene.render.resolution_percentage = 400
+    bpy.ops.mrpnn.render()
+    calibration = addon.mrpnn_addon.status.calibration
+    rates = dict(calibration.calibration().rates)
+    assert rates
+    calibration.forget()
+    assert calibration.calibration().rates.keys() == rates.keys() and not calibration.calibration().shares
+    # A damaged file counts as none.
+    for text in ("{", "[]", '{"rates": {"march": -1}, "threads": 2}'):
+        (tmp_path / calibration.FILE).write_text(text)
+        calibration.forget()
+        assert calibration.calibration().rates == {}
+    assert said().seconds > 0.0
+
+
+def test_another_file_is_another_scene(addon, scene, cloud, said):
+    bpy.ops.mrpnn.render()
+    assert not said().rough
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert not addon.mrpnn_addon.status.calibration.calibration().shares and not addon.mrpnn_addon.volumes.bounding_boxes._densities
+
+
+def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monkeypatch, tmp_path):
+    folder = tmp_path / "file"
+    folder.write_text("no folder")
+    monkeypatch.setenv("BLENDER_USER_CONFIG", str(folder))
+    scene.render.resolution_percentage = 400
+    assert bpy.ops.mrpnn.render() == {'FINISHED'}
+    assert addon.mrpnn_addon.status.last_render.last_render().seconds > 0.0

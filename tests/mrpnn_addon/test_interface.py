@@ -1,0 +1,200 @@
+"""Properties, preferences and the panels' texts, in real Blender; and that nothing is left behind."""
+
+import gc
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import SceneError, Settings, render
+from inference.network.provider import PROVIDERS
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def cloud(scene, tmp_path):
+    scene.render.resolution_x, scene.render.resolution_y = 32, 24
+    return blender_scenes.cloud_scene(scene, tmp_path)
+
+
+def test_presets_set_the_samples_and_samples_show_the_preset(scene):
+    settings = scene.mrpnn
+    assert (settings.preset, settings.depth_samples) == ('DRAFT', 4)
+    settings.preset = 'FINAL'
+    assert settings.depth_samples == 16
+    settings.depth_samples = 5
+    assert settings.preset == 'CUSTOM'
+    settings.preset = 'CUSTOM'
+    assert settings.depth_samples == 5
+
+
+def test_optimizations_are_chosen_one_by_one(addon, scene):
+    assert scene.mrpnn.leave_out == set(OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == ALL
+    scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
+    assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
+    scene.mrpnn.leave_out = set()
+    assert scene.mrpnn.settings().leave_out == frozenset()
+
+
+def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
+    assert scene.mrpnn.settings().memory_limit == 8 << 30
+    entry = bpy.context.preferences.addons.new()
+    entry.module = "mrpnn"
+    try:
+        entry.preferences.threads, entry.preferences.memory_limit = 3, 5
+        entry.preferences.model, entry.preferences.provider = "mrpnn-narrow", 'OPENVINO'
+        found = scene.mrpnn.settings()
+        assert (found.threads, found.memory_limit) == (3, 5 << 30)
+        assert (found.model, found.provider) == ("mrpnn-narrow", "OPENVINO")
+        scene.mrpnn.threads, scene.mrpnn.memory_limit, scene.mrpnn.model = 2, 4, "mrpnn-wide"
+        found = scene.mrpnn.settings()
+        assert (found.threads, found.memory_limit, found.model) == (2, 4 << 30, "mrpnn-wide")
+    finally:
+        bpy.context.preferences.addons.remove(entry)
+
+
+def test_the_preferences_offer_every_provider(addon, scene):
+    items = addon.mrpnn_addon.settings.preferences._PROVIDER_ITEMS
+    assert [item[0] for item in items] == list(PROVIDERS)
+
+
+def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_path, capfd):
+    """There, networks were numbered by their position in the list."""
+    scene.mrpnn.depth_samples, scene.mrpnn.memory_limit = 12, 6
+    stored = scene.mrpnn.bl_system_properties_get(do_create=True) if bpy.app.version >= (5, 0, 0) else scene["mrpnn"]
+    stored["model"], stored["version"] = 0, 0
+    path = str(tmp_path / "old.blend")
+    bpy.app.handlers.save_pre.remove(addon.mrpnn_addon.settings.properties._before_save)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+    finally:
+        bpy.app.handlers.save_pre.append(addon.mrpnn_addon.settings.properties._before_save)
+    capfd.readouterr()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    settings = bpy.context.scene.mrpnn
+    assert (settings.version, settings.model) == (addon.mrpnn_addon.settings.properties.VERSION, "mrpnn")
+    assert (settings.depth_samples, settings.memory_limit) == (12, 6)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert bpy.context.scene.mrpnn.model == "mrpnn"
+    said = capfd.readouterr()
+    assert "enum" not in said.out + said.err
+
+
+def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
+    blender_scenes.add_sun(scene, "Second", rotation=(1.0, 0.0, 0.0))
+    found = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
+    assert (found.volumes, found.suns, found.problem) == (1, 2, "")
+    bpy.ops.mrpnn.render()
+    counts = addon.mrpnn_addon.status.last_render.last_render()
+    # Bounds hold all that is hit, and the cloud does not fill them.
+    assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
+    scene.camera.location.z = 0.5
+    inside = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
+    assert inside.pixels == 32 * 24
+
+
+def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
+    """For shifted, orthographic and rotated cameras: no pixel that shows the cloud is outside."""
+    lens = scene.camera.data
+    for kind, shift in (('PERSP', (0.2, -0.1)), ('ORTHO', (-0.3, 0.2))):
+        lens.type, lens.ortho_scale, (lens.shift_x, lens.shift_y) = kind, 5.0, shift
+        scene.camera.rotation_euler = (0.1, 0.15, 0.4)
+        graph = blender_scenes.depsgraph()
+        described = addon.mrpnn_addon.scene.reader.read_scene(graph)
+        alpha = render(
+            described.volumes, described.suns, described.camera, Settings(1)).alpha
+        boxes = [box for box, _ in described.boxes]
+        covered = addon.mrpnn_addon.objects.workload.pixels_around(boxes, described.camera)
+        assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
+        assert covered.sum() < 4 * (alpha > 0).sum()
+
+
+def test_the_check_lists_what_is_left_out_and_becomes_outdated(addon, scene, cloud, tmp_path):
+    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
+    check = addon.mrpnn_addon.status.scene_check
+    assert bpy.ops.mrpnn.check() == {'FINISHED'}
+    found = check.last_check()
+    assert any("\"Lamp\"" in warning for warning in found.warnings) and found.memory > 0
+    assert not found.outdated(scene)
+    assert found.voxels == {"Cloud": (16, 16, 16)} and not found.error
+    scene.camera.location.x = 1.0
+    blender_scenes.depsgraph().update()
+    assert found.outdated(scene)
+    cloud.data.filepath = str(tmp_path / "gone.vdb")
+    with pytest.raises(RuntimeError, match="\"Cloud\": file not found"):
+        bpy.ops.mrpnn.check()
+    assert "gone.vdb" in check.last_check().error
+
+
+def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
+    """A package of that name and an old version, before the extension's in the search path."""
+    folder = tmp_path / "site"
+    (folder / "onnxruntime").mkdir(parents=True)
+    (folder / "onnxruntime" / "__init__.py").write_text("")
+    (folder / "onnxruntime-1.9.0.dist-info").mkdir()
+    metadata = folder / "onnxruntime-1.9.0.dist-info" / "METADATA"
+    runtime = addon.mrpnn_addon.runtime.onnxruntime_version
+    assert runtime.check_runtime() == []
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(__import__("sys").modules, "onnxruntime", raising=False)
+    metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.9.0\n")
+    with pytest.raises(SceneError, match="1.9.0.*too old"):
+        runtime.check_runtime()
+    metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.30.1\n")
+    (warning,) = runtime.check_runtime()
+    assert "1.30.1" in warning and str(folder) in warning
+
+
+def test_a_missing_onnxruntime_is_named(addon, scene, cloud, monkeypatch):
+    monkeypatch.setattr(sys, "path", [])
+    for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
+        monkeypatch.delitem(sys.modules, name)
+    assert addon.mrpnn_addon.runtime.onnxruntime_version.runtime_version() is None
+    with pytest.raises(RuntimeError, match="onnxruntime, which the extension ships, is missing"):
+        bpy.ops.mrpnn.render()
+
+
+def test_the_shipped_onnxruntime_is_the_expected_one(addon):
+    import build_extension
+    assert all(f"onnxruntime-{addon.mrpnn_addon.runtime.onnxruntime_version.SHIPPED}-" in wheel
+               for wheel in build_extension.manifest()["wheels"])
+
+
+def _left_behind():
+    handlers = sum(len(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers)
+                   if isinstance(getattr(bpy.app.handlers, name), list))
+    return handlers, threading.active_count(), len(bpy.data.images), len(bpy.data.scenes)
+
+
+def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
+    """Also of scenes and registrations; the console stays silent."""
+    path = str(tmp_path / "scene.blend")
+    scene.mrpnn.depth_samples, scene.render.resolution_percentage = 1, 25
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.render.render()
+    capfd.readouterr()
+    before, said = None, ""
+    for turn in range(50):
+        bpy.context.scene.render.engine = ('CYCLES', 'MRPNN', 'BLENDER_WORKBENCH')[turn % 3]
+        other = bpy.data.scenes.new("other")
+        bpy.data.scenes.remove(other)
+        bpy.ops.ed.undo_push(message="turn")
+        addon.unregister()
+        addon.register()
+        if turn in (1, 40):
+            bpy.context.scene.render.engine = 'MRPNN'
+            bpy.ops.render.render()
+        said += "".join(capfd.readouterr()) if turn not in (1, 40) else capfd.readouterr().err
+        bpy.ops.wm.open_mainfile(filepath=path)
+        capfd.readouterr()
+        gc.collect()
+        if turn == 2:
+            before = _left_behind()
+    assert _left_behind() == before
+    assert said == ""

@@ -1,0 +1,274 @@
+"""Node trees evaluated in numpy, against Cycles' render of an emissive plane."""
+
+import importlib
+import itertools
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from tests.support import blender_scenes
+
+PIXELS = 24
+EDGE = 3.0
+
+
+class Plane:
+    """Object coordinates at the pixels of a plane of edge EDGE seen from above, rows from the top."""
+
+    fills_its_bounds = True
+
+    def coordinates(self, kind, node):
+        assert kind == "object"
+        axis = ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5) * EDGE
+        x, y = np.meshgrid(axis, -axis)
+        return np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.0)], axis=1)
+
+
+@pytest.fixture
+def plane(addon, scene):
+    """(node tree, emission node, socket of Object coordinates) of a plane under an orthographic camera."""
+    mesh = bpy.data.meshes.new("Plane")
+    half = EDGE
+    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+    blender_scenes.add_object(scene, "Plane", mesh)
+    material = bpy.data.materials.new("Emission")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    emission = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    mesh.materials.append(material)
+    blender_scenes.add_camera(scene, ortho_scale=EDGE)
+    scene.render.resolution_x = scene.render.resolution_y = PIXELS
+    return tree, emission, tree.nodes.new("ShaderNodeTexCoord").outputs["Object"]
+
+
+def rendered(scene, folder):
+    """Cycles' colours at the pixels' centres, (n, 3)."""
+    blender_scenes.set_up_cycles(scene, samples=1)
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = 'BLACKMAN_HARRIS', 0.01
+    return blender_scenes.rendered(scene, folder)[..., :3].reshape(-1, 3)
+
+
+def evaluated(emission):
+    """The value of Blender's nodes, and of their copies, which threads evaluate."""
+    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(Plane())
+    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").snapshot(emission.id_data, emission)
+    found = values.colour(emission, "Color")
+    np.testing.assert_array_equal(values.colour(copied, "Color"), found)
+    return np.broadcast_to(found, (PIXELS * PIXELS, 3))
+
+
+def assert_equal_to_cycles(scene, folder, emission):
+    expected, found = rendered(scene, folder), evaluated(emission)
+    assert expected.std() > 0.0, "Cycles shows the same everywhere"
+    # Where a step lies on a pixel's centre, rounding decides.
+    wrong = np.abs(found - expected).max(axis=1) > 2e-4 * (1.0 + np.abs(expected).max(axis=1))
+    first = wrong.argmax()
+    assert wrong.mean() < 0.02, (wrong.mean(), found[first], expected[first])
+
+
+def combined(tree, emission, outputs):
+    """Link up to three numbers to the emission's colour, offset so that none is negative."""
+    combine = tree.nodes.new("ShaderNodeCombineXYZ")
+    lift = tree.nodes.new("ShaderNodeVectorMath")
+    lift.inputs[1].default_value = (20.0,) * 3
+    for output, socket in zip(outputs, combine.inputs):
+        tree.links.new(output, socket)
+    tree.links.new(combine.outputs[0], lift.inputs[0])
+    tree.links.new(lift.outputs[0], emission.inputs["Color"])
+
+
+def add(tree, kind, **settings):
+    node = tree.nodes.new(f"ShaderNode{kind}")
+    for name, value in settings.items():
+        setattr(node, name, value)
+    return node
+
+
+def axes(tree, coordinates):
+    separate = add(tree, "SeparateXYZ")
+    tree.links.new(coordinates, separate.inputs[0])
+    return separate.outputs
+
+
+def test_every_math_operation(addon, scene, plane, tmp_path):
+    tree, emission, coordinates = plane
+    x, y, _ = axes(tree, coordinates)
+    # No multiple of x, where steps would lie on pixels' centres.
+    turned = add(tree, "Math", operation='MULTIPLY_ADD')
+    tree.links.new(y, turned.inputs[0])
+    turned.inputs[1].default_value, turned.inputs[2].default_value = 0.8317, 0.0231
+    y = turned.outputs[0]
+    names = (item.identifier for item in turned.bl_rna.properties["operation"].enum_items)
+    while batch := list(itertools.islice(names, 3)):
+        outputs = []
+        for name in batch:
+            node = add(tree, "Math", operation=name)
+            tree.links.new(x, node.inputs[0])
+            tree.links.new(y, node.inputs[1])
+            node.inputs[2].default_value = 0.4
+            outputs.append(node.outputs[0])
+        combined(tree, emission, outputs)
+        try:
+            assert_equal_to_cycles(scene, tmp_path, emission)
+        except AssertionError as difference:
+            raise AssertionError(f"{batch}: {difference}") from None
+
+
+def test_vector_math(addon, scene, plane, tmp_path):
+    tree, emission, coordinates = plane
+    table = importlib.import_module("mrpnn.mrpnn_addon.nodes.math_operations").VECTOR_MATH
+    for name in table:
+        node = add(tree, "VectorMath", operation=name)
+        tree.links.new(coordinates, node.inputs[0])
+        node.inputs[1].default_value, node.inputs[3].default_value = (0.7, -0.4, 0.9), 1.7
+        if name == 'MULTIPLY_ADD':
+            node.inputs[2].default_value = (0.1, 0.2, 0.3)
+        output = node.outputs[1] if name in ('DOT_PRODUCT', 'DISTANCE', 'LENGTH') else node.outputs[0]
+        lift = add(tree, "VectorMath")
+        lift.inputs[1].default_value = (20.0,) * 3
+        tree.links.new(output, lift.inputs[0])
+        tree.links.new(lift.outputs[0], emission.inputs["Color"])
+        try:
+            assert_equal_to_cycles(scene, tmp_path, emission)
+        except AssertionError as difference:
+            raise AssertionError(f"{name}: {difference}") from None
+
+
+@pytest.mark.parametrize("kind", ['LINEAR', 'STEPPED', 'SMOOTHSTEP', 'SMOOTHERSTEP'])
+def test_map_range(addon, scene, plane, tmp_path, kind):
+    tree, emission, coordinates = plane
+    x, y, _ = axes(tree, coordinates)
+    outputs = []
+    for low, high, clamp in ((-0.5, 0.9, True), (0.8, -0.7, True), (-0.5, 0.9, False)):
+        node = add(tree, "MapRange", interpolation_type=kind, clamp=clamp)
+        for socket, value in zip(node.inputs[1:5], (low, high, 3.0, -1.0)):
+            socket.default_value = value
+        tree.links.new(x, node.inputs["Value"])
+        outputs.append(node.outputs[0])
+    combined(tree, emission, outputs)
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("interpolation", ['LINEAR', 'CONSTANT', 'B_SPLINE', 'EASE'])
+def test_color_ramp(addon, scene, plane, tmp_path, interpolation):
+    tree, emission, coordinates = plane
+    ramp = add(tree, "ValToRGB")
+    ramp.color_ramp.interpolation = interpolation
+    ramp.color_ramp.elements[0].position, ramp.color_ramp.elements[0].color = 0.2, (1.0, 0.1, 0.0, 1.0)
+    ramp.color_ramp.elements.new(0.6).color = (0.0, 2.0, 0.3, 1.0)
+    tree.links.new(axes(tree, coordinates)[0], ramp.inputs[0])
+    tree.links.new(ramp.outputs[0], emission.inputs["Color"])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+def test_float_curve_clamp_gamma_and_mix(addon, scene, plane, tmp_path):
+    tree, emission, coordinates = plane
+    x, y, _ = axes(tree, coordinates)
+    curve = add(tree, "FloatCurve")
+    curve.mapping.curves[0].points.new(0.4, 0.8)
+    curve.mapping.update()
+    curve.inputs["Factor"].default_value = 0.7
+    mix = add(tree, "Mix", clamp_factor=True)
+    mix.inputs[2].default_value, mix.inputs[3].default_value = 2.0, -1.0
+    clamp = add(tree, "Clamp", clamp_type='RANGE')
+    clamp.inputs["Min"].default_value, clamp.inputs["Max"].default_value = 0.6, 0.1
+    for node, socket in ((curve, "Value"), (mix, "Factor"), (clamp, "Value")):
+        tree.links.new(x, node.inputs[socket])
+    combined(tree, emission, [curve.outputs[0], mix.outputs[0], clamp.outputs[0]])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("blend", ['ADD', 'MULTIPLY', 'SUBTRACT', 'SCREEN', 'DIVIDE', 'DIFFERENCE', 'DARKEN', 'LIGHTEN'])
+def test_colour_blends_and_conversions(addon, scene, plane, tmp_path, blend):
+    tree, emission, coordinates = plane
+    mix = add(tree, "Mix", data_type='RGBA', blend_type=blend)
+    colours = [socket for socket in mix.inputs if socket.type == 'RGBA']
+    colours[0].default_value = (0.8, 0.3, 0.5, 1.0)
+    tree.links.new(coordinates, colours[1])
+    mix.inputs[0].default_value = 0.6
+    grey = add(tree, "Math", operation='ADD')
+    grey.inputs[1].default_value = 5.0
+    # A colour that enters a number becomes its luminance.
+    tree.links.new(next(o for o in mix.outputs if o.type == 'RGBA'), grey.inputs[0])
+    tree.links.new(grey.outputs[0], emission.inputs["Color"])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("kind", ['POINT', 'TEXTURE', 'VECTOR', 'NORMAL'])
+def test_mapping(addon, scene, plane, tmp_path, kind):
+    tree, emission, coordinates = plane
+    node = add(tree, "Mapping", vector_type=kind)
+    node.inputs["Rotation"].default_value, node.inputs["Scale"].default_value = (0.3, -0.5, 1.1), (0.7, 1.8, -1.2)
+    if kind in ('POINT', 'TEXTURE'):
+        node.inputs["Location"].default_value = (0.3, 0.2, 0.7)
+    tree.links.new(coordinates, node.inputs["Vector"])
+    combined(tree, emission, axes(tree, node.outputs[0]))
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("kind", ['LINEAR', 'QUADRATIC', 'EASING', 'DIAGONAL', 'SPHERICAL', 'QUADRATIC_SPHERE', 'RADIAL'])
+def test_gradient_texture(addon, scene, plane, tmp_path, kind):
+    tree, emission, coordinates = plane
+    node = add(tree, "TexGradient", gradient_type=kind)
+    tree.links.new(coordinates, node.inputs["Vector"])
+    tree.links.new(node.outputs["Fac"], emission.inputs["Color"])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("settings", [
+    dict(Scale=2.0, Detail=0.0), dict(Scale=-3.0, Detail=2.5, Roughness=0.7),
+    dict(Scale=1.5, Detail=4.0, Lacunarity=2.7), dict(Scale=2.0, Detail=1.0, Distortion=0.8),
+    dict(Scale=2.0, Detail=3.0, normalize=False),
+], ids=str)
+def test_noise_texture(addon, scene, plane, tmp_path, settings):
+    tree, emission, coordinates = plane
+    node = add(tree, "TexNoise", normalize=settings.pop("normalize", True))
+    for name, value in settings.items():
+        node.inputs[name].default_value = value
+    tree.links.new(coordinates, node.inputs["Vector"])
+    combined(tree, emission, [node.outputs[0]])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+def test_groups_reroutes_and_muted_nodes(addon, scene, plane, tmp_path):
+    tree, emission, coordinates = plane
+    group = bpy.data.node_groups.new("Doubled", "ShaderNodeTree")
+    group.interface.new_socket("In", in_out='INPUT', socket_type='NodeSocketVector')
+    group.interface.new_socket("Factor", in_out='INPUT', socket_type='NodeSocketFloat')
+    group.interface.new_socket("Out", in_out='OUTPUT', socket_type='NodeSocketVector')
+    inner = group.nodes.new("ShaderNodeVectorMath")
+    inner.operation = 'SCALE'
+    entry, leave = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group.links.new(entry.outputs[0], inner.inputs[0])
+    group.links.new(entry.outputs[1], inner.inputs["Scale"])
+    group.links.new(inner.outputs[0], leave.inputs[0])
+
+    muted = add(tree, "VectorMath", operation='ADD', mute=True)
+    reroute = tree.nodes.new("NodeReroute")
+    tree.links.new(coordinates, muted.inputs[0])
+    tree.links.new(muted.outputs[0], reroute.inputs[0])
+    last = reroute.outputs[0]
+    for factor in (2.0, 0.25):
+        node = tree.nodes.new("ShaderNodeGroup")
+        node.node_tree = group
+        tree.links.new(last, node.inputs[0])
+        node.inputs[1].default_value = factor
+        last = node.outputs[0]
+    combined(tree, emission, axes(tree, last))
+    assert_equal_to_cycles(scene, tmp_path, emission)
+    np.testing.assert_allclose(evaluated(emission)[:, 0], 20.0 + 0.5 * Plane().coordinates("object", None)[:, 0], rtol=1e-6)
+
+
+def test_what_cannot_be_evaluated_is_named(addon, scene, plane):
+    tree, emission, _ = plane
+    sockets = importlib.import_module("mrpnn.mrpnn_addon.nodes.sockets")
+    for kind, said in (("TexVoronoi", "Voronoi"), ("TexCoord", "Reflection"), ("TexWave", "Wave")):
+        node = tree.nodes.new(f"ShaderNode{kind}")
+        tree.links.new(node.outputs["Reflection" if kind == "TexCoord" else 0], emission.inputs["Color"])
+        with pytest.raises(sockets.Unsupported, match=said):
+            evaluated(emission)

@@ -1,0 +1,160 @@
+"""Meshes whose material has a volume and no surface, against closed forms and Cycles."""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import bmesh
+from mathutils import Matrix
+
+from inference import SceneError, Settings, render
+
+from tests.support import blender_scenes
+
+
+def read(addon):
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+def add_mesh(scene, make, name="Fog", shader="ShaderNodeVolumePrincipled", **inputs):
+    """A mesh made by `make(bmesh)` with one volume shader; gives (object, shader node)."""
+    shape = bmesh.new()
+    make(shape)
+    mesh = bpy.data.meshes.new(name)
+    shape.to_mesh(mesh)
+    shape.free()
+    shown = blender_scenes.add_object(scene, name, mesh)
+    return shown, blender_scenes.add_fog(mesh, name, shader, **inputs)
+
+
+def cube(shape):
+    bmesh.ops.create_cube(shape, size=2.0)
+
+
+def ball(shape):
+    bmesh.ops.create_icosphere(shape, subdivisions=4, radius=1.0)
+
+
+def lit(scene, **camera):
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene, **camera)
+
+
+def total(volume):
+    """The integral of the density over the world."""
+    return float(volume.density.sum()) * abs(np.linalg.det(volume.world_from_index[:3, :3]))
+
+
+@pytest.mark.parametrize("make, size", [(cube, 8.0), (ball, 4.0 / 3.0 * math.pi)])
+def test_the_inside_of_a_closed_mesh(addon, scene, make, size):
+    fog, _ = add_mesh(scene, make, Density=0.5)
+    fog.matrix_world = Matrix.LocRotScale((1, 2, 3), Matrix.Rotation(0.7, 3, 'X'), (1.0, -2.0, 0.5))
+    lit(scene)
+    (volume, medium), = read(addon).volumes
+    assert total(volume) == pytest.approx(size, rel=0.01)
+    # A mesh's density is per world unit, whatever its scale.
+    np.testing.assert_allclose(medium.sigma_t, 0.5 * (0.5 + 0.5))
+    np.testing.assert_allclose(medium.albedo, 0.5)
+    middle = np.array([(n - 1) / 2 for n in volume.density.shape] + [1.0])
+    np.testing.assert_allclose((volume.world_from_index @ middle)[:3], (1, 2, 3), atol=1e-6)
+
+
+def test_normals_that_point_inwards_enclose_as_well(addon, scene):
+    add_mesh(scene, lambda shape: (cube(shape), bmesh.ops.reverse_faces(shape, faces=shape.faces[:])))
+    lit(scene)
+    assert total(read(addon).volumes[0][0]) == pytest.approx(8.0, rel=1e-3)
+
+
+def test_modifiers_shape_the_mesh(addon, scene):
+    fog, _ = add_mesh(scene, cube)
+    array = fog.modifiers.new("Array", 'ARRAY')
+    array.relative_offset_displace = (1.5, 0.0, 0.0)
+    lit(scene)
+    assert total(read(addon).volumes[0][0]) == pytest.approx(16.0, rel=0.01)
+
+
+def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
+    """With smoke: tests/package/test_programs.py, since the bpy module cannot simulate."""
+    fog, _ = add_mesh(scene, cube)
+    modifier = fog.modifiers.new("Fluid", 'FLUID')
+    modifier.fluid_type, modifier.domain_settings.domain_type = 'DOMAIN', 'GAS'
+    lit(scene)
+    described = read(addon)
+    assert not described.volumes and not addon.mrpnn_addon.engine.render_job.render_scene(
+        described, Settings()).layer.alpha.any()
+    assert f"volume \"{fog.name}\" has no smoke in frame 1 and is left out" in described.warnings
+    # Liquids are meshes.
+    modifier.domain_settings.domain_type = 'LIQUID'
+    assert len(read(addon).volumes) == 1
+
+
+@pytest.mark.parametrize("seen", ["homogeneous", "gradient", "noise"])
+def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
+    # Purely absorbing: nothing to predict.
+    fog, node = add_mesh(scene, ball if seen == "homogeneous" else cube, Density=0.6, Color=(0.0, 0.0, 0.0, 1.0))
+    fog.rotation_euler, fog.scale = (0.4, 0.3, 0.2), (1.0, 0.7, 1.3)
+    tree = node.id_data
+    if seen != "homogeneous":
+        coordinates = tree.nodes.new("ShaderNodeTexCoord")
+        texture = tree.nodes.new("ShaderNodeTexGradient" if seen == "gradient" else "ShaderNodeTexNoise")
+        # Noise in its default coordinates.
+        if seen == "gradient":
+            texture.gradient_type = 'SPHERICAL'
+            tree.links.new(coordinates.outputs["Object"], texture.inputs["Vector"])
+        else:
+            texture.inputs["Scale"].default_value = 3.0
+        ramp = tree.nodes.new("ShaderNodeMapRange")
+        ramp.inputs["From Min"].default_value, ramp.inputs["To Max"].default_value = 0.3, 4.0
+        tree.links.new(next(o for o in texture.outputs if o.name == "Fac"), ramp.inputs[0])
+        tree.links.new(ramp.outputs[0], node.inputs["Density"])
+    lit(scene)
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    scene.cycles.volume_step_rate = 0.1
+    bpy.context.view_layer.update()
+    settings = Settings(depth_samples=1)
+    described = read(addon)
+    layer = render(described.volumes, described.suns, described.camera, settings)
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=64)[..., 3]
+    assert expected.mean() > 0.03
+    assert layer.alpha.mean() == pytest.approx(expected.mean(), rel=0.01)
+    assert np.sqrt(((layer.alpha - expected) ** 2).mean()) < 0.02
+
+
+def open_box(shape):
+    cube(shape)
+    bmesh.ops.delete(shape, geom=shape.faces[:1], context='FACES_ONLY')
+
+
+def sheet(shape):
+    bmesh.ops.create_grid(shape, x_segments=1, y_segments=1, size=1.0)
+
+
+@pytest.mark.parametrize("make, said", [(open_box, "not closed"), (sheet, "flat"), (lambda shape: None, "no faces")])
+def test_meshes_without_an_inside_are_refused_by_name(addon, scene, make, said):
+    add_mesh(scene, make)
+    lit(scene)
+    with pytest.raises(SceneError, match=f"\"Fog\".*{said}"):
+        read(addon)
+
+
+def test_an_attribute_that_a_mesh_lacks_is_refused(addon, scene):
+    _, node = add_mesh(scene, cube)
+    tree = node.id_data
+    tree.links.new(tree.nodes.new("ShaderNodeVolumeInfo").outputs["Density"], node.inputs["Density"])
+    lit(scene)
+    with pytest.raises(SceneError, match="\"density\", which does not exist inside a mesh"):
+        read(addon)
+
+
+def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    _, node = add_mesh(scene, cube, name="Glass")
+    tree = node.id_data
+    glass = tree.nodes.new("ShaderNodeBsdfGlass")
+    tree.links.new(glass.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
+    described = read(addon)
+    assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
+    assert any("\"Glass\" is transparent" in warning for warning in described.warnings)

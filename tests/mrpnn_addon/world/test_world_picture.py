@@ -1,0 +1,110 @@
+"""Worlds rendered by Cycles: against the nodes evaluated in numpy, and the sun discs of skies."""
+
+import importlib
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import SceneError
+
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def pictures(addon):
+    return importlib.import_module("mrpnn.mrpnn_addon.world.picture")
+
+
+def shown(scene, pictures):
+    depsgraph = blender_scenes.depsgraph()
+    return pictures.world_picture(scene.world.evaluated_get(depsgraph), depsgraph.scene)
+
+
+def feed(scene, kind, output=0):
+    tree = scene.world.node_tree
+    node = tree.nodes.new(kind)
+    tree.links.new(node.outputs[output], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    return node
+
+
+def test_a_picture_equals_the_evaluated_nodes(scene, pictures):
+    """Colours that follow the direction, whatever the camera is shown, and without the World's fog."""
+    environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}")
+                          for name in ("quadrature", "lighting"))
+    tree, coordinates = scene.world.node_tree, feed(scene, "ShaderNodeTexCoord", "Generated")
+    assert coordinates.outputs["Generated"].is_linked
+    sphere = environment.Sphere(32)
+    expected = world._radiance(scene.world, tree.get_output_node('CYCLES'), sphere)
+    mixed, path, black = (tree.nodes.new(f"ShaderNode{name}") for name in ("MixShader", "LightPath", "Background"))
+    black.inputs["Strength"].default_value = 0.0
+    tree.links.new(path.outputs["Is Camera Ray"], mixed.inputs[0])
+    tree.links.new(tree.nodes["Background"].outputs[0], mixed.inputs[1])
+    tree.links.new(black.outputs[0], mixed.inputs[2])
+    output = tree.get_output_node('CYCLES')
+    tree.links.new(mixed.outputs[0], output.inputs["Surface"])
+    tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], output.inputs["Volume"])
+    picture = shown(scene, pictures)
+    assert not len(picture.suns)
+    np.testing.assert_allclose(np.maximum(picture.radiance(sphere.directions), 0.0), expected, atol=0.02)
+    # It is kept until something visible changes.
+    assert shown(scene, pictures) is picture
+    tree.nodes["Background"].location = 100.0, 20.0
+    assert shown(scene, pictures) is picture
+
+
+def test_the_sun_disc_of_a_sky_becomes_a_sun(scene, pictures):
+    sky = feed(scene, "ShaderNodeTexSky")
+    sky.sun_elevation, sky.sun_rotation = 0.5, 0.8
+    first = shown(scene, pictures)
+    (sun,) = first.suns
+    assert math.asin(sun[2]) == pytest.approx(0.5, abs=2e-4)
+    # Limb darkening makes the disc look a little smaller than it is.
+    assert 0.9 * sky.sun_size < sun[6] < sky.sun_size
+    sky.sun_rotation, sky.sun_intensity, sky.sun_size = 0.8 + math.pi / 2, 0.25, 4.0 * sky.sun_size
+    second = shown(scene, pictures)
+    (turned,) = second.suns
+    # A quarter of a turn, a quarter of the light, whatever the disc's size.
+    assert turned[2] == pytest.approx(sun[2], abs=2e-4) and abs(turned[:2] @ sun[:2]) < 1e-3
+    np.testing.assert_allclose(turned[3:6], 0.25 * sun[3:6], rtol=0.03)
+    assert turned[6] == pytest.approx(4.0 * sun[6], rel=0.03)
+    # The disc is not part of the sky around it.
+    assert second.sky.max() < 0.01 * sun[3] / (math.pi * (sky.sun_size / 8) ** 2)
+
+
+def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    bpy.data.objects.remove(scene.objects["Sun"])
+    feed(scene, "ShaderNodeTexSky").sun_elevation = 0.5
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    (warning,) = described.warnings
+    assert "parallel light from 12 directions beside its sun" in warning
+    discs = [sun for sun in described.suns if sun.name.startswith("sun of World")]
+    assert len(discs) == 1 and len(described.suns) == 13 and described.environment
+    brightest = max(described.suns, key=lambda sun: sun.irradiance.sum())
+    assert brightest is discs[0]
+    scene.mrpnn.world_directions = 0
+    with pytest.raises(SceneError, match="no sun"):
+        addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+def test_a_thread_has_the_world_rendered_and_can_be_cancelled(addon, scene, tmp_path, pictures):
+    """Reading starts the World's render beside the volumes; once that is known there is nothing to wait for."""
+    reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.volumes.{name}") for name in ("reader", "loading"))
+    blender_scenes.cloud_scene(scene, tmp_path)
+    feed(scene, "ShaderNodeTexVoronoi", "Color").inputs["Scale"].default_value = 3.25
+    wanted = reading.VolumeReader().wanted(blender_scenes.depsgraph())
+    assert [source.key[0] for source in wanted[1:]] == ["world"]
+    stopped = loading.VolumeLoading(reading.VolumeReader(), wanted[1:])
+    stopped.stop()
+    stopped.wait(30.0)
+    assert stopped.done and stopped.cancelled
+    assert len(reading.VolumeReader().wanted(blender_scenes.depsgraph())) == 2
+    done = loading.VolumeLoading(reading.VolumeReader(), wanted[1:])
+    done.wait()
+    assert done.error is None
+    assert len(reading.VolumeReader().wanted(blender_scenes.depsgraph())) == 1
+    assert shown(scene, pictures).sky.max() > 0.1

@@ -1,0 +1,327 @@
+"""The installed extension in whole Blender programs, which MRPNN_BLENDER names.
+
+Paths are separated as in PATH. Installs the built zip into a folder of its own and uses it as a render
+farm would.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import py_mini_racer
+import pytest
+from scipy.ndimage import map_coordinates
+
+from tests.support.paths import ROOT
+
+BLENDERS = [path for path in os.environ.get("MRPNN_BLENDER", "").split(os.pathsep) if path]
+
+pytestmark = [pytest.mark.blender, pytest.mark.slow,
+              pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program")]
+
+SCENE = """
+    import bpy, numpy, pathlib, sys
+    folder = pathlib.Path(sys.argv[-1])
+    try:
+        import openvdb
+    except ImportError:
+        import pyopenvdb as openvdb
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    grid = openvdb.FloatGrid()
+    axis = numpy.linspace(-1, 1, 16)
+    radius = numpy.sqrt(sum(a**2 for a in numpy.meshgrid(axis, axis, axis)))
+    grid.copyFromArray(numpy.clip(1 - radius, 0, None).astype(numpy.float32), ijk=(-8, -8, -8))
+    grid.name, grid.transform = "density", openvdb.createLinearTransform(1 / 8)
+    openvdb.write(str(folder / "ball.vdb"), grids=[grid])
+    volume = bpy.data.volumes.new("Ball")
+    volume.filepath = str(folder / "ball.vdb")
+    lens = bpy.data.cameras.new("Camera")
+    for name, data in (("Ball", volume), ("Sun", bpy.data.lights.new("Sun", "SUN")), ("Camera", lens)):
+        scene.collection.objects.link(bpy.data.objects.new(name, data))
+    scene.camera = bpy.data.objects["Camera"]
+    scene.camera.location.z = 5
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.mrpnn.depth_samples = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    # Absorbs alone, so that its frames need no network and are there at once.
+    absorbing = bpy.data.materials.new("Absorbing")
+    absorbing.use_nodes = True
+    absorbing.node_tree.nodes.clear()
+    output = absorbing.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    principled = absorbing.node_tree.nodes.new("ShaderNodeVolumePrincipled")
+    principled.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    absorbing.node_tree.links.new(principled.outputs["Volume"], output.inputs["Volume"])
+    volume.materials.append(absorbing)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "absorbing.blend"), copy=True)
+    volume.filepath = str(folder / "gone.vdb")
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "broken.blend"), copy=True)
+"""
+
+
+@pytest.fixture(scope="module", params=BLENDERS, ids=lambda path: Path(path).name)
+def program(request, linux_zip, tmp_path_factory):
+    """blender(*arguments) -> CompletedProcess, the extension installed; blender.folder holds the scenes.
+
+    blender.start(*arguments) gives the running process instead.
+    """
+    folder = tmp_path_factory.mktemp("program")
+    shutil.copy(linux_zip, folder / "mrpnn.zip")
+    shutil.copy(ROOT / "docs" / "farm" / "mrpnn_script.py", folder)
+    # A matrix library's threads that wait for each other take long on a busy machine.
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "resources"), "OPENBLAS_NUM_THREADS": "1"}
+
+    def start(*arguments):
+        return subprocess.Popen([request.param, *map(str, arguments)], stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True, cwd=folder, env=environment)
+
+    def blender(*arguments):
+        process = start(*arguments)
+        out, error = process.communicate(timeout=300)
+        return subprocess.CompletedProcess(arguments, process.returncode, out, error)
+
+    blender.folder, blender.start = folder, start
+    installed = blender("--command", "extension", "install-file", "--repo", "user_default", "--enable",
+                        folder / "mrpnn.zip")
+    assert installed.returncode == 0, installed.stdout + installed.stderr
+    (folder / "scene.py").write_text(textwrap.dedent(SCENE))
+    made = blender("-b", "--python-exit-code", "1", "--python", folder / "scene.py", "--", folder)
+    assert made.returncode == 0, made.stdout + made.stderr
+    return blender
+
+
+def test_an_animation_from_the_command_line(program):
+    folder = program.folder
+    run = program("-b", folder / "scene.blend", "-E", "MRPNN", "-o", folder / "anim_##", "-a")
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert {path.name for path in folder.glob("anim_*")} == {"anim_01.png", "anim_02.png"}
+    # Blender's statistics line, with what is at work and how far it is.
+    assert any("scattering of Ball" in line and line.rstrip().endswith("%") for line in run.stdout.splitlines())
+    assert run.stdout.count("Saved") == 2
+
+
+@pytest.mark.parametrize("frames", [("-a",), ("-f", "1..2")])
+def test_a_mistake_gives_exit_status_1_and_no_file(program, frames):
+    folder = program.folder
+    run = program("-b", folder / "broken.blend", "-E", "MRPNN", "-o", folder / "broken_##", *frames)
+    assert run.returncode == 1, run.stdout + run.stderr
+    assert "Volume object \"Ball\": file not found" in run.stdout + run.stderr
+    assert not list(folder.glob("broken_*"))
+
+
+@pytest.mark.parametrize("how", ["command", "script"])
+def test_the_command_writes_frames_report_and_status(program, how):
+    folder = program.folder
+    start = {"command": ("--command", "mrpnn"), "script": ("--python", folder / "mrpnn_script.py", "--")}[how]
+    run = program("-b", folder / "absorbing.blend", *start, "render", "--output", f"//{how}/##.exr", "--frames", "1-2",
+                  "--json", folder / f"{how}.json", "--progress", "json")
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert {path.name for path in (folder / how).iterdir()} == {"01.exr", "02.exr"}
+    report = json.loads((folder / f"{how}.json").read_text())
+    assert [frame["frame"] for frame in report["frames"]] == [1, 2] and report["error"] is None
+    events = [json.loads(line) for line in run.stdout.splitlines() if line.startswith("{\"event\"")]
+    assert events[-1]["event"] == "end" and events[-1]["status"] == 0
+
+    run = program("-b", folder / "broken.blend", *start, "render", "--output", folder / f"{how}_broken.exr")
+    assert run.returncode == 1 and "file not found" in run.stdout + run.stderr, run.stdout + run.stderr
+    assert "Traceback" not in run.stderr and not (folder / f"{how}_broken.exr").exists()
+
+
+COMPOSITE = """
+    import bpy, numpy, sys
+    folder = sys.argv[-1]
+    scene = bpy.context.scene
+    output = scene.render.image_settings
+    if hasattr(output, "media_type"):
+        output.media_type = 'IMAGE'
+    output.file_format, output.color_depth, output.color_mode = 'OPEN_EXR', '32', 'RGBA'
+    scene.view_layers[0].update()
+    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    # The scene of the volumes follows, though nothing updates in between.
+    scene.render.resolution_x, scene.render.resolution_y = 20, 12
+
+    def rendered(scene, name):
+        scene.render.filepath = f"{folder}/{name}.exr"
+        bpy.ops.render.render(scene=scene.name, write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        pixels = numpy.empty(20 * 12 * 4, numpy.float32)
+        image.pixels.foreach_get(pixels)
+        return pixels.reshape(-1, 4)[:, :3]
+
+    over, alone = rendered(scene, "composite"), rendered(bpy.data.scenes["Scene MRPNN"], "layer")
+    assert alone.max() > 0.01
+    # Over nothing, in a scene without a World.
+    numpy.testing.assert_allclose(over, alone, rtol=1e-3, atol=1e-5)
+    print("composed")
+"""
+
+
+def test_composite_over_cycles_works_in_this_versions_compositor(program):
+    folder = program.folder
+    (folder / "composite.py").write_text(textwrap.dedent(COMPOSITE))
+    run = program("-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--",
+                  folder)
+    assert run.returncode == 0 and "composed" in run.stdout, run.stdout + run.stderr
+
+
+# What Flamenco's Manager gives a job type, which its Worker then runs command by command. Frames are cut into
+# chunks as it writes them: 1-3, two as 4,5, one as 6.
+MANAGER = """
+    const tasks = [];
+    const author = {
+        Task: (name, type) => ({name, type, commands: [], addCommand(command) { this.commands.push(command); }}),
+        Command: (name, parameters) => ({name, parameters}),
+    };
+    function frameChunker(frames, size) {
+        const [first, last] = frames.split("-").map(Number), chunks = [];
+        for (let a = first; a <= last; a += size) {
+            const b = Math.min(a + size - 1, last);
+            chunks.push(a === b ? `${a}` : b === a + 1 ? `${a},${b}` : `${a}-${b}`);
+        }
+        return chunks;
+    }
+"""
+
+
+def compiled_tasks(settings):
+    """The tasks that the job type compiles from a job's settings; missing ones take its defaults."""
+    engine = py_mini_racer.MiniRacer()
+    engine.eval(textwrap.dedent(MANAGER) + (ROOT / "docs" / "farm" / "mrpnn_render.js").read_text())
+    found = json.loads(engine.eval("JSON.stringify(JOB_TYPE.settings)"))
+    assert set(settings) <= {setting["key"] for setting in found}
+    defaults = {setting["key"]: setting["default"] for setting in found if "default" in setting}
+    job = json.dumps({**defaults, **settings})
+    return json.loads(engine.eval(
+        f"compileJob({{settings: {job}, addTask(task) {{ tasks.push(task); }}}}); JSON.stringify(tasks)"))
+
+
+def test_the_flamenco_job_types_tasks_render_their_chunks(program):
+    folder = program.folder
+    tasks = compiled_tasks({"frames": "1-5", "chunk_size": 3, "blendfile": str(folder / "absorbing.blend"),
+                            "output": str(folder / "farm" / "######.exr")})
+    assert [(task["name"], task["type"]) for task in tasks] == [("render-1-3", "blender"), ("render-4,5", "blender")]
+    for task in tasks:
+        (command,) = task["commands"]
+        given = command["parameters"]
+        # Flamenco's own values of these variables.
+        assert (command["name"], given["exe"], given["exeArgs"]) == ("blender-render", "{blender}", "{blenderArgs}")
+        run = program("-b", "-y", *given["argsBefore"], given["blendfile"], *given["args"])
+        assert run.returncode == 0 and run.stdout.count("Saved: '") in (2, 3), run.stdout + run.stderr
+    assert {path.name for path in (folder / "farm").iterdir()} == {f"{frame:06}.exr" for frame in range(1, 6)}
+    # A task that is started again has nothing left to do.
+    (folder / "farm" / "000005.exr").unlink()
+    again = program("-b", "-y", given["blendfile"], *given["args"])
+    assert again.returncode == 0 and again.stdout.count("Saved: '") == again.stdout.count("is there already") == 1
+
+
+def test_a_killed_render_leaves_no_half_file(program):
+    folder = program.folder
+    process = program.start(
+        "-b", folder / "scene.blend", "--command", "mrpnn", "render", "--output", folder / "killed.exr",
+        "--depth-samples", "256", "--resolution-percentage", "3000", "--memory-limit", "64", "--threads", "1")
+    for line in process.stdout:
+        if line.startswith("mrpnn:"):
+            break
+    process.kill()
+    process.communicate()
+    assert not list(folder.glob("killed*"))
+
+
+FLUID = """
+    import importlib, json, pathlib, sys, tempfile
+    import bpy, numpy
+    folder = pathlib.Path(sys.argv[-1])
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add(size=2, location=(1, 2, 3), scale=(1, 0.75, 1.5))
+    domain = bpy.context.object
+    domain.name = "Domain"
+    modifier = domain.modifiers.new("Fluid", 'FLUID')
+    modifier.fluid_type = 'DOMAIN'
+    settings = modifier.domain_settings
+    settings.domain_type, settings.resolution_max = 'GAS', 32
+    settings.cache_type, settings.cache_directory = 'REPLAY', tempfile.mkdtemp(dir=folder)
+    settings.cache_frame_start, settings.cache_frame_end = 1, 12
+    # Low, to the right and in front: nothing about where the smoke is can be mistaken.
+    bpy.ops.mesh.primitive_ico_sphere_add(radius=0.25, location=(1.4, 1.7, 2.2))
+    source = bpy.context.object
+    source.hide_render = True
+    flow = source.modifiers.new("Fluid", 'FLUID')
+    flow.fluid_type = 'FLOW'
+    flow.flow_settings.flow_type, flow.flow_settings.flow_behavior = 'SMOKE', 'INFLOW'
+    material = bpy.data.materials.new("Smoke")
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    shader = material.node_tree.nodes.new("ShaderNodeVolumePrincipled")
+    output = material.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(shader.outputs[0], output.inputs["Volume"])
+    shader.inputs["Density"].default_value = 2.0
+    domain.data.materials.append(material)
+    camera = bpy.data.cameras.new("Camera")
+    camera.type, camera.ortho_scale = 'ORTHO', 4.0
+    for name, data in (("Sun", bpy.data.lights.new("Sun", 'SUN')), ("Camera", camera)):
+        scene.collection.objects.link(bpy.data.objects.new(name, data))
+    scene.camera = bpy.data.objects["Camera"]
+    scene.camera.location, scene.camera.rotation_euler = (1, -5, 3), (numpy.pi / 2, 0, 0)
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    scene.mrpnn.depth_samples = 1
+    extension = next(name for name in bpy.context.preferences.addons.keys() if name.endswith(".mrpnn"))
+    read_scene = importlib.import_module(extension + ".mrpnn_addon.scene.reader").read_scene
+    inference = importlib.import_module(extension + ".inference")
+    found = {}
+    for frame in range(1, 11):
+        scene.frame_set(frame)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        if frame in (6, 10):
+            described = read_scene(depsgraph)
+            layer = inference.render(described.volumes, described.suns, described.camera, inference.Settings(multiple=False))
+            evaluated = domain.evaluated_get(depsgraph).modifiers["Fluid"].domain_settings
+            x, y, z = evaluated.domain_resolution
+            density = numpy.array(evaluated.density_grid).reshape(z, y, x)
+            # Along y, through voxels whose edges the domain's give.
+            depth = 2.0 * density.sum(axis=1) * 1.5 / y
+            numpy.savez(folder / f"smoke{frame}.npz", alpha=layer.alpha, depth=depth)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "smoke.blend"))
+"""
+
+
+@pytest.fixture(scope="module")
+def smoke(linux_zip, tmp_path_factory):
+    """Folder with a fluid simulation baked by the first Blender that can; some builds crash."""
+    folder, said = tmp_path_factory.mktemp("smoke"), []
+    (folder / "smoke.py").write_text(textwrap.dedent(FLUID))
+    shutil.copy(linux_zip, folder / "mrpnn.zip")
+    for path in BLENDERS:
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / Path(path).name), "OPENBLAS_NUM_THREADS": "1"}
+        for arguments in (("--command", "extension", "install-file", "--repo", "user_default", "--enable", folder / "mrpnn.zip"),
+                          ("-b", "--python-exit-code", "1", "--python", folder / "smoke.py", "--", folder)):
+            run = subprocess.run([path, *map(str, arguments)], capture_output=True, text=True, env=environment, timeout=300)
+        if run.returncode == 0 and "Fatal" not in run.stderr:
+            return folder
+        said.append(run.stdout[-2000:] + run.stderr[-2000:])
+    pytest.fail("no Blender can simulate smoke:\n" + "\n".join(said))
+
+
+@pytest.mark.parametrize("frame", [6, 10])
+def test_simulated_smoke_matches_its_domain(smoke, frame):
+    """Seen along an axis of the domain, against sums over its voxels: position, scale, density and frame."""
+    with np.load(smoke / f"smoke{frame}.npz") as found:
+        alpha, depth = found["alpha"], found["depth"]
+    # The view shows 4 x 4 units; the domain is 2 wide and 3 high in its middle.
+    place = (np.arange(48) + 0.5) / 12.0
+    x, z = (place - 1.0) / 2.0 * depth.shape[1] - 0.5, (3.5 - place) / 3.0 * depth.shape[0] - 0.5
+    beside = -np.expm1(-map_coordinates(depth, np.meshgrid(z, x, indexing="ij"), order=1, mode="constant"))
+    assert beside.max() > 0.3
+    np.testing.assert_allclose(alpha, beside, atol=0.02)
+    assert alpha.mean() == pytest.approx(beside.mean(), rel=0.01)
+
+
+def test_smoke_is_not_kept_from_the_previous_frame(smoke):
+    first, second = (np.load(smoke / f"smoke{frame}.npz")["alpha"] for frame in (6, 10))
+    assert np.abs(first - second).max() > 0.1

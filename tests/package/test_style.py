@@ -1,0 +1,41 @@
+"""Formatter, linter and type checker are clean, and every place that states a version states the same one."""
+
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.support.paths import ROOT
+
+
+@pytest.mark.parametrize("check", [("ruff", "check"), ("ruff", "format", "--check"), ("mypy",)], ids=" ".join)
+def test_code_is_clean(check):
+    run = subprocess.run([sys.executable, "-m", *check], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stdout[-5000:] + run.stderr[-5000:]
+
+
+def test_pre_commit_runs_the_versions_of_the_requirements():
+    pinned = set(
+        re.findall(
+            r"^[\w-]+==[\w.]+",
+            "".join((ROOT / name).read_text() for name in ("requirements.txt", "requirements-dev.txt")),
+            re.MULTILINE,
+        )
+    )
+    hooks = set(re.findall(r"[\w-]+==[\w.]+", (ROOT / ".pre-commit-config.yaml").read_text()))
+    assert len(hooks) == 3 and hooks <= pinned
+
+
+def test_the_version_is_that_of_the_manifest():
+    version = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"]
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    zips = {found for page in pages for found in re.findall(r"mrpnn-(\d[\d.]*\d)-\w+\.zip", page.read_text())}
+    assert zips == {version}
+    (cited,) = re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited == version
+    oldest = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["blender_version_min"].removesuffix(".0")
+    assert all(f"Blender {oldest} " in (ROOT / page).read_text() for page in ("README.md", "docs/install.md"))
+    # The newest entry of the changelog that has a number: of this version, or of the one before it.
+    assert re.search(rf"^## (Unreleased|{re.escape(version)}\b)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)

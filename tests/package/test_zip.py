@@ -1,0 +1,151 @@
+"""The zip that users install: its contents, and that the installed extension renders by itself."""
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+import textwrap
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import build_extension
+
+from tests.support.paths import ROOT
+
+# What the bpy module itself imports; everything else of this environment stays out of sight.
+BLENDER_NEEDS = ("bpy", "numpy", "numpy.libs", "requests", "urllib3", "idna", "certifi", "charset_normalizer",
+                 "zstandard", "Cython")
+
+
+def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
+    tags = {"linux_x64": "manylinux", "windows_x64": "win_amd64", "macos_arm64": "macosx"}
+    assert len(zips) == len(tags)
+    for path in zips:
+        (tag,) = [tag for platform, tag in tags.items() if platform in path.name]
+        names = zipfile.ZipFile(path).namelist()
+        assert {Path(name).parts[0] for name in names} <= {
+            "blender_manifest.toml", "__init__.py", "LICENSE", "mrpnn_addon", "operators", "panels", "inference",
+            "docs", "build"}
+        wheels = [Path(name).name for name in names if name.startswith("build/")]
+        # For Python 3.11, 3.13 and 3.14.
+        assert len(wheels) == 3 and all(tag in wheel for wheel in wheels)
+        assert {wheel.split("-")[0] for wheel in wheels} == {"onnxruntime"}
+        assert not [name for name in names if name.endswith((".pyc", ".pt"))]
+        assert [name for name in names if name.startswith("inference/weights/") and name.endswith(".onnx")]
+
+
+def test_a_wheel_with_another_checksum_is_refused(tmp_path):
+    for name in ("build_extension.py", "blender_manifest.toml", "requirements-wheels.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in build_extension.manifest()["wheels"]:
+        wheel = tmp_path / name
+        wheel.parent.mkdir(parents=True, exist_ok=True)
+        wheel.write_bytes(b"not the wheel")
+    built = subprocess.run([sys.executable, "build_extension.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert built.returncode != 0
+    assert "is not the file that requirements-wheels.txt lists" in built.stderr
+    assert not list(tmp_path.glob("build/*.zip"))
+
+
+def test_a_tag_that_is_not_the_version_is_refused():
+    version = build_extension.manifest()["version"]
+    build_extension.check_tag(f"v{version}")
+    for tag in (version, f"v{version}.1", "v999.0.0"):
+        with pytest.raises(SystemExit, match=f"version {version}"):
+            build_extension.check_tag(tag)
+
+
+INSTALLED_RENDER = """
+    import importlib.util, pathlib, sys
+
+    resources, package = pathlib.Path(sys.argv[1]), sys.argv[2]
+    assert importlib.util.find_spec("onnxruntime") is None, "the test must not see another onnxruntime"
+
+    import bpy
+    import numpy as np
+
+    result = bpy.ops.extensions.package_install_files(
+        filepath=package, repo="user_default", enable_on_install=True, overwrite=True)
+    assert result == {"FINISHED"}, result
+    assert "bl_ext.user_default.mrpnn" in bpy.context.preferences.addons
+
+    # A fog ball under the sun, seen from above.
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    openvdb = importlib.import_module("bl_ext.user_default.mrpnn.mrpnn_addon.vdb.openvdb_module").load_openvdb()
+    grid = openvdb.FloatGrid()
+    axis = np.linspace(-1, 1, 32)
+    radius = np.sqrt(sum(np.meshgrid(axis**2, axis**2, axis**2)))
+    grid.copyFromArray((radius < 0.8).astype(np.float32))
+    grid.name = "density"
+    grid.transform = openvdb.createLinearTransform(1 / 16)
+    openvdb.write(str(resources / "ball.vdb"), grids=[grid])
+
+    scene = bpy.context.scene
+    volume = bpy.data.volumes.new("ball")
+    volume.filepath = str(resources / "ball.vdb")
+    material = bpy.data.materials.new("fog")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeVolumePrincipled")
+    shader.inputs["Density"].default_value = 5.0
+    tree.links.new(shader.outputs["Volume"], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
+    volume.materials.append(material)
+    ball = bpy.data.objects.new("ball", volume)
+    ball.location = (-1, -1, -1)
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    lens = bpy.data.cameras.new("camera")
+    lens.type, lens.ortho_scale = "ORTHO", 3.0
+    camera = bpy.data.objects.new("camera", lens)
+    camera.location = (0, 0, 5)
+    for item in (ball, sun, camera):
+        scene.collection.objects.link(item)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.render.resolution_percentage = 100
+
+    assert "onnxruntime" not in sys.modules, "registration must not load the network's runtime"
+    layers = resources / "layers.exr"
+    assert bpy.ops.mrpnn.render(filepath=str(layers)) == {"FINISHED"}
+    assert layers.stat().st_size > 1000
+    import onnxruntime
+    assert resources in pathlib.Path(onnxruntime.__file__).resolve().parents, onnxruntime.__file__
+
+    (image,) = [image for image in bpy.data.images if image.size[0] == 16]
+    pixels = np.empty(16 * 16 * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(16, 16, 4)
+    # Through the ball's centre: a chord of 1.6 ball radii at density 5.
+    assert abs(pixels[7:9, 7:9, 3].mean() - (1 - np.exp(-5 * 1.6))) < 1e-3
+    assert pixels[7:9, 7:9, :3].min() > 0 and pixels[0, 0, 3] == 0
+
+    bpy.ops.preferences.addon_disable(module="bl_ext.user_default.mrpnn")
+    assert not hasattr(bpy.types, "MRPNN_OT_render"), "disabling must unregister"
+    # Enabled again, so that the process ends as a user's script does; Blender must survive that too.
+    bpy.ops.preferences.addon_enable(module="bl_ext.user_default.mrpnn")
+    assert hasattr(bpy.types, "MRPNN_OT_render")
+    print("installed extension rendered")
+"""
+
+
+@pytest.mark.blender
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="installs the Linux zip")
+def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
+    site = tmp_path / "site"
+    site.mkdir()
+    for name in BLENDER_NEEDS:
+        source = Path(sysconfig.get_path("purelib")) / name
+        if source.exists():
+            (site / name).symlink_to(source)
+    resources = tmp_path / "resources"
+    resources.mkdir()
+    script = tmp_path / "script.py"
+    script.write_text(textwrap.dedent(INSTALLED_RENDER))
+    # -S: without this environment's own site-packages.
+    run = subprocess.run(
+        [sys.executable, "-S", script, resources, linux_zip], capture_output=True, text=True, timeout=300,
+        env={"PATH": "", "PYTHONPATH": str(site), "BLENDER_USER_RESOURCES": str(resources), "HOME": str(tmp_path)})
+    assert run.returncode == 0 and "installed extension rendered" in run.stdout, run.stdout + run.stderr

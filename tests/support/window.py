@@ -1,0 +1,147 @@
+"""A Blender with a window, driven by tests: Python in it, real mouse and keys, screenshots.
+
+MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
+Screenshots are left in build/window, the source of those in docs/images. Those Blenders see the folder `work` of
+BLENDER_ROOTS as WORK: the tools' convention, the same on every machine.
+"""
+
+import os
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.support.paths import ROOT, SHARED
+
+TOOLS = SHARED / "blender"
+SUITES = os.environ.get("MRPNN_WINDOWS", "").split()
+NEEDS_WINDOW = [pytest.mark.window,
+                pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")]
+# Seconds within which anything must happen, however busy the machine.
+LONG = 300
+# The code that runs in Blender knows it by the same name.
+WORK = "/mnt/work"
+
+# A small cloud in red light and a black World, and Properties as high as the window.
+SCENE = """
+import numpy, threading
+try: import openvdb
+except ImportError: import pyopenvdb as openvdb
+grid = openvdb.FloatGrid()
+axis = numpy.linspace(-1, 1, 48)
+x, y, z = numpy.meshgrid(axis, axis, axis, indexing="ij")
+puffs = 0.6 - numpy.sqrt(x**2 + y**2 + z**2) + 0.35 * numpy.sin(7 * x) * numpy.sin(6 * y + 1) * numpy.sin(8 * z + 2)
+grid.copyFromArray(numpy.clip(8 * puffs, 0, 2).astype(numpy.float32), ijk=(-24, -24, -24))
+grid.name, grid.transform = "density", openvdb.createLinearTransform(1 / 12)
+openvdb.write(WORK + "/window.vdb", grids=[grid])
+for item in list(bpy.data.objects): bpy.data.objects.remove(item)
+volume = bpy.data.volumes.new("Ball"); volume.filepath = WORK + "/window.vdb"
+sun = bpy.data.lights.new("Sun", "SUN"); sun.energy, sun.color = 10, (1, 0.5, 0.3)
+for name, data in (("Ball", volume), ("Sun", sun), ("Camera", bpy.data.cameras.new("Camera"))):
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, data))
+scene = bpy.context.scene
+bpy.data.objects["Sun"].rotation_euler = 0.9, 0.3, 0
+scene.camera = bpy.data.objects["Camera"]; scene.camera.location.z = 8
+scene.render.engine = "MRPNN"; scene.mrpnn.depth_samples = 4
+scene.render.resolution_x, scene.render.resolution_y = 160, 120
+scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
+bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
+outliner, panels = area("OUTLINER"), area("PROPERTIES")
+with over(outliner):
+    bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))
+bpy.ops.wm.save_as_mainfile(filepath=WORK + "/window.blend")
+print("made")
+"""
+THREADS = "[t.name for t in threading.enumerate() if t.name.startswith('mrpnn')]"
+RENDERING = "bpy.app.is_job_running('RENDER')"
+# Windows of renders and preferences lie over the viewport, and Escape may go elsewhere.
+CLOSE = """
+for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:
+    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()
+"""
+
+
+class Window:
+    """A running Blender: `do` runs Python in it and returns what that prints."""
+
+    def __init__(self, suite):
+        self.suite = suite
+        self.work = Path(os.environ["BLENDER_ROOTS"]) / "work"
+
+    def _tool(self, tool, *arguments):
+        run = subprocess.run([TOOLS / tool, *arguments], capture_output=True, text=True, timeout=2 * LONG,
+                             env={**os.environ, "WAIT": str(10 * LONG), "OPENBLAS_NUM_THREADS": "1"})
+        assert run.returncode == 0, run.stdout + run.stderr
+        return run.stdout.strip()
+
+    def start(self):
+        # Not through a pipe: the window inherits it and keeps it open.
+        with open(os.devnull, "w") as nowhere:
+            subprocess.run([TOOLS / "gui", "start", self.suite], stdout=nowhere, stderr=nowhere, timeout=LONG,
+                           check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+
+    def stop(self):
+        subprocess.run([TOOLS / "gui", "stop", self.suite], timeout=60)
+
+    def do(self, code):
+        """Run Python in Blender's main thread; gives what it prints.
+
+        By the files of `gui do`, without its shell, which looks for the answer ten times a second.
+        """
+        run, number = self.work / f"run-{self.suite}", time.time_ns()
+        begun, sent, answer = (run / "ctl" / f"{number}.{ending}" for ending in ("part", "py", "out"))
+        begun.write_text(code + "\n")
+        begun.rename(sent)
+        start = time.monotonic()
+        while not answer.exists():
+            process = Path("/proc", (run / "blender.pid").read_text().strip())
+            assert process.exists(), f"Blender has ended: {self.console[-2000:]}"
+            assert time.monotonic() - start < LONG, "Blender does not answer"
+            time.sleep(0.01)
+        return answer.read_text().strip()
+
+    def mouse(self, *arguments):
+        self._tool("gui", "x", self.suite, *map(str, arguments))
+
+    def press(self, key):
+        # Keys go to the area under the pointer: the viewport.
+        self.mouse("mousemove", 600, 400)
+        self.mouse("key", key)
+
+    def shot(self, name, box=None):
+        """The screen, uint8 (H, W, 3); saves it, or a box (left, top, right, bottom) of it."""
+        # Two answers from the main loop lie two drawings apart.
+        self.do("[a.tag_redraw() for w in bpy.context.window_manager.windows for a in w.screen.areas]")
+        time.sleep(1.0)
+        self.do("pass")
+        target = ROOT / "build" / "window" / f"{name}-{self.suite}.png"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        screen = self.screen()
+        left, top, right, bottom = box or (0, 0, screen.shape[1], screen.shape[0])
+        Image.fromarray(screen[top:bottom, left:right]).save(target)
+        return screen
+
+    def screen(self):
+        """The screen as it is, uint8 (H, W, 3). Uncompressed: a PNG of it takes half a second."""
+        self._tool("gui", "shot", self.suite, f"screen-{self.suite}.ppm")
+        with Image.open(self.work / f"screen-{self.suite}.ppm") as picture:
+            return np.array(picture.convert("RGB"))
+
+    def box(self, kind):
+        """An area's rectangle on the screen: (left, top, right, bottom)."""
+        return eval(self.do(f"a = area('{kind}'); print((a.x, win().height - a.y - a.height, a.x + a.width, "
+                            "win().height - a.y))"))
+
+    def until(self, expression):
+        start = time.monotonic()
+        while self.do(f"print(bool({expression}))") != "True":
+            assert time.monotonic() - start < LONG, expression
+            time.sleep(0.1)
+
+    @property
+    def console(self):
+        """Blender's console output so far."""
+        return (self.work / f"run-{self.suite}" / "blender.log").read_text()
