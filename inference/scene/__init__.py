@@ -1,4 +1,4 @@
-"""What is asked for: volumes, media, lights, surfaces, the camera and the settings, as plain arrays."""
+"""Description of a scene: volumes, media, lights, surfaces, the camera and the settings, as plain arrays."""
 
 from ..runtime.cancellation import Cancelled
 from .camera import Camera

@@ -7,9 +7,8 @@ import pytest
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
-from benchmarks.error_vs_time.__main__ import csv_text
 from benchmarks.error_vs_time.cases import Case, cases
-from benchmarks.error_vs_time.page import filtered, headline, page, scenes, times_as_long
+from benchmarks.error_vs_time.page import csv_table, filtered, headline, page, scenes, times_as_long
 from benchmarks.error_vs_time.plots import save_headline
 
 
@@ -83,7 +82,8 @@ def test_the_page_shows_what_is_measured_and_what_is_not():
     blurred["verdict"] = {"good": False, "more": None, "seconds": None}
     row = scenes([blurred], "mrpnn").splitlines()[-1]
     assert "n/a" in row and "too noisy: beyond telling" in row
-    assert len(csv_text([result(), result(volume="smoke")]).splitlines()) == 1 + 2 * 5
+    header, rows = csv_table([result(), result(volume="smoke")])
+    assert len(rows) == 2 * 5 and all(len(row) == len(header) for row in rows)
 
 
 def test_cases_differ_from_the_first_in_one_thing_and_have_unique_names():

@@ -1,13 +1,12 @@
 """The quick cases of the stability benchmark, each within its bound; docs/stability.md lists all of them."""
 
-import csv
-
 import numpy as np
 import pytest
 
 from benchmarks.stability import files
 from benchmarks.stability.__main__ import CASES, measure
 from benchmarks.stability.case import Case, Outcome, violations
+from benchmarks.support import pages
 
 from tests.support.paths import ROOT
 
@@ -31,8 +30,7 @@ def test_violated_bounds_and_missing_results_are_reported():
 
 
 def test_the_published_table_lists_these_cases():
-    with open(DOCS / "stability.csv", newline="") as file:
-        published = {(row["group"], row["case"], row["quantity"]): row for row in csv.DictReader(file)}
+    published = {(row["group"], row["case"], row["quantity"]): row for row in pages.read_csv(DOCS / "stability.csv")}
     wanted = {(case.group, case.name, quantity): bound for case in CASES for quantity, bound in case.bounds.items()}
     assert set(published) == set(wanted)
     for key, bound in wanted.items():

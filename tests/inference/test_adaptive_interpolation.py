@@ -8,7 +8,7 @@ import pytest
 from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
 from inference.plan.plan import make_tiles
-from inference.image.adaptive_interpolation import LEVELS, Squares, agreeing
+from inference.image.adaptive_interpolation import LEVELS, Squares, interpolable
 from inference.plan.resolution import BAND
 
 from tests.support.volumes import SUN, camera, cloud
@@ -24,7 +24,7 @@ STRIDES = [stride for stride, _ in LEVELS]
 def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
     squares = Squares(window, stride)
     shared = np.ones(len(squares.known), bool)
-    look, between = squares.first_look(), squares.between(shared)
+    look, between = squares.known_pixels(), squares.interior(shared)
     inside = np.zeros(squares.size, bool)
     inside[squares.pixels] = True
     np.testing.assert_array_equal(look ^ between, inside)
@@ -39,7 +39,7 @@ def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
 def test_pixels_outside_interpolated_squares_are_evaluated():
     """So are those on an edge between an interpolated square and one that is not."""
     squares = Squares((0, 0, 9, 9), 4)
-    between = squares.between(np.array([True, False, True, True])).reshape(9, 9)
+    between = squares.interior(np.array([True, False, True, True])).reshape(9, 9)
     assert between[1:4, 4].sum() == 0 and between[4, 5:8].sum() == 0
     assert between[4, 1:4].all() and between[1, 1:4].all() and not between[:4, 5:].any()
 
@@ -49,7 +49,7 @@ def test_squares_with_known_corners_or_middles_are_skipped():
     settled = np.zeros(81, bool)
     # A corner of two squares, another's middle, and a pixel on an edge.
     settled[[4, 6 * 9 + 2, 5 * 9 + 4]] = True
-    np.testing.assert_array_equal(squares.apart_from(settled).pixels, squares.pixels[3:])
+    np.testing.assert_array_equal(squares.without(settled).pixels, squares.pixels[3:])
 
 
 @pytest.mark.parametrize("stride", STRIDES)
@@ -58,12 +58,12 @@ def test_linear_functions_are_interpolated_exactly(stride):
     y, x = np.mgrid[3:60, 2:45].astype(np.float32)
     values = (5.0 + 0.25 * x - 0.5 * y + 40.0).ravel()
     shared = np.ones(len(squares.known), bool)
-    between = squares.between(shared)
+    between = squares.interior(shared)
     found = np.where(between, np.float32(np.nan), values)
     squares.fill(found, shared, between)
     np.testing.assert_allclose(found, values, rtol=1e-6)
-    assert squares.surprise(values).max() < 1e-4
-    assert squares.straying(values, np.ones_like(values)).max() < 1e-6
+    assert squares.centre_error(values).max() < 1e-4
+    assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
 
 
 def test_only_squares_whose_middles_are_predicted_are_interpolated():
@@ -71,23 +71,23 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
     mean[squares.known[7, 4]] = 1.2
-    shared, surprise = agreeing(squares, mean, dark, ones, dark, None, 0.03)
+    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
     # What hides behind a little opacity does not matter, nor beside much more light, nor what may be noise.
-    assert agreeing(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
-    assert agreeing(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
-    assert not agreeing(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
+    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
+    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
+    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
     mean[squares.known[7, 4]] = 1.02
-    assert agreeing(squares, mean, dark, ones, dark, None, 0.03)[0].all()
-    assert not agreeing(squares, mean, dark, ones, dark, None, 0.01)[0].all()
+    assert interpolable(squares, mean, dark, ones, dark, None, 0.03)[0].all()
+    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01)[0].all()
     # A shadow's edge between the places looked at.
     ahead = ones.copy()
     ahead[squares.pixels[3, 2]] = 0.3
-    assert list(np.flatnonzero(~agreeing(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
     # A place that shows nothing of the volume says nothing of it.
     opacity = ones.copy()
     opacity[squares.known[12, 4]] = 0.0
-    assert list(np.flatnonzero(~agreeing(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
 
 
 @pytest.fixture(scope="module")

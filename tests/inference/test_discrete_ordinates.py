@@ -6,7 +6,7 @@ import pytest
 from inference import Volume
 from inference.transport import scattered_fluence
 from inference.grids.working_cube import fit_cube
-from inference.network.predictor import FLUENCE_MOST
+from inference.network.predictor import MAX_FLUENCE
 from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
 from training.tracer.path_tracer import trace_points
 
@@ -79,13 +79,13 @@ def test_rotating_volume_and_sun_rotates_the_fluence(cloud):
 @pytest.mark.parametrize("anisotropy", [-0.3, 0.0, 0.857, 0.95])
 def test_the_fluence_is_neither_negative_nor_above_any_mediums_bound(cloud, sigma_hat, anisotropy):
     fluence, *flux = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)
-    assert np.all(fluence >= 0.0) and fluence.max() < FLUENCE_MOST
+    assert np.all(fluence >= 0.0) and fluence.max() < MAX_FLUENCE
     assert np.all(np.sqrt(sum(f**2 for f in flux)) <= fluence * (1.0 + 1e-4) + 1e-6)
 
 
 def test_more_sweeps_change_little(cloud, monkeypatch):
     few = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
-    monkeypatch.setattr("inference.transport.discrete_ordinates.MORE_ROUNDS", 12)
+    monkeypatch.setattr("inference.transport.discrete_ordinates.FINE_SWEEPS", 12)
     many = DiscreteOrdinates(cloud, 300.0, 0.0).light(SLANT)[0]
     assert np.abs(few - many).sum() < 0.08 * many.sum()
 

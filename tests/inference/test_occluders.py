@@ -35,8 +35,8 @@ def test_a_wall_bounds_diffusion_as_a_face_of_the_cube_does(axis):
     d, source = np.moveaxis(spread(), 0, axis), np.random.default_rng(5).random((CELLS,) * 3)
     below = tuple(slice(CELLS // 2) if a == axis else slice(None) for a in range(3))
     source[tuple(slice(CELLS // 2, None) if a == axis else slice(None) for a in range(3))] = 0.0
-    found = solve(*couple(d, 1.0 / CELLS, walls), source)
-    expected = solve(*couple(d[below], 1.0 / CELLS), source[below])
+    found = solve(couple(d, 1.0 / CELLS, walls), source)
+    expected = solve(couple(d[below], 1.0 / CELLS), source[below])
     # CellBoundaries are looked for a little off the cells' middles.
     np.testing.assert_allclose(found[below], expected, rtol=0.01)
     assert found.sum() == pytest.approx(found[below].sum(), rel=1e-12)
@@ -58,24 +58,24 @@ def test_all_light_leaves_through_faces_and_walls():
     d, walls = spread(), CellBoundaries(ball(0.3), CELLS)
     source = np.where(walls.inside, 0.0, 1.0)
     diagonal, couplings = couple(d, 1.0 / CELLS, walls)
-    fluence = solve(diagonal, couplings, source)
+    fluence = solve((diagonal, couplings), source)
     assert np.all(fluence[walls.inside] == 0.0) and np.all(fluence[~walls.inside] > 0.0)
     inner = sum(couplings[a] + np.roll(couplings[a], 1, a) for a in range(3))
     assert ((diagonal - inner) * fluence).sum() == pytest.approx(source.sum(), rel=5e-3)
-    free = solve(*couple(d, 1.0 / CELLS), source)
+    free = solve(couple(d, 1.0 / CELLS), source)
     assert np.all(fluence <= free * 1.01) and fluence.sum() < 0.8 * free.sum()
     # Within the ball lookups find what is outside, in the cells next to it.
-    assert walls.spread_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
+    assert walls.extrapolate_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
 
 
 def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
     """Light straight down past a wall at x < 0.1."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     shadow_map = ShadowMap([rectangle(-9, 0.1, -9, 9, 3.0)], np.array([0.0, 0.0, 1.0]), corners)
-    share = shadow_map.lit_cells(8, parts=16)
+    share = shadow_map.cell_visibility(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
-    np.testing.assert_allclose(shadow_map.lit_cells(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.lit_cells(8), atol=1e-6)
+    np.testing.assert_allclose(shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
@@ -127,7 +127,7 @@ def test_a_network_without_light_inputs_warns_of_surfaces():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
     layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
                    surfaces=[wall])
-    assert "fog: the network rpnn does not know of surfaces" in layer.report.warnings
+    assert "fog: the network rpnn does not account for surfaces" in layer.report.warnings
 
 
 @pytest.mark.slow

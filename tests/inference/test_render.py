@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
 from inference.plan import plan
-from inference.network.predictor import FLUENCE_MOST
+from inference.network.predictor import MAX_FLUENCE
 from inference.scene.optimizations import ALL
 from inference.scene.phase_function import henyey_greenstein
 from tests.support.volumes import BLACK, SUN, box, camera, cloud
@@ -236,7 +236,7 @@ def test_a_scene_that_cannot_be_rendered_is_named(change, message):
 def test_warnings_name_what_is_outside_the_trained_range():
     layer = render([(box(name="fog"), Medium(1e5, 0.9, 0.99))], [SUN], camera())
     assert any("fog: anisotropy" in w for w in layer.report.warnings)
-    assert any("fog: optical density" in w for w in layer.report.warnings)
+    assert any("fog: optical thickness" in w for w in layer.report.warnings)
     assert np.all(np.isfinite(layer.rgb)) and layer.rgb.min() >= 0.0
 
 
@@ -249,7 +249,7 @@ def test_outside_the_trained_range_radiance_stays_finite_and_bounded(sigma_t, an
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     found = predict_multiple(cloud(), Medium(sigma_t, 1.0, anisotropy), SUN, points, directions)
     used = np.clip(anisotropy, -0.3, 0.95)
-    most = FLUENCE_MOST * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
+    most = MAX_FLUENCE * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
     assert np.all(np.isfinite(found)) and found.min() >= 0.0 and found.max() <= most * (1 + 1e-6)
     assert found.max() > 0.0
 

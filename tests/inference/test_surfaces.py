@@ -6,7 +6,7 @@ import pytest
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL
 from inference.scene.camera_rays import camera_rays
-from inference.occluders.depth_buffer import PLACES, DepthBuffer
+from inference.occluders.depth_buffer import SAMPLES, DepthBuffer
 from tests.support.surfaces import camera, fog, rectangle
 
 SUN = Sun((0.4, 0.3, 0.8), 2.0)
@@ -42,11 +42,11 @@ def test_depths_equal_brute_force_intersection(projection, clip):
     window = (2, 1, 11, 8)
     found = DepthBuffer([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
 
-    fine = Camera(view.world_matrix, projection, (12 * PLACES, 8 * PLACES), view.fov, 5.0, view.shift)
+    fine = Camera(view.world_matrix, projection, (12 * SAMPLES, 8 * SAMPLES), view.fov, 5.0, view.shift)
     fine.clip = view.clip
     origins, directions, near, _ = camera_rays(fine)
     expected = near + met(triangles, origins + near[:, None] * directions, directions)
-    expected = expected.reshape(8, PLACES, 12, PLACES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, PLACES**2)
+    expected = expected.reshape(8, SAMPLES, 12, SAMPLES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, SAMPLES**2)
     same = np.isclose(found, expected, rtol=1e-6)
     assert np.isfinite(expected).mean() > 0.3
     # A sample on an edge may fall on either side.
@@ -75,10 +75,10 @@ def test_an_edge_covers_its_share_of_a_pixel():
     whole, half = 1.0 - np.exp(-2.0), 1.0 - np.exp(-1.0)
     near = render([(fog(), Medium(1.0, 0.7))], [SUN], view, surfaces=walls[:1])
     assert np.all(near.alpha[:, :2] == 0.0)
-    np.testing.assert_allclose(near.alpha[:, 2], 0.7 * whole, atol=0.5 / PLACES * whole)
+    np.testing.assert_allclose(near.alpha[:, 2], 0.7 * whole, atol=0.5 / SAMPLES * whole)
     np.testing.assert_allclose(near.alpha[:, 3], whole, rtol=1e-3)
     both = render([(fog(), Medium(1.0, 0.7))], [SUN], view, surfaces=walls[1:])
-    np.testing.assert_allclose(both.alpha[:, 2], 0.3 * whole + 0.7 * half, atol=0.5 / PLACES * (whole - half))
+    np.testing.assert_allclose(both.alpha[:, 2], 0.3 * whole + 0.7 * half, atol=0.5 / SAMPLES * (whole - half))
     np.testing.assert_allclose(both.alpha[:, 3], half, rtol=2e-3)
     # A partly covered pixel has that share of its radiance.
     share = near.alpha[0, 2] / near.alpha[0, 3]

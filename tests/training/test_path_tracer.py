@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from benchmarks.fidelity.views import REFERENCES, independent_density
 from inference.scene.phase_function import henyey_greenstein
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.tracer.path_tracer import sample_scattering_points, trace_pixels, trace_points
 from training.tracer.transport import prepare, scatter, seed_state, transmit
-
-from tests.support.paths import SHARED
-
-REFERENCES = SHARED / "fidelity"
 
 
 def sphere_lattice(count):
@@ -306,7 +303,6 @@ def test_arguments_that_do_not_fit_are_refused():
         trace_points(density, [[0, 0, 0]], None, [[0, 0, 0]], [[0, 0, 1]], 1.0, 0.0, [1.0], 1, 1)
 
 
-@pytest.mark.skipif(not REFERENCES.is_dir(), reason="the folder ../shared/fidelity is absent")
 @pytest.mark.parametrize("view", ["smoke-20-front-g0", "cumulus-100-back-g0"])
 def test_pixels_agree_with_independent_references(view):
     """Block means against those of the references, in standard errors estimated from the halves.
@@ -316,7 +312,7 @@ def test_pixels_agree_with_independent_references(view):
     black one cannot be chance (0.9^256), so that the choice favours neither side.
     """
     reference = np.load(REFERENCES / "views" / f"{view}.npz")
-    density = np.load(REFERENCES / "volumes" / f"{view.split('-')[0]}.npz")["density"]
+    density = independent_density(view.split("-")[0])
     ours = np.stack(
         [
             trace_pixels(

@@ -9,7 +9,7 @@ from torch import nn
 
 from inference.marching import ray_features
 from inference.transport import scattered_fluence
-from inference.marching.ray_features import TAU_AHEAD_MOST, TAU_SUN_MOST
+from inference.marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
 from inference.features.stencil import LAYER_POINTS, SPARSE
 
 WIDTH = 192
@@ -124,8 +124,8 @@ class RayMRPNN(nn.Module):
         """All inputs (N, k) but the angles, and the angles (N, 8), before standardisation."""
         with torch.autocast("cpu", enabled=False):
             pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
-        tau_sun = ray[:, :1].clamp(0.0, TAU_SUN_MOST)
-        tau_ahead = ray[:, 1:2].clamp(0.0, TAU_AHEAD_MOST)
+        tau_sun = ray[:, :1].clamp(0.0, MAX_TAU_SUN)
+        tau_ahead = ray[:, 1:2].clamp(0.0, MAX_TAU_AHEAD)
         ahead, logs, fluxes = ray[:, 2:].split([AHEAD, LOGS, FLUXES], dim=1)
         ahead = ahead.clamp(min=0.0)
         cosine, g = torch.cos(gamma), anisotropy
@@ -207,8 +207,8 @@ class RayMRPNN(nn.Module):
         pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
         pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
         tau_sun, tau_ahead, ahead, logs, fluxes = g.split("ray", [1, 1, AHEAD, LOGS, FLUXES], axis=1)
-        tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(TAU_SUN_MOST))
-        tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(TAU_AHEAD_MOST))
+        tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(MAX_TAU_SUN))
+        tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(MAX_TAU_AHEAD))
         ahead = g.relu(ahead)
         x = [pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
         x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]

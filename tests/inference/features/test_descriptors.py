@@ -5,7 +5,7 @@ import pytest
 
 from inference.features.descriptors import FieldLookup, describe, stencil_points
 from inference.features.mip_lattices import (
-    STEPS, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
+    QUANTA, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
 )
 from inference.features.phase_features import PhaseFeatures
 from inference.scene.phase_function import henyey_greenstein
@@ -136,7 +136,7 @@ def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
     lattice = lattices.levels[mip]
     def read(x, y, z):
         cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int) - lattice.first
-        return (lattice.packed[tuple(cell)] >> 16) / STEPS
+        return (lattice.packed[tuple(cell)] >> 16) / QUANTA
     behind = np.exp(-(0.578**mip) * 3.0)
     np.testing.assert_allclose(read(0.0, 0.0, -0.6), behind, rtol=0.02)
     np.testing.assert_allclose(read(0.0, 0.0, 0.6), 1.0, rtol=0.02)

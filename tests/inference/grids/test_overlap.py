@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from inference import Medium, Volume, render
 from inference.grids.grid import Grid
 from inference.grids.merge import merge
-from inference.plan.overlap import MOST_EXTENT, overlapping
+from inference.plan.overlap import MAX_EXTENT_RATIO, overlapping
 from tests.support.volumes import SUN, camera, cloud
 
 
@@ -34,7 +34,7 @@ def test_touching_volumes_are_merged_unless_one_is_much_smaller():
     first, second = ball(name="first"), ball((0.5, 0.0, 0.0), name="second")
     third, far = ball((1.0, 0.0, 0.0), name="third"), ball((5.0, 0.0, 0.0), name="far")
     assert overlapping([first, far, second, third]) == ([[0, 2, 3], [1]], [])
-    speck = ball((0.1, 0.0, 0.0), radius=0.3 / MOST_EXTENT)
+    speck = ball((0.1, 0.0, 0.0), radius=0.3 / MAX_EXTENT_RATIO)
     assert overlapping([first, speck]) == ([[0], [1]], [(0, 1)])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from benchmarks.fidelity.views import independent_density
 from inference import Camera, Medium, SceneError, Settings, Sun, Volume, render
 from inference.grids.working_cube import active_bounds, fit_cube, level0_density
 from inference.grids.dense_grid import DenseGrid
@@ -16,7 +17,7 @@ from inference.plan.sun_columns import column_bytes
 from inference.scene.sparse_grid import SparseGrid
 from inference.grids.sun_optical_depth import SunOpticalDepth
 
-from tests.support.paths import ROOT, SHARED
+from tests.support.paths import ROOT
 
 # More voxels than are refined.
 SHAPE = (53, 110, 41)
@@ -145,11 +146,7 @@ def test_emissive_and_overlapping_volumes_equal_dense_ones():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cumulus", "smoke"])
 def test_real_volumes_equal_dense_ones(name):
-    path = SHARED / "fidelity" / "volumes" / f"{name}.npz"
-    if not path.is_file():
-        pytest.skip("the folder ../shared/fidelity is absent")
-    with np.load(path) as file:
-        dense = placed(file["density"])
+    dense = placed(independent_density(name))
     medium, sun = Medium(100.0, 1.0, 0.857), [Sun((0.3, 0.8, -0.4))]
     compare(rendered([(kept_sparsely(dense), medium)], sun), rendered([(dense, medium)], sun))
 

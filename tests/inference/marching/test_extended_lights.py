@@ -9,7 +9,7 @@ from inference import Medium, Settings, Sun, render
 from inference.scene.phase_function import henyey_greenstein
 from inference.scene.phase_function import PhaseFunction
 from inference.scene.camera_rays import camera_rays
-from inference.marching.extended_lights import ORDER, ExtendedLights, turned
+from inference.marching.extended_lights import ORDER, ExtendedLights, equivalent_directions
 
 from tests.support.volumes import box, camera, cloud
 from tests.support.surfaces import rectangle
@@ -75,7 +75,7 @@ def test_means_interpolated_between_nodes_equal_those_at_pixels():
     assert np.abs((turned + ahead)[:, 0] - wanted).max() < 0.01 * wanted.max()
     assert ahead.min() >= 0.0 and ahead.max() > 0.5 * wanted.max()
     # Where surfaces may be in the way, light from ahead is unknown.
-    every, none = ExtendedLights(view, suns, [phase], see_ahead=False).phase(columns + 0.5, rows + 0.5)
+    every, none = ExtendedLights(view, suns, [phase], split_forward=False).phase(columns + 0.5, rows + 0.5)
     assert not none.any()
     np.testing.assert_allclose(every, turned + ahead, rtol=1e-12)
 
@@ -100,14 +100,14 @@ def test_directions_are_turned_to_where_the_phase_function_equals_its_mean(aniso
     sun, g = even_suns()[4], np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     _, directions, _, _ = camera_rays(view)
     pixel = np.arange(len(directions))
-    found = turned(view, pixel, directions, sun, anisotropy)
+    found = equivalent_directions(view, pixel, directions, sun, anisotropy)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     mean = henyey_greenstein(directions @ sun.spread[0].T, g) @ sun.spread[1]
     assert np.abs(henyey_greenstein(found @ sun.direction, g) - mean).max() < 0.02 * mean.max()
     assert np.abs((found * np.cross(directions, sun.direction)).sum(axis=1)).max() < 1e-12
     point = Sun(sun.direction, 1.0, spread=(sun.direction[None], np.ones(1)))
-    np.testing.assert_allclose(turned(view, pixel, directions, point, anisotropy), directions, atol=0.03)
-    assert turned(view, pixel, directions, sun, 0.1) is directions
+    np.testing.assert_allclose(equivalent_directions(view, pixel, directions, point, anisotropy), directions, atol=0.03)
+    assert equivalent_directions(view, pixel, directions, sun, 0.1) is directions
 
 
 def test_a_wall_behind_the_volume_blocks_light_from_ahead():

@@ -86,9 +86,9 @@ def test_only_the_active_voxels_are_read(addon, scene, tmp_path):
     np.testing.assert_allclose(volume.world_from_index[:3, 3], np.array((100, -50, 7)) + half)
 
 
-def test_the_real_rotated_dragon(addon, scene, shared_volumes):
+def test_the_real_rotated_dragon(addon, scene, real_volumes):
     """Every active voxel of a grid with a rotated affine transform, at its position."""
-    path = str(shared_volumes / "dragon_rotated.vdb")
+    path = str(real_volumes / "dragon_rotated.vdb")
     cloud, _ = blender_scenes.add_volume(scene, path)
     cloud.matrix_world = Matrix.LocRotScale((1, 2, 3), Euler((0.3, 0.2, 0.1)), (2, 1, 0.5))
     lit(scene)
@@ -200,12 +200,22 @@ def test_a_sequence_reads_the_frames_file(addon, scene, tmp_path):
     ("odd/damaged/bad-bbox-overflow.vdb", "overflow", "empty"),
     ("odd/damaged/bad-bbox-roundup.vdb", "roundup", "empty"),
     ("odd/damaged/bad-bbox-empty.vdb", "empty", "empty"),
+])
+def test_odd_files_are_refused_by_object_and_reason(addon, scene, shared_volumes, file, grid, said):
+    assert_refused(addon, scene, shared_volumes / file, grid, said)
+
+
+@pytest.mark.parametrize("file, grid, said", [
     ("icosahedron_levelset.vdb", "ls_icosahedron", "level set"),
     ("torus_max100.vdb", "density", "voxel_fog_density"),
     ("no_such_file.vdb", "density", "file not found"),
 ])
-def test_invalid_files_are_refused_by_object_and_reason(addon, scene, shared_volumes, file, grid, said):
-    blender_scenes.add_volume(scene, shared_volumes / file, name="Odd one", Density_Attribute=grid)
+def test_files_without_such_a_density_are_refused(addon, scene, real_volumes, file, grid, said):
+    assert_refused(addon, scene, real_volumes / file, grid, said)
+
+
+def assert_refused(addon, scene, path, grid, said):
+    blender_scenes.add_volume(scene, path, name="Odd one", Density_Attribute=grid)
     lit(scene)
     message = refusal(addon)
     assert "\"Odd one\"" in message and said in message
@@ -255,10 +265,10 @@ def test_a_grid_too_large_is_refused_with_its_size(addon, scene, tmp_path):
     assert "4001 x 4001 x 4001 = 64048012001 voxels" in refusal(addon)
 
 
-def test_real_volumes_are_read_completely(addon, scene, shared_volumes):
+def test_real_volumes_are_read_completely(addon, scene, real_volumes):
     grids = {"openvdb_smoke.vdb": (111, 222, 112), "blender_smoke_wind.vdb": (51, 49, 96)}
     for number, name in enumerate(grids):
-        volume, _ = blender_scenes.add_volume(scene, shared_volumes / name, name=name)
+        volume, _ = blender_scenes.add_volume(scene, real_volumes / name, name=name)
         volume.location.x = 1000.0 * number
     lit(scene)
     described = read(addon)

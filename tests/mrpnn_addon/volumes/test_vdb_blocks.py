@@ -67,10 +67,10 @@ def test_arrays_equal_openvdbs_dense_copy(density_grid, monkeypatch, tmp_path):
     np.testing.assert_array_equal(found.density, copied(grid)[0])
 
 
-def test_real_files_equal_openvdbs_dense_copy(density_grid, everything_sparse, shared_volumes):
+def test_real_files_equal_openvdbs_dense_copy(density_grid, everything_sparse, real_volumes):
     names = {"openvdb_smoke.vdb": "density", "blender_smoke_wind.vdb": "density", "torus_max100.vdb": None}
     for name, grid_name in names.items():
-        path = str(shared_volumes / name)
+        path = str(real_volumes / name)
         grid_name = grid_name or blender_scenes.openvdb().readAllGridMetadata(path)[0].name
         found = density_grid.read_density_grid(path, grid_name, "Cloud")
         expected, _ = copied(blender_scenes.openvdb().read(path, grid_name))
