@@ -63,7 +63,7 @@ def march_tile(
 ) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
-    Returns the depth samples of all its rays, or None if no ray meets a volume. Raises Cancelled, and SceneError for
+    Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
     """
     report, settings = context.report, context.settings
@@ -143,6 +143,7 @@ def estimate_march(
 
 
 def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
+    """What is gathered along the rays of a channel pass."""
     return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
                         scene.plan.groups, context.settings.leave_out)
 
@@ -260,10 +261,10 @@ def _ray_intervals(
     plan: Plan, media: Sequence[BoundMedium], origins: np.ndarray, directions: np.ndarray,
     clip: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Distances (P,) between which each ray meets any medium that attenuates or emits, near > far on a miss, and
-    warnings.
+    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
 
-    clip: distances (P,) to the near and the far clipping plane. Volumes that the near one cuts cause a warning.
+    near > far on a miss. clip: distances (P,) to the near and the far clipping plane. Volumes that the near plane cuts
+    cause a warning.
     """
     clip_near, clip_far = clip
     near, far, warnings = np.full(len(origins), np.inf), np.full(len(origins), -np.inf), []
@@ -274,9 +275,9 @@ def _ray_intervals(
                 warnings.append(f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
                                 "Cycles would not render it there at all")
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            meets = enter < leave
-            near[meets] = np.minimum(near[meets], enter[meets])
-            far[meets] = np.maximum(far[meets], leave[meets])
+            hits = enter < leave
+            near[hits] = np.minimum(near[hits], enter[hits])
+            far[hits] = np.maximum(far[hits], leave[hits])
     return near, far, warnings
 
 
