@@ -34,7 +34,7 @@ def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
     render([(volume, thin)], sun, camera(), SETTINGS, cache=cache)
     for medium in (thick, thin):
-        # The ninth time that it asks, half of the lattices are built.
+        # At the ninth poll, half of the lattices are built.
         asked = iter(range(9))
         with pytest.raises(Cancelled):
             render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)
