@@ -22,7 +22,7 @@ def rows(found):
 
 
 def read_csv(path):
-    """Errors {(group, case): {quantity: error}} of an earlier run; nothing where there was none."""
+    """Errors {(group, case): {quantity: error}} of an earlier run; empty where there was none."""
     errors = {}
     for row in pages.read_csv(path) if path.exists() else ():
         errors.setdefault((row["group"], row["case"]), {})[row["quantity"]] = float(row["error"])
@@ -48,7 +48,7 @@ def write_table(path, found, sources):
 
 
 def write_pictures(path, found):
-    """A contact sheet of every case that has a picture, each scaled to its own brightest pixel."""
+    """A contact sheet of every case that has a picture, each relative to its brightest pixel."""
     shown = [(case, outcome.picture) for case, outcome in found if outcome.picture is not None]
     columns = 12
     lines = -(-len(shown) // columns)
