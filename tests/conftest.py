@@ -116,8 +116,16 @@ def scene(addon):
 
 
 @pytest.fixture(scope="session")
+def real_volumes():
+    """The folder of real volumes in the repository."""
+    from benchmarks.support.data import VOLUMES
+
+    return VOLUMES
+
+
+@pytest.fixture(scope="session")
 def shared_volumes():
-    """The folder of real volumes beside the project."""
+    """The folder beside the project of real volumes that may not be copied into it."""
     folder = SHARED / "volumes"
     if not folder.is_dir():
         pytest.skip("the folder ../shared/volumes is absent")

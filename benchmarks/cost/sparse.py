@@ -9,7 +9,6 @@ those that it starts hold, above what it held with the scene set up. Linux only.
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -20,8 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from ..support.extension import ROOT, load_extension
-from ..support.page import replace
+from ..support.pages import replace, with_table
+from ..support.provenance import made_by
 
+PROGRAM = "benchmarks.cost.sparse"
 PAGE = ROOT / "docs" / "performance.md"
 # Of the generator's volumes; its cells are split into so many an edge.
 SEED, SPLIT = 1_000_000, 4
@@ -150,7 +151,8 @@ def table(figures: dict, size) -> str:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=1024)
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
     parser.add_argument("--share", type=float, default=0.05)
@@ -170,17 +172,15 @@ def main():
         return
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/cloud.vdb"
-        command = [sys.executable, "-m", "benchmarks.cost.sparse", "--cells", str(arguments.cells), "--share",
-                   str(arguments.share), "--size", *map(str, arguments.size)]
+        command = [sys.executable, "-m", PROGRAM, "--cells", str(arguments.cells), "--share", str(arguments.share),
+                   "--size", *map(str, arguments.size)]
         subprocess.run([*command, "--write", path], cwd=ROOT, check=True)
         output = subprocess.run([*command, "--measure", path], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
     figures = json.loads(next(line for line in output.stdout.splitlines() if line.startswith("{")))
     found = table(figures, arguments.size)
     print(found)
     if not arguments.no_page:
-        page = re.sub(r"(<!-- sparse -->\n).*?(<!-- end -->)", lambda mark: mark.group(1) + found + "\n" + mark.group(2),
-                      PAGE.read_text(), flags=re.S)
-        replace(PAGE, page)
+        replace(PAGE, with_table(PAGE.read_text(), "sparse", found, made_by(PROGRAM)))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,9 @@ from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
 
 from ..fidelity.views import look_at
+from ..support.provenance import made_by
 
+PROGRAM = "benchmarks.cost.speed"
 # Of runs of the network alone, and how many of its points lie on one ray.
 RUNS, SAMPLES_A_RAY = 50, 8
 
@@ -80,7 +82,8 @@ def network_seconds(name: str) -> float:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--depth-samples", type=int, default=8)
     parser.add_argument("--coverage", type=float, default=0.4)
@@ -107,6 +110,7 @@ def main():
     print(f"matrix product   {rate / 1e9:9.0f} Gflop/s")
     print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us a point")
     print(f"with descriptors {share:9.0%} of that")
+    print(f"made by {made_by(PROGRAM, models=[arguments.model])}")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,9 @@ from training.data.volumes import make_volume
 
 from ..demo.scene import CLOUD_SEED, fit, make_scene, write_grid
 from ..support.extension import load_extension
+from ..support.provenance import made_by
 
+PROGRAM = "benchmarks.cost.viewport"
 OPTICAL_DEPTH = 40.0
 
 
@@ -93,7 +95,8 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, nargs=2, default=(480, 270), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--voxels", type=int, default=128)
     parser.add_argument("--depth-samples", type=int, default=8)
@@ -102,6 +105,7 @@ def main():
     try:
         with tempfile.TemporaryDirectory() as folder:
             measure(addon, tuple(arguments.size), arguments.voxels, arguments.depth_samples, folder)
+        print(f"made by {made_by(PROGRAM)}")
     finally:
         addon.unregister()
 

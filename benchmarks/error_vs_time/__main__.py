@@ -10,8 +10,6 @@ writes the page anew, from what the present weights were measured on.
 """
 
 import argparse
-import csv
-import io
 import json
 import sys
 import time
@@ -21,10 +19,13 @@ from pathlib import Path
 import bpy
 
 from ..support.extension import ROOT, extension
-from ..support.page import replace as replace_file
+from ..support.pages import csv_text
+from ..support.pages import replace as replace_file
+from ..support.provenance import made_by
 from . import page, plots
-from .cases import cases, make
+from .cases import absent_files, cases, make
 
+PROGRAM = "benchmarks.error_vs_time"
 DOCS = ROOT / "docs"
 # Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
 # beyond a size, since they tell as much.
@@ -43,13 +44,17 @@ def main(arguments=None) -> int:
     results = json.loads(file.read_text()) if file.is_file() else {}
     scenes = cases(options.size)
     if not options.table:
+        for path in absent_files():
+            print(f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                  file=sys.stderr)
         extension()
         for case in scenes:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples]
             if results.get(case.name, {}).get("state") != state:
-                results[case.name] = {"case": asdict(case), "state": state, **measured(case, options)}
+                results[case.name] = {"case": asdict(case), "state": state, "made_by": made_by(PROGRAM, arguments),
+                                      **measured(case, options)}
                 replace_file(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     # What another network was measured on says nothing of this one.
@@ -58,7 +63,7 @@ def main(arguments=None) -> int:
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
-    replace_file(DOCS / "error-vs-time.csv", csv_text(known))
+    replace_file(DOCS / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
     plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
     plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
     plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
@@ -67,7 +72,7 @@ def main(arguments=None) -> int:
 
 
 def weights() -> str:
-    """Checksum of the default network."""
+    """Checksum of the default network, by which results of other weights are told apart."""
     from inference import Settings
     from inference.network.network import load_network
 
@@ -95,27 +100,8 @@ def measured(case, options) -> dict:
     return run.result().figures()
 
 
-def csv_text(results) -> str:
-    """A row for each image: the case, the method, its error, its time."""
-    text = io.StringIO()
-    writer = None
-    for result in results:
-        for rung in result["rungs"]:
-            row = dict(result["case"])
-            row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
-            for name in ("rmse", "bias"):
-                row.update({f"{name}{end}": rung[name][key]
-                            for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))})
-            if writer is None:
-                writer = csv.DictWriter(text, row, lineterminator="\n")
-                writer.writeheader()
-            writer.writerow({name: f"{value:.5g}" if isinstance(value, float) else value
-                             for name, value in row.items()})
-    return text.getvalue()
-
-
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.error_vs_time", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
     parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
     parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")

@@ -11,8 +11,8 @@ from inference import SceneError, Volume
 
 from ..support.extension import extension
 from .case import refused
+from .renders import RenderSpec, render_case
 from .scenes import blob, placed
-from .shots import shot
 
 # Voxels of a blob that are replaced.
 SPOILT = (slice(6, 9), slice(5, 8), slice(7, 11))
@@ -69,8 +69,12 @@ def read(make, told: str = "") -> Volume:
 
 def taken_as_0(name, value, told):
     """A file some of whose voxels have a value that is none, against the blob that has 0 there."""
-    return shot("file", name, lambda: read(lambda openvdb: fog(openvdb, value), told), seen=placed(without()),
-                quick=True)
+    return render_case(
+        "file",
+        name,
+        RenderSpec(lambda: read(lambda openvdb: fog(openvdb, value), told), visible=placed(without())),
+        quick=True,
+    )
 
 
 def refusal(name, make, words):

@@ -19,8 +19,8 @@ VIEW = camera(pixels=12)
 MEDIUM = Medium(30.0, 0.95, 0.5)
 
 
-def draw(volume=CLOUD, medium=MEDIUM, suns=(SUN,), view=VIEW, samples=4, model="mrpnn", seed=0):
-    return render([(volume, medium)], list(suns), view, Settings(samples, model, seed))
+def draw(volume=CLOUD, medium=MEDIUM, suns=(SUN,), view=VIEW, settings=Settings(4)):
+    return render([(volume, medium)], list(suns), view, settings)
 
 
 @functools.lru_cache
@@ -71,10 +71,10 @@ def coloured():
 def large_image():
     """8192 × 8192 pixels, a tenth of a thousandth of which show something, against that part rendered alone."""
     view = camera(pixels=8192, fov=2.9)
-    whole = draw(view=view, samples=1)
+    whole = draw(view=view, settings=Settings(1))
     rows, columns = np.nonzero(whole.alpha)
     part = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-    alone = draw(view=replace(view, region=part), samples=1)
+    alone = draw(view=replace(view, region=part), settings=Settings(1))
     strips = [slice(top, top + 256) for top in range(0, 8192, 256)]
     names = ("rgb", "single", "multiple", "alpha", "uncertainty", "depth")
     bad = sum(unsound(replace(whole, **{name: getattr(whole, name)[rows] for name in names})) for rows in strips)
@@ -112,15 +112,15 @@ def thin_truth():
     from training.reference import PathTracer
 
     register_system("1024 paths", lambda: PathTracer(1024))
-    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), samples=8, model=model).multiple.mean()
+    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), settings=Settings(8, model)).multiple.mean()
                     for model in ("mrpnn", "1024 paths"))
     return Outcome({"bias": float(abs(found / truth - 1.0))})
 
 
 def more_depths():
     """Error against 512 depth samples falls at least as 1/N."""
-    truth = draw(samples=512).multiple
-    error = [np.sqrt(((draw(samples=n).multiple - truth) ** 2).mean()) for n in (4, 32)]
+    truth = draw(settings=Settings(512)).multiple
+    error = [np.sqrt(((draw(settings=Settings(n)).multiple - truth) ** 2).mean()) for n in (4, 32)]
     return Outcome({"32 over 4 samples": float(error[1] / error[0])})
 
 
@@ -146,8 +146,8 @@ def traced(**changed):
         from training.reference import PathTracer
 
         register_system("64 paths", lambda: PathTracer(64))
-        layer = draw(**changed, samples=16)
-        a, b = (draw(**changed, samples=16, model="64 paths", seed=seed).rgb for seed in (1, 2))
+        layer = draw(**changed, settings=Settings(16))
+        a, b = (draw(**changed, settings=Settings(16, "64 paths", seed)).rgb for seed in (1, 2))
         seen = layer.alpha > 0.5 * layer.alpha.max()
         return Outcome({"unsound": unsound(layer), "relative RMSE": relative_rmse(layer.rgb, a, b, seen).value,
                         "bias": abs(relative_bias(layer.rgb, a, b, seen).value)}, layer.rgb / layer.rgb.max())

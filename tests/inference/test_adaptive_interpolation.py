@@ -1,4 +1,4 @@
-"""Pixels that take their multiple scattering from their neighbours."""
+"""Adaptive interpolation: pixels that take their multiple scattering from their neighbours."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ STRIDES = [stride for stride, _ in LEVELS]
 
 @pytest.mark.parametrize("stride", STRIDES)
 @pytest.mark.parametrize("window", WINDOWS)
-def test_pixels_of_squares_are_looked_at_or_lie_between_places_that_are(window, stride):
+def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
     squares = Squares(window, stride)
     shared = np.ones(len(squares.known), bool)
     look, between = squares.known_pixels(), squares.interior(shared)
@@ -36,15 +36,15 @@ def test_pixels_of_squares_are_looked_at_or_lie_between_places_that_are(window, 
     assert np.all(np.ptp(row // BAND, axis=1) == 0) and np.all(column[:, 0] % stride == 0)
 
 
-def test_what_no_square_shares_is_left_to_be_looked_at():
-    """Pixels on the edge of a square that shares with one that does not are looked at."""
+def test_pixels_outside_interpolated_squares_are_evaluated():
+    """So are those on an edge between an interpolated square and one that is not."""
     squares = Squares((0, 0, 9, 9), 4)
     between = squares.interior(np.array([True, False, True, True])).reshape(9, 9)
     assert between[1:4, 4].sum() == 0 and between[4, 5:8].sum() == 0
     assert between[4, 1:4].all() and between[1, 1:4].all() and not between[:4, 5:].any()
 
 
-def test_squares_whose_corners_or_middle_are_settled_are_left_out():
+def test_squares_with_known_corners_or_middles_are_skipped():
     squares = Squares((0, 0, 9, 9), 4)
     settled = np.zeros(81, bool)
     # A corner of two squares, another's middle, and a pixel on an edge.
@@ -53,7 +53,7 @@ def test_squares_whose_corners_or_middle_are_settled_are_left_out():
 
 
 @pytest.mark.parametrize("stride", STRIDES)
-def test_linear_functions_are_interpolated_exactly_and_do_not_stray(stride):
+def test_linear_functions_are_interpolated_exactly(stride):
     squares = Squares((2, 3, 45, 60), stride)
     y, x = np.mgrid[3:60, 2:45].astype(np.float32)
     values = (5.0 + 0.25 * x - 0.5 * y + 40.0).ravel()
@@ -66,7 +66,7 @@ def test_linear_functions_are_interpolated_exactly_and_do_not_stray(stride):
     assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
 
 
-def test_only_squares_whose_middles_are_foretold_share():
+def test_only_squares_whose_middles_are_predicted_are_interpolated():
     squares = Squares((0, 0, 21, 21), 4)
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
@@ -92,12 +92,12 @@ def test_only_squares_whose_middles_are_foretold_share():
 
 @pytest.fixture(scope="module")
 def close():
-    """A view of a cloud in which a voxel is many pixels."""
+    """A view of a cloud in which a voxel covers many pixels."""
     return [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN], camera(resolution=(150, 110), fov=0.3)
 
 
-def test_sharing_spares_predictions_and_keeps_the_picture(close):
-    """Two thirds of them here; what it costs is less than what so few depths leave, and told."""
+def test_interpolation_saves_predictions_and_keeps_the_picture(close):
+    """Two thirds of them here; its error is below that of so few depth samples, and reported."""
     every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))
     shared = render(*close, Settings(4))
     many = render(*close, Settings(32, leave_out=ALL - {"shared_pixels"}))
@@ -114,8 +114,8 @@ def test_sharing_spares_predictions_and_keeps_the_picture(close):
     assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
 
 
-def test_a_part_of_the_image_shows_what_the_whole_shows(close):
-    """Squares lie where they lie in the whole image; those that the part's rim cuts are looked at."""
+def test_a_region_shows_what_the_whole_image_shows(close):
+    """Squares lie where they lie in the whole image; those cut by the region's border are evaluated."""
     volumes, suns, whole = close
     picture = render(*close, Settings(4)).rgb
     part = render(volumes, suns, replace(whole, region=(40, 33, 101, 99)), Settings(4)).rgb
@@ -123,7 +123,7 @@ def test_a_part_of_the_image_shows_what_the_whole_shows(close):
 
 
 def test_a_sharp_step_in_a_volume_stays_sharp():
-    """Two halves of one box, one dense and one thin, whose border lies between the places looked at."""
+    """A dense and a thin half of a box, whose border lies between evaluated pixels."""
     density = np.full((32, 32, 32), 0.05, np.float32)
     density[16:] = 1.0
     matrix = np.diag([1 / 32] * 3 + [1.0])

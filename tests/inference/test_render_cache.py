@@ -27,7 +27,7 @@ def camera(size=12):
     return Camera(matrix, resolution=(size, size), fov=0.6)
 
 
-def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
+def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
@@ -41,7 +41,7 @@ def test_a_render_stopped_within_its_fields_leaves_nothing_half_built():
         np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
 
 
-def test_two_threads_share_a_cache():
+def test_two_threads_share_the_render_cache():
     volume, cache = ball(), RenderCache()
     scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
               for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
@@ -107,7 +107,7 @@ def test_renders_with_different_networks_share_a_cache():
                 np.testing.assert_array_equal(layer.rgb, expected[model])
 
 
-def test_without_multiple_scattering_the_rest_is_as_it_was():
+def test_without_multiple_scattering_the_other_passes_are_unchanged():
     volume, sun = ball(), [Sun((0.3, 0.5, 0.8))]
     whole = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), SETTINGS)
     single = render([(volume, Medium(20.0, 0.9, 0.5))], sun, camera(), replace(SETTINGS, multiple=False))

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from benchmarks.fidelity.views import REFERENCES, independent_density
 from inference.scene.phase_function import henyey_greenstein
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from training.tracer.path_tracer import sample_scattering_points, trace_pixels, trace_points
 from training.tracer.transport import prepare, scatter, seed_state, transmit
-
-from tests.support.paths import SHARED
-
-REFERENCES = SHARED / "fidelity"
 
 
 def sphere_lattice(count):
@@ -61,7 +58,7 @@ def test_scattering_follows_henyey_greenstein(g):
     cosines, lengths, across = scattered_cosines(g, count, 11)
     assert np.abs(lengths - 1).max() < 1e-5
     assert abs(cosines.mean() - g) < 5 * cosines.std() / np.sqrt(count) + 1e-6
-    # the azimuth is even
+    # the azimuth is uniform
     deviation = across.std(axis=1)
     assert np.all(np.abs(across.mean(axis=1)) < 5 * deviation / np.sqrt(count))
     assert abs(deviation[0] / deviation[1] - 1) < 0.02
@@ -108,7 +105,7 @@ def test_ratio_tracking_agrees_with_quadrature():
     assert abs(tracked.mean() - exact.mean()) < 0.004
 
 
-@pytest.mark.parametrize("lit_from_behind", [False, True])
+@pytest.mark.parametrize("lit_from_behind", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     cells, sigma, g, albedo = 16, 2.0, 0.3, (0.9, 0.5, 0.1)
     # far away through a needle's eye: every ray runs along axis 0
@@ -129,9 +126,10 @@ def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     np.testing.assert_allclose(image[..., :3].mean(axis=(0, 1)), light * np.array(albedo), rtol=0.012)
 
 
-@pytest.mark.parametrize("g, sigma", [(0.0, 4.0), (0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)])
+@pytest.mark.parametrize("g, sigma", [
+    (0.0, 4.0), *(pytest.param(g, sigma, marks=pytest.mark.slow) for g, sigma in ((0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)))])
 def test_under_uniform_light_every_point_receives_that_light(g, sigma):
-    """Nothing is absorbed at albedo 1: radiance 1 from all sides stays radiance 1 inside."""
+    """Without absorption, uniform radiance 1 outside is radiance 1 inside."""
     rng = np.random.default_rng(4)
     density = (rng.random((12,) * 3) ** 3).astype(np.float32)
     suns = sphere_lattice(300)
@@ -155,6 +153,7 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     assert abs(radiance.mean() - 1) < 4 * error + 0.002
 
 
+@pytest.mark.slow
 def test_under_uniform_light_the_cloud_is_invisible():
     density = smooth_cloud(24)
     suns = sphere_lattice(120)
@@ -170,8 +169,9 @@ def test_under_uniform_light_the_cloud_is_invisible():
     assert np.abs(radiance - 1).max() < 0.15
 
 
+@pytest.mark.slow
 def test_reciprocity_exchanging_camera_and_sun():
-    """Seen from afar, the cloud's whole light is the same with camera and sun exchanged."""
+    """Seen from afar, the cloud's total radiance is the same with camera and sun exchanged."""
     density = smooth_cloud(20, seed=2)
     a, b = np.array([0.8, 0.6, 0.0]), np.array([-0.2, 0.5, 0.8])
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
@@ -194,7 +194,7 @@ def _points(density, sigma, count, seed):
     return x, omega
 
 
-@pytest.mark.parametrize("g", [0.0, 0.857])
+@pytest.mark.parametrize("g", [0.0, pytest.param(0.857, marks=pytest.mark.slow)])
 def test_a_field_of_sun_depths_agrees_with_ratio_tracking(g):
     density = smooth_cloud(48)
     suns = sphere_lattice(4)
@@ -202,7 +202,7 @@ def test_a_field_of_sun_depths_agrees_with_ratio_tracking(g):
     x, omega = _points(density, 40.0, 3000, 1)
     with_field = trace_points(density, suns, field, x, omega, 40.0, g, [1.0, 0.7], 30, 2).astype(np.float64)
     tracked = trace_points(density, suns, None, x, omega, 40.0, g, [1.0, 0.7], 30, 3).astype(np.float64)
-    # the same points: compare point by point
+    # at the same points: compare them one by one
     difference = (with_field - tracked).mean(axis=1)
     error = difference.std(axis=0, ddof=1) / np.sqrt(len(x))
     mean = tracked.mean(axis=(0, 1))
@@ -228,7 +228,7 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     assert not np.array_equal(results[0][: other_seed.size], other_seed.ravel())
 
 
-def test_a_point_s_result_does_not_depend_on_the_points_after_it():
+def test_a_points_result_does_not_depend_on_the_points_after_it():
     density = smooth_cloud(20)
     suns = sphere_lattice(2)
     x, omega = _points(density, 20.0, 16, 1)
@@ -237,7 +237,7 @@ def test_a_point_s_result_does_not_depend_on_the_points_after_it():
     np.testing.assert_array_equal(every[:5], some)
 
 
-def test_albedos_together_equal_albedos_apart():
+def test_albedos_traced_together_equal_those_traced_apart():
     density = smooth_cloud(20)
     suns = sphere_lattice(3)
     x, omega = _points(density, 20.0, 200, 1)
@@ -246,14 +246,14 @@ def test_albedos_together_equal_albedos_apart():
         return trace_points(density, suns, None, x, omega, 20.0, 0.5, albedos, paths, seed, **limit).astype(np.float64)
 
     together = trace([1.0, 0.9, 0.5, 0.2], 8, 1)
-    # with albedo 1 among them roulette never plays, so the walks are the same ones
+    # with albedo 1 among them there is no Russian roulette, so the paths are the same
     for column, albedo in enumerate([1.0, 0.9, 0.5, 0.2]):
         np.testing.assert_allclose(trace([1.0, albedo], 8, 1)[..., 1], together[..., column], rtol=1e-4, atol=1e-9)
-    # alone, roulette plays: other walks, same mean
+    # alone, Russian roulette applies: other paths, same mean
     for column, albedo in ((1, 0.9), (2, 0.5)):
         alone = trace([albedo], 8, 2)[..., 0].mean(axis=1)
         assert abs(z_score(alone, together[..., column].mean(axis=1))) < 4
-    # each order carries its own power; a single path begins alike whatever its limit
+    # each order carries its own power; a path starts alike whatever its limit
     first = trace([1.0, 0.5], 1, 3, max_collisions=1)
     assert first.any()
     np.testing.assert_allclose(first[..., 1], 0.5 * first[..., 0], rtol=1e-5)
@@ -282,7 +282,7 @@ def test_scattering_points_lie_at_exponential_depths():
     assert np.abs(across.var(axis=0) - 1 / 12).max() < 0.003
 
 
-def test_nothing_scatters_in_nothing():
+def test_empty_space_scatters_nothing():
     empty = np.zeros((16,) * 3, np.float32)
     _, valid = sample_scattering_points(empty, 50.0, sphere_lattice(8), 1, tries=50)
     assert not valid.any()
@@ -306,7 +306,7 @@ def test_arguments_that_do_not_fit_are_refused():
         trace_points(density, [[0, 0, 0]], None, [[0, 0, 0]], [[0, 0, 1]], 1.0, 0.0, [1.0], 1, 1)
 
 
-@pytest.mark.skipif(not REFERENCES.is_dir(), reason="the folder ../shared/fidelity is absent")
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["smoke-20-front-g0", "cumulus-100-back-g0"])
 def test_pixels_agree_with_independent_references(view):
     """Block means against those of the references, in standard errors estimated from the halves.
@@ -316,7 +316,7 @@ def test_pixels_agree_with_independent_references(view):
     black one cannot be chance (0.9^256), so that the choice favours neither side.
     """
     reference = np.load(REFERENCES / "views" / f"{view}.npz")
-    density = np.load(REFERENCES / "volumes" / f"{view.split('-')[0]}.npz")["density"]
+    density = independent_density(view.split("-")[0])
     ours = np.stack(
         [
             trace_pixels(

@@ -1,4 +1,4 @@
-"""The comparison's page in a real browser, without anything beside it."""
+"""The comparison's page in a real browser, as a single file."""
 
 import importlib
 import json
@@ -34,10 +34,11 @@ def report(addon, tmp_path_factory):
 
 
 def in_browser(page, script, folder):
-    """What a script says of the page when all of it is loaded, and what the browser complains about."""
+    """What a script returns once the page has loaded, and the browser's console."""
     copy = folder / "copy.html"
     said = "<script>addEventListener('load', () => { const out = document.createElement('pre'); out.id = 'said';\n" \
-           f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out); }});</script></body>"
+           f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out);\n" \
+           "});</script></body>"
     copy.write_text(page.replace("</body>", said), encoding="utf-8")
     run = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
@@ -81,7 +82,7 @@ def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path)
     assert said["dots"] == drawn and said["inside"] and said["chart"] > 1e5
 
 
-def test_the_chart_is_well_formed_and_lies_on_logarithmic_axes(report):
+def test_the_chart_is_well_formed_and_has_logarithmic_axes(report):
     chart = importlib.import_module("mrpnn.mrpnn_addon.comparison.chart")
     _, comparison = report
     made = chart.make_chart(comparison.rungs)
@@ -103,7 +104,7 @@ def test_csv_and_json_hold_the_figures_of_the_page(report):
     assert f"{comparison.judged.rmse.value:.4f}" in text and "1024 bounces" in text
 
 
-def test_pictures_have_the_colours_they_were_made_of(report):
+def test_pictures_keep_their_colours(report):
     from PIL import Image
     import io
 
