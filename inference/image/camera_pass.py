@@ -75,8 +75,8 @@ def march_tile(
     longest = counts.max()
     if longest > MAX_STEPS:
         raise SceneError(
-            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
-            "another; render volumes of so different sizes in view layers of their own"
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
+            "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))

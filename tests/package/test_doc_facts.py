@@ -50,7 +50,12 @@ FACTS = [
         "inference.marching.depth_samples",
         ("MIN_ALPHA",),
     ),
-    ("docs/method.md", r"turns by less than (\d+)°", "inference.marching.extended_lights", ("np.degrees(FORWARD_ANGLE)",)),
+    (
+        "docs/method.md",
+        r"turns by less than (\d+)°",
+        "inference.marching.extended_lights",
+        ("np.degrees(FORWARD_ANGLE)",),
+    ),
     (
         "docs/method.md",
         r"light scattered (\d+) times \(Henyey–Greenstein, G⁴\)",
@@ -68,7 +73,12 @@ FACTS = [
     ("docs/method.md", r"optical thicknesses above (\S+) are rendered", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
     ("docs/stability.md", r"optical densities above (\S+) render", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
     ("docs/method.md", r"tiles of at most (\d+) pixels", "inference.plan.plan", ("TILE_PIXELS",)),
-    ("docs/method.md", r"more than (\d+) times as long as the shortest", "inference.plan.overlap", ("MAX_EXTENT_RATIO",)),
+    (
+        "docs/method.md",
+        r"more than (\d+) times as long as the shortest",
+        "inference.plan.overlap",
+        ("MAX_EXTENT_RATIO",),
+    ),
     ("docs/method.md", r"density pyramid has (\d+)³ cells", "inference.plan.resolution", ("LEVEL0_CELLS",)),
     ("docs/performance.md", r"a pyramid of (\d+)³ cells", "inference.plan.resolution", ("LEVEL0_CELLS",)),
     ("docs/method.md", r"to at most (\d+) voxels along an edge", "inference.plan.resolution", ("FINE_EDGE",)),
@@ -129,8 +139,8 @@ FACTS = [
         "inference.image.adaptive_interpolation",
         ("NOISE",),
     ),
-    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("ANISOTROPY_MOST",)),
-    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("IRRADIANCE_MOST",)),
+    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
+    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
     ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MOST_STEPS",)),
     (
         "docs/settings.md",
