@@ -75,8 +75,8 @@ def march_tile(
     longest = counts.max()
     if longest > MAX_STEPS:
         raise SceneError(
-            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
-            "another; render volumes of so different sizes in view layers of their own"
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
+            "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
@@ -206,7 +206,7 @@ class _Shading:
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
         phase[..., self.extended], ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
-        # Light from ahead is attenuated along the whole ray, wherever on it it scatters.
+        # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
         straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
         single = segment.single * phase

@@ -139,8 +139,8 @@ FACTS = [
         "inference.image.adaptive_interpolation",
         ("NOISE",),
     ),
-    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("ANISOTROPY_MOST",)),
-    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("IRRADIANCE_MOST",)),
+    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
+    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
     ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
     (
         "docs/settings.md",
