@@ -139,6 +139,18 @@ FACTS = [
         "inference.image.adaptive_interpolation",
         ("NOISE",),
     ),
+    (
+        "docs/method.md",
+        r"a residual network of four layers, (\d+) wide",
+        "training.networks.mrpnn",
+        ("WIDTH",),
+    ),
+    (
+        "docs/method.md",
+        r"a series over (\d+) scattering orders n from (\d+) to (\d+)",
+        "training.networks.mrpnn",
+        ("len(ORDERS)", "ORDERS[0]", "ORDERS[-1]"),
+    ),
     ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
     ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
     ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
