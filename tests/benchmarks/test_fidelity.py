@@ -78,9 +78,10 @@ def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
     path = tmp_path / "out" / "fidelity.csv"
     rows = pages.read_csv(path)
     (source,) = pages.csv_made_by(path)
-    assert source.startswith("`python -m benchmarks.fidelity --out ") and "commit" in source
+    assert source.startswith("Weights `mrpnn-paper` ") and ", commit " in source
+    assert source.endswith(" --size 16 --samples 16 --cells 32`.")
     checksum = hashlib.sha256((weights / "rpnn.onnx").read_bytes()).hexdigest()[:12]
-    assert f"rpnn {checksum}" in source and f"rpnn {checksum}" in path.with_suffix(".md").read_text()
+    assert f"`rpnn` {checksum}," in source and f"`rpnn` {checksum}," in path.with_suffix(".md").read_text()
     # Two more albedos beside the usual view, which is all that RPNN knows.
     assert [row["system"] for row in rows] == ["mrpnn-paper", "rpnn", "mrpnn-paper", "mrpnn-paper"]
     assert all(float(row["rmse_low"]) <= float(row["rmse"]) <= float(row["rmse_high"]) for row in rows)

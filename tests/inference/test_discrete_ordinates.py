@@ -8,7 +8,7 @@ from inference.transport import scattered_fluence
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import MAX_FLUENCE
 from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
-from training.tracer.path_tracer import trace_points
+from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
 SLANT = np.array([0.48, 0.6, 0.64])
@@ -56,7 +56,8 @@ def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance)
     """For nearly isotropic scattering: the radiance scattered towards the camera, inside and near the boundary."""
     positions = np.array([[0.0, 0.0, 0.1], [0.2, -0.1, -0.2], [-0.25, 0.25, 0.0], [0.05, -0.38, 0.02], [0.02, 0.03, 0.39]])
     omega = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    traced = trace_points(cloud, SLANT, None, positions, omega, sigma_hat, anisotropy, [1.0], 20000, seed=2)[:, 0, 0]
+    vertices = Vertices(positions, omega, sigma_hat, anisotropy, [1.0])
+    traced = trace_points(Scene(cloud, SLANT), vertices, Sampling(20000, seed=2))[:, 0, 0]
     cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
     read = scattered_fluence.read_fluence(cells, positions, omega, SLANT, anisotropy)
     radiance = np.exp(read[:, scattered_fluence.PROBES]) / (4.0 * np.pi)

@@ -27,13 +27,17 @@ def camera(size=12):
     return Camera(matrix, resolution=(size, size), fov=0.6)
 
 
+<<<<<<< HEAD
+=======
+
+>>>>>>> main
 def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
     render([(volume, thin)], sun, camera(), SETTINGS, cache=cache)
     for medium in (thick, thin):
-        # The ninth time that it asks, half of the lattices are built.
+        # At the ninth poll, half of the lattices are built.
         asked = iter(range(9))
         with pytest.raises(Cancelled):
             render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)

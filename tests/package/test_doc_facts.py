@@ -141,7 +141,7 @@ FACTS = [
     ),
     ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
     ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
-    ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MOST_STEPS",)),
+    ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
     (
         "docs/settings.md",
         r"(\d+) random points are evaluated .{0,120} differs by more than (\d+ %)",

@@ -10,7 +10,7 @@ from inference.features.mip_lattices import (
 from inference.features.phase_features import PhaseFeatures
 from inference.scene.phase_function import henyey_greenstein
 from inference.features.stencil import LAYER_POINTS, LOW_POINTS
-from training.data.descriptors import describe_points
+from training.data.descriptors import Levels, describe_points
 from training.data.stencil import load_stencil
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -42,7 +42,7 @@ def rays():
 def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
     lattices = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     features, gamma = describe(FieldLookup(stencil, lattices, SUN), PhaseFeatures(stencil, 0.6), *rays)
-    expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
+    expected = describe_points(stencil, Levels(*fields), *rays, SUN, np.full(300, SIGMA_HAT))
     # A point within rounding of a cell's border may fall on either side.
     different = np.abs(features[:2] - expected) > 1e-4
     assert different.mean() < 1e-4

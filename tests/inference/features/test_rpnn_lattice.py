@@ -14,7 +14,7 @@ from inference.features.rpnn_lattice import (
     FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
 )
 from training.data import lattice_rows
-from training.data.descriptors import describe_points
+from training.data.descriptors import Levels, describe_points
 from training.export import export, save
 from training.networks import RPNN
 from training.tracer.path_tracer import sample_scattering_points
@@ -117,7 +117,9 @@ def data():
     padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
     x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
     features = np.concatenate([
-        describe_points(stencil, padded, unit_optical_depths(padded, l[i]), x[s], w[s], l[i], sigma[s] * cube.edge)
+        describe_points(
+            stencil, Levels(padded, unit_optical_depths(padded, l[i])), x[s], w[s], l[i], sigma[s] * cube.edge
+        )
         for i, s in ((0, slice(None, count // 2)), (count // 2, slice(count // 2, None)))
     ], axis=1)
     return {

@@ -36,7 +36,7 @@ def test_single_scattering_of_a_slab_lit_from_the_camera_is_the_closed_form(refe
     density, albedo, irradiance = 1.5, 0.01, 2.0
     shader.inputs["Anisotropy"].default_value = anisotropy
     rendered = reference.render_reference(scene, objects, reference.PathTracing(samples=64))
-    # Light comes down and goes back up: the cosine between camera ray and direction to the sun is -1.
+    # Backscattering: the cosine between camera ray and direction to the sun is -1.
     phase = (1 - anisotropy**2) / (4 * np.pi * (1 + anisotropy**2 + 2 * anisotropy) ** 1.5)
     expected = albedo * phase * irradiance * (1 - np.exp(-2 * density)) / 2
     for half in (rendered.a, rendered.b):

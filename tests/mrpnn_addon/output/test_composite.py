@@ -136,7 +136,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
         outer = here.collections[0]
         assert outer.library is not None
     instance(scene, outer)
-    # Cycles' own noise aside, the picture is the layer over the block, which shows nowhere twice.
+    # Up to Cycles' noise, the picture is the layer over the block, which nowhere shows twice.
     alone = layer_of(scene)
     assert alone[..., 3].max() > 0.2
     before = state(scene)
@@ -148,7 +148,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
     blue |= np.roll(blue, 1, 0) | np.roll(blue, -1, 0)
     blue |= np.roll(blue, 1, 1) | np.roll(blue, -1, 1)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
-    # Where Cycles keeps the volumes for their shadows, the camera sees them once all the same.
+    # Where Cycles keeps the volumes for their shadows, the camera still sees them once.
     bpy.ops.mrpnn.composite(shadows=True)
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
@@ -183,7 +183,7 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     assert volumes.render.image_settings.file_format == 'OPEN_EXR' != 'PNG'
     assert volumes.render.image_settings.color_depth == '32' and volumes.render.filepath != scene.render.filepath
     assert volumes.render.engine == 'MRPNN' and scene.render.engine == 'CYCLES'
-    # A further view layer that is rendered shows what the first one does not.
+    # Another rendered view layer shows what the first one does not.
     layer = scene.view_layers.new("Behind")
     layer.layer_collection.children["Hidden"].exclude = False
     third.location = (-1.5, 0.0, 0.0)
