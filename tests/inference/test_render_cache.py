@@ -27,6 +27,7 @@ def camera(size=12):
     return Camera(matrix, resolution=(size, size), fov=0.6)
 
 
+
 def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
