@@ -83,7 +83,7 @@ def test_what_can_be_seen_through_is_named(addon, scene, tmp_path, change):
     described = read(addon)
     assert not described.surfaces
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "seen through" in warning
+    assert "\"Ball\"" in warning and "is transparent" in warning
 
 
 def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(addon, scene, tmp_path):
