@@ -7,19 +7,19 @@ docs/performance.md. Errors are relative RMSE beside MANY directions, over pixel
 """
 
 import argparse
-import re
 import time
-from pathlib import Path
 
 import numpy as np
 
-from inference import Camera, Medium, Settings, render
+from inference import Settings, render
 
-from ..fidelity.views import cube_volume, look_at, shared_views
-from ..support.extension import extension
-from ..support.page import replace
+from ..fidelity.views import independent_views
+from ..support.extension import ROOT, extension
+from ..support.pages import replace, with_table
+from ..support.provenance import made_by
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "performance.md"
+PROGRAM = "benchmarks.cost.directions"
+PAGE = ROOT / "docs" / "performance.md"
 VIEWS = ("cumulus-100-side-g0.857", "smoke-100-side-g0.857")
 COUNTS, MANY = (4, 6, 12, 24), 60
 DEPTH_SAMPLES = 4
@@ -41,14 +41,13 @@ def rows(view, size: int):
     """Lines of the table."""
     environment = extension().mrpnn_addon.world.quadrature
     sphere = environment.Sphere()
-    camera = Camera(look_at(view.position, view.up), resolution=(size, size), fov=np.radians(view.fov))
-    scene = [(cube_volume(view.density(), view.volume), Medium(view.sigma_hat, view.albedo, view.anisotropy))]
+    camera, volumes = view.camera(size), view.volumes()
     for name, radiance in worlds(sphere.directions).items():
         layers, seconds = {}, {}
         for count in (*COUNTS, MANY):
             suns = environment.quadrature(sphere, radiance, count)
             start = time.process_time()
-            layers[count] = render(scene, suns, camera, Settings(DEPTH_SAMPLES))
+            layers[count] = render(volumes, suns, camera, Settings(DEPTH_SAMPLES))
             seconds[count] = time.process_time() - start
         truth = layers[MANY]
         seen = truth.alpha > 0.02
@@ -60,19 +59,18 @@ def rows(view, size: int):
             yield f"| {view.name} | {name} | {count} | {cells} | {seconds[count]:.1f} |"
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(options=None):
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=48)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(options)
     lines = ["| view | World | directions | single | multiple | together | processor seconds |", "|---" * 7 + "|"]
-    for view in shared_views():
+    for view in independent_views():
         if view.name in VIEWS:
             for line in rows(view, arguments.size):
                 lines.append(line)
                 print(line, flush=True)
-    page = re.sub(r"(<!-- directions -->\n).*?(<!-- end -->)", lambda found: found.group(1) + "\n".join(lines) + "\n"
-                  + found.group(2), PAGE.read_text(), flags=re.S)
-    replace(PAGE, page)
+    replace(PAGE, with_table(PAGE.read_text(), "directions", "\n".join(lines), made_by(PROGRAM, options)))
 
 
 if __name__ == "__main__":

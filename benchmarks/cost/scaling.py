@@ -2,28 +2,29 @@
 
     python -m benchmarks.cost.scaling [--size 256] [--tables threads suns]
 
-Renders the cloud of benchmarks.cost.speed with one thing changed at a time. Cost is processor seconds of all threads, which
-other work on the machine changes little, by stage and as a ratio to the first row of its table; for threads, seconds by
-the clock. The error of depth samples is that of the whole image beside 64 of them, over pixels of alpha above 0.02;
-that of sharing, beside 32.
+Renders the cloud of benchmarks.cost.speed with one thing changed at a time. Cost is processor seconds of all threads,
+which other work on the machine changes little, by stage and as a ratio to the first row of its table; for threads,
+wall-clock seconds. The error of depth samples is that of the whole image beside 64 of them, over pixels of alpha above
+0.02; that of adaptive interpolation, beside 32.
 """
 
 import argparse
 import dataclasses
 import functools
 import os
-import re
 
 import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
-from ..fidelity.views import MASK_ALPHA, shared_views
+from ..fidelity.views import MASK_ALPHA, independent_views
 from ..support.extension import ROOT
-from ..support.page import replace
+from ..support.pages import replace, with_table
+from ..support.provenance import made_by
 from .speed import camera_covering, cloud
 
+PROGRAM = "benchmarks.cost.scaling"
 PAGE = ROOT / "docs" / "performance.md"
 STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
@@ -79,8 +80,8 @@ def cost_table(name: str, rows) -> str:
     return "\n".join(lines)
 
 
-def omissions_table(size: int) -> str:
-    """What each omission spares: all are left out, then one at a time is asked for."""
+def optimizations_table(size: int) -> str:
+    """What each optimization saves: with all of them, then with one at a time switched off."""
     volume, medium = cloud(), Medium(100.0, 0.9, 0.857)
     view = camera_covering(volume, medium, size, COVERAGE)
     # Pixels beside the cloud, and suns that are not needed.
@@ -92,10 +93,11 @@ def omissions_table(size: int) -> str:
     def draw(leave_out):
         return render([(volume, medium)], suns, view, Settings(leave_out=leave_out), surfaces=[plate])
 
-    lines = ["| asked for | " + " | ".join(STAGES) + " | total | ratio | change |", "|---" * (len(STAGES) + 4) + "|"]
+    lines = ["| switched off | " + " | ".join(STAGES) + " | total | ratio | change |", "|---" * (len(STAGES) + 4) + "|"]
     usual = draw(ALL)
     shown = usual.alpha > MASK_ALPHA
-    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in OPTIMIZATIONS if name != "unchanged"),
+    others = [name for name in OPTIMIZATIONS if name != "unchanged"]
+    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in others),
                         ("everything", draw(frozenset()))]:
         seconds = layer.report.cpu_seconds
         change = np.sqrt(((layer.rgb - usual.rgb)[shown] ** 2).mean()) / usual.rgb[shown].mean()
@@ -108,7 +110,7 @@ def omissions_table(size: int) -> str:
 
 def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
-    for view in shared_views():
+    for view in independent_views():
         truth = view.render(Settings(64, leave_out=EVERY_PIXEL))
         cells = [error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
                  for samples in (1, 2, 3, 4, 8, 16)]
@@ -126,35 +128,36 @@ def error_and_points(layer, truth) -> str:
 def sharing_table() -> str:
     """Pixels that share beside pixels that do not, in images of different sizes."""
     choices = [(samples, share) for samples in (4, 8) for share in (EVERY_PIXEL, ALL)]
-    lines = ["| view | pixels | " + " | ".join(f"{n}, {'shared' if share == ALL else 'each'}" for n, share in choices) + " |",
-             "|---" * (2 + len(choices)) + "|"]
-    views = {view.name: view for view in shared_views()}
+    heads = [f"{n}, {'shared' if share == ALL else 'each'}" for n, share in choices]
+    lines = ["| view | pixels | " + " | ".join(heads) + " |", "|---" * (2 + len(choices)) + "|"]
+    views = {view.name: view for view in independent_views()}
     for name in SHARING_VIEWS:
         for size in SHARING_SIZES:
-            view = dataclasses.replace(views[name], size=size)
-            truth = view.render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL))
-            cells = [error_and_points(view.render(Settings(n, leave_out=share)), truth) for n, share in choices]
+            truth = views[name].render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL), size)
+            layers = [views[name].render(Settings(n, leave_out=share), size) for n, share in choices]
+            cells = [error_and_points(layer, truth) for layer in layers]
             lines.append(f"| {name} | {size}² | {' | '.join(cells)} |")
             print(lines[-1], flush=True)
     return "\n".join(lines)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(options=None):
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these, by the names that stand above them in the page")
-    arguments = parser.parse_args()
+    parser.add_argument("--tables", nargs="+", metavar="NAME",
+                        help="only these, by the names in the page's marks")
+    arguments = parser.parse_args(options)
     # Loading the network is not what grows.
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
     makers = {name: functools.partial(cost_table, name, rows) for name, rows in cases(arguments.size).items()}
-    makers.update(omissions=functools.partial(omissions_table, arguments.size), error=depth_table, sharing=sharing_table)
+    makers.update(omissions=functools.partial(optimizations_table, arguments.size), error=depth_table,
+                  sharing=sharing_table)
     if not set(arguments.tables or ()) <= set(makers):
         parser.error(f"there are these tables: {', '.join(makers)}")
     page = PAGE.read_text()
     for name in arguments.tables or makers:
-        table = makers[name]()
-        mark = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        page = re.sub(mark, lambda found: found.group(1) + table + "\n" + found.group(2), page, flags=re.S)
+        page = with_table(page, name, makers[name](), made_by(PROGRAM, options))
     replace(PAGE, page)
 
 

@@ -1,15 +1,14 @@
-"""What a large, mostly empty volume file costs to read and render: makes docs/performance.md's table of it.
+"""What a large, mostly empty volume file costs to read and render: makes a table of docs/performance.md.
 
     python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
 
-Writes a .vdb file of a cloud of which a given share of cells^3 voxels is above 0, and in a new process reads it into
-Blender's scene and renders it. Memory is the largest sum, looked at every few milliseconds, of what that process and
-those that it starts hold, above what it held with the scene set up. Linux only.
+Writes a .vdb file of a cloud of cells^3 voxels, a given share of which is above 0, and reads and renders it in Blender
+in a new process. Memory is that of this process and of those that it starts: the peak of samples taken every few
+milliseconds, above what was held with the scene set up. Linux only.
 """
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -20,21 +19,23 @@ from pathlib import Path
 import numpy as np
 
 from ..support.extension import ROOT, load_extension
-from ..support.page import replace
+from ..support.pages import replace, with_table
+from ..support.provenance import made_by
 
+PROGRAM = "benchmarks.cost.sparse"
 PAGE = ROOT / "docs" / "performance.md"
-# Of the generator's volumes; its cells are split into so many an edge.
+# Of the generator's volumes; each of its cells is split into SPLIT per edge.
 SEED, SPLIT = 1_000_000, 4
-# Voxels an edge that are made at a time.
+# Voxels per edge of the parts in which the cloud is made.
 PART = 128
-# Places that tell which share lies above a threshold.
+# Random positions by which the threshold is found.
 PLACES = 1 << 20
 OPTICAL_DEPTH = 100.0
 POLL_INTERVAL = 0.005
 
 
 def write_cloud(path: Path, cells: int, share: float) -> None:
-    """A trilinearly finer cloud above the threshold that leaves `share`, with a puff in either corner of its box."""
+    """Write a trilinearly refined cloud with a puff in two corners, less the threshold that leaves `share` above 0."""
     from inference.grids.dense_grid import DenseGrid
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
     from training.data.volumes import make_volume
@@ -57,7 +58,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
 
 
 def held_memory() -> int:
-    """Bytes that this process and those that it started hold."""
+    """Resident bytes of this process and of those that it started."""
     import os
     import resource
 
@@ -77,15 +78,15 @@ def held_memory() -> int:
 
 
 class Peak:
-    """The most memory held while this is entered: `bytes`."""
+    """Peak of the memory held inside a `with` block: `bytes`."""
 
     def __enter__(self):
         self.bytes, self._over = held_memory(), threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
         return self
 
-    def _look(self):
+    def _sample(self):
         while not self._over.wait(POLL_INTERVAL):
             self.bytes = max(self.bytes, held_memory())
 
@@ -108,7 +109,7 @@ def measure(path: Path, cells: int, size) -> dict:
     volume.data.render.space = 'WORLD'
     shader.inputs["Density"].default_value = OPTICAL_DEPTH / demo_scene.EDGE
     demo_scene.frame(scene, demo_scene.EDGE * (np.array(list(np.ndindex(2, 2, 2))) - 0.5))
-    # Blender holds the file's grid itself.
+    # Blender loads the file's grid here, which does not count.
     bpy.context.evaluated_depsgraph_get()
     before, start = held_memory(), time.perf_counter()
     with Peak() as reading:
@@ -136,21 +137,22 @@ def table(figures: dict, size) -> str:
     seconds = figures["seconds"]
     rows = [
         ("voxels", figures["voxels"]),
-        ("of which above 0", f"{figures['active']:.1%}"),
-        ("of which kept", f"{figures['kept']:.1%}"),
+        ("above 0", f"{figures['active']:.1%}"),
+        ("stored", f"{figures['kept']:.1%}"),
         ("image", f"{size[0]} × {size[1]}, {figures['covered']:.0%} covered"),
         ("reading", f"{figures['read']:.1f} s"),
         *((stage, f"{seconds[stage]:.1f} s") for stage in ("shadows", "fields", "march", "network", "total")),
-        ("largest memory while reading", f"{figures['reading'] / 1e9:.2f} GB"),
+        ("peak memory while reading", f"{figures['reading'] / 1e9:.2f} GB"),
         ("memory of the grid", f"{figures['held'] / 1e9:.2f} GB"),
-        ("largest memory", f"{figures['rendering'] / 1e9:.2f} GB"),
-        ("planned, on top of the grid", f"{figures['planned'] / 1e9:.2f} GB"),
+        ("peak memory", f"{figures['rendering'] / 1e9:.2f} GB"),
+        ("estimated, on top of the grid", f"{figures['planned'] / 1e9:.2f} GB"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=1024)
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
     parser.add_argument("--share", type=float, default=0.05)
@@ -170,17 +172,15 @@ def main():
         return
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/cloud.vdb"
-        command = [sys.executable, "-m", "benchmarks.cost.sparse", "--cells", str(arguments.cells), "--share",
-                   str(arguments.share), "--size", *map(str, arguments.size)]
+        command = [sys.executable, "-m", PROGRAM, "--cells", str(arguments.cells), "--share", str(arguments.share),
+                   "--size", *map(str, arguments.size)]
         subprocess.run([*command, "--write", path], cwd=ROOT, check=True)
         output = subprocess.run([*command, "--measure", path], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
     figures = json.loads(next(line for line in output.stdout.splitlines() if line.startswith("{")))
     found = table(figures, arguments.size)
     print(found)
     if not arguments.no_page:
-        page = re.sub(r"(<!-- sparse -->\n).*?(<!-- end -->)", lambda mark: mark.group(1) + found + "\n" + mark.group(2),
-                      PAGE.read_text(), flags=re.S)
-        replace(PAGE, page)
+        replace(PAGE, with_table(PAGE.read_text(), "sparse", found, made_by(PROGRAM)))
 
 
 if __name__ == "__main__":

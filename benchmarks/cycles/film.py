@@ -1,10 +1,11 @@
 """A film of a volume sequence, and how far its frames are from Cycles: makes docs/film.md.
 
-    python -m benchmarks.cycles.film [--files ../shared/volumes/plume] [--out build/film] [--compare 3]
+    python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--compare 3]
 
 Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
-OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures what a frame changes by
-where nothing in the picture does. Figures go to OUT/film.json.
+OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures by how much a frame
+changes where nothing in the scene does. Figures go to OUT/film.json. Without --files it takes the plume that
+benchmarks/data/README.md names, which the repository may not contain.
 """
 
 import argparse
@@ -18,15 +19,17 @@ import bpy
 import numpy as np
 
 from ..demo import scene as demo_scene
-from ..demo.__main__ import pixels
 from ..support import pictures
+from ..support.data import EXTRA_VOLUMES
 from ..support.extension import ROOT, extension
-from ..support.page import replace
+from ..support.pages import replace
+from ..support.provenance import made_by
 
-PLUME = ROOT.parent / "shared" / "volumes" / "plume"
+PROGRAM = "benchmarks.cycles.film"
+PLUME = EXTRA_VOLUMES / "plume"
 PAGE = ROOT / "docs" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
-FRAMES_A_SECOND = 12
+FRAMES_PER_SECOND = 12
 
 
 def make_film(files, options) -> dict:
@@ -34,12 +37,12 @@ def make_film(files, options) -> dict:
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     scene, volume, shader = demo_scene.make_scene(files[0], options.size, options.grid, y_up=True)
-    # The sun alone: each direction of a World's light would take as long again.
+    # The sun alone: each direction of a World's light would take as long as the sun.
     scene.world = bpy.data.worlds.new("World")
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
     shader.inputs["Anisotropy"].default_value = 0.5
-    # Framed and made as dense as the last and largest file, for all frames alike.
+    # Every frame is framed, and as dense, as the last and largest file asks for.
     volume.data.filepath = str(files[-1])
     demo_scene.fit(scene, volume, shader, read_scene, options.optical_depth)
     volume.data.filepath = str(files[0])
@@ -55,7 +58,7 @@ def make_film(files, options) -> dict:
         start = time.perf_counter()
         bpy.ops.mrpnn.render(filepath=str(options.out / f"{frame:04}.exr"))
         found = {"file": files[frame - 1].name, "seconds": time.perf_counter() - start}
-        picture = pictures.view_transformed(pictures.over_sky(pixels("MRPNN")), scene)
+        picture = pictures.view_transformed(pictures.over_sky(pictures.pixels("MRPNN")), scene)
         picture.save(options.out / f"{frame:04}.png")
         shown.append(picture)
         if frame in compared:
@@ -64,17 +67,17 @@ def make_film(files, options) -> dict:
         results[frame] = found
         print(f"frame {frame}: {found}", file=sys.stderr, flush=True)
     shown[0].save(options.out / "film.webp", save_all=True, append_images=shown[1:], loop=0,
-                  duration=round(1000 / FRAMES_A_SECOND), lossless=True)
+                  duration=round(1000 / FRAMES_PER_SECOND), lossless=True)
     if strip:
         pictures.row(strip, STRIP_HEIGHT).save(STRIP)
     return {"frames": results, "steadiness": steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)}
 
 
 def steadiness(described, options) -> dict:
-    """How much a frame changes where nothing in the picture does: root mean square over its mean.
+    """How much a frame changes where nothing in the scene does: root mean square over its mean.
 
-    "again": rendered once more. Others: with a voxel of next to no density beyond one face of the grid, so that the working
-    cube is another.
+    "again": rendered a second time. Others: with a voxel of almost no density beyond one face of the grid, which gives
+    another working cube.
     """
     from mrpnn import inference
 
@@ -103,7 +106,7 @@ def steadiness(described, options) -> dict:
 
 
 def _cycles_picture(scene):
-    return pictures.view_transformed(pictures.over_sky(pixels("MRPNN Cycles")), scene)
+    return pictures.view_transformed(pictures.over_sky(pictures.pixels("MRPNN Cycles")), scene)
 
 
 def _compare(options, frame: int) -> dict:
@@ -119,26 +122,28 @@ def page(found, options) -> str:
     width, height = options.size
     lines = [
         "# A film", "",
-        "Made by `python -m benchmarks.cycles.film`, which renders a sequence of `.vdb` files by the extension in Blender and",
-        f"compares frames of it with Cycles {bpy.app.version_string}, at {options.scale} % of the size and "
-        f"{options.samples} samples a pixel in each of",
-        "two renders, without Cycles' own noise. Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
+        found["made_by"], "",
+        "A sequence of `.vdb` files, rendered by the extension in Blender. Some of its frames are compared with Cycles",
+        f"{bpy.app.version_string} at {options.scale} % of the size, in two renders with {options.samples} samples",
+        "per pixel each, so that Cycles' own noise does not count.",
+        "Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
         "", "![Frames of the plume, ours and Cycles'](images/film.png)", "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples, "
-        f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s a frame (median).", "",
+        f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s per frame (median).", "",
         "| file | relative RMSE | bias | alpha bias |", "|---|---|---|---|",
     ]
     lines += [f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
               for frame in compared]
-    lines += ["", "What a frame changes by where nothing in the picture does, root mean square over its mean. A voxel of",
-              "next to no density beyond one face of the grid makes another working cube, as a cloud that grows does.", "",
+    lines += ["", "By how much a frame changes where nothing in the scene does: root mean square over its mean.",
+              "A voxel of almost no density beyond one face of the grid gives another working cube, as a growing",
+              "cloud does.", "",
               "| | change |", "|---|---|"]
     lines += [f"| {name} | {value:.2%} |" for name, value in found["steadiness"].items()]
     return "\n".join(lines) + "\n"
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles.film", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("--files", type=Path, default=PLUME, help="folder of numbered .vdb files")
     parser.add_argument("--grid", default="density", help="name of the density grid (density)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "film")
@@ -147,7 +152,7 @@ def parse(arguments):
     parser.add_argument("--optical-depth", type=float, default=40.0, help="of the longest edge at its densest (40)")
     parser.add_argument("--compare", type=int, default=3, help="frames to compare with Cycles (3)")
     parser.add_argument("--scale", type=int, default=50, help="size of the comparison in per cent (50)")
-    parser.add_argument("--samples", type=int, default=24, help="a pixel in each of two Cycles renders (24)")
+    parser.add_argument("--samples", type=int, default=24, help="per pixel in each of two Cycles renders (24)")
     return parser.parse_args(arguments)
 
 
@@ -156,11 +161,11 @@ def main(arguments=None) -> int:
     options.out = options.out.resolve()
     files = sorted(path.resolve() for path in options.files.glob("*.vdb"))
     if not files:
-        print(f"no .vdb files in {options.files}", file=sys.stderr)
+        print(f"no .vdb files in {options.files}: name a folder of numbered files with --files", file=sys.stderr)
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
     extension()
-    results = make_film(files, options)
+    results = {"made_by": made_by(PROGRAM, arguments), **make_film(files, options)}
     replace(options.out / "film.json", json.dumps(results, indent=1) + "\n")
     replace(PAGE, page(results, options))
     return 0

@@ -2,8 +2,8 @@
 
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
 
-One small scene a feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run
-that was stopped goes on where it was; --table only writes the page anew.
+One small scene for each feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run that
+was stopped continues where it was; --table only rewrites the page.
 """
 
 import argparse
@@ -20,9 +20,11 @@ import numpy as np
 from ..demo import scene as demo_scene
 from ..support import pictures
 from ..support.extension import ROOT, extension
-from ..support.page import replace
+from ..support.pages import replace
+from ..support.provenance import made_by
 from . import scene_features
 
+PROGRAM = "benchmarks.cycles.scenes"
 PAGE = ROOT / "docs" / "scenes.md"
 IMAGES = ROOT / "docs" / "images" / "scenes"
 DEPTH_SAMPLES = 16
@@ -48,6 +50,7 @@ def main(arguments=None) -> int:
             bpy.context.view_layer.update()
             start = time.perf_counter()
             results[name] = measured(name, stage, options) if name in scene_features.MEASURED else named(stage)
+            results[name]["made_by"] = made_by(PROGRAM, arguments)
             replace(file, json.dumps(results, indent=1) + "\n")
             print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
     replace(PAGE, page(results))
@@ -123,19 +126,26 @@ def picture(name: str) -> Path:
     return IMAGES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")
 
 
+def sources(results) -> list:
+    """The sentences on what made the figures, each once."""
+    return list(dict.fromkeys(found["made_by"] for found in results.values() if "made_by" in found))
+
+
 def page(results) -> str:
     """The page's text."""
     lines = [
         "# Scenes against Cycles", "",
-        "Made by `python -m benchmarks.cycles.scenes`. Each scene is rendered by the extension and, twice and independently,",
-        f"by Cycles {bpy.app.version_string} with 1024 bounces, no clamping and no denoising; errors do not count Cycles'",
-        "noise (`inference/error.py`), over the pixels of alpha above 0.02 or that shine. *Alpha* and *single*, emission",
-        "included, hold nothing that is learned: they tell whether the scene was understood. *Whole* adds the network's",
-        "multiple scattering, whose own error is that of the first row. RMSE is relative to the mean, with its 95 %",
-        "interval; 0 where Cycles' noise hides it. *Single* is not told where light is emitted and scattered, of which Cycles'",
-        "image without bounces holds a part. Seconds are the processor's, of all threads; Cycles' are those of the two renders",
-        "of *whole*.", "",
-        "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours | Cycles, ours |",
+        *sources(results), "",
+        f"Each scene is rendered by the extension and, twice and independently, by Cycles {bpy.app.version_string}",
+        "with 1024 bounces, no clamping and no denoising; errors do not count Cycles' noise",
+        "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",
+        "*single*, emission included, contain nothing learned: they tell whether the scene was understood. *Whole*",
+        "adds the network's multiple scattering, whose own error is that of the first row. RMSE is relative to the",
+        "mean, with its 95 % interval; 0 where Cycles' noise hides it. *Single* is left out where light is emitted and",
+        "scattered: Cycles' image without bounces contains a part of that. Seconds are processor seconds of all",
+        "threads; Cycles' are those of the two renders of *whole*.", "",
+        "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
+        "| Cycles, ours |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name in scene_features.MEASURED:
@@ -172,11 +182,11 @@ def _single(found) -> str:
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles.scenes", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "scenes")
     parser.add_argument("--only", default="", help="part of a scene's name; measures it again")
-    parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
-    parser.add_argument("--samples", type=int, default=64, help="a pixel in each of two Cycles renders (64)")
+    parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
+    parser.add_argument("--samples", type=int, default=64, help="per pixel in each of two Cycles renders (64)")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     return parser.parse_args(arguments)
 

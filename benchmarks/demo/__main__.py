@@ -14,13 +14,13 @@ import time
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ..support import pictures
 from ..support.extension import ROOT, extension
+from ..support.provenance import made_by
 from . import scene as demo_scene
 
-# The signed error map's full colour, as a share of the reference's mean radiance.
+# Where the signed error map is fully coloured, as a share of the reference's mean radiance.
 ERROR_LIMIT = 0.5
 # Samples of Cycles' highest rung in the comparison.
 LADDER = 16
@@ -38,7 +38,7 @@ def demo(path: Path, out: Path, options) -> str:
     start = time.perf_counter()
     bpy.ops.mrpnn.render(filepath=str(out / f"{path.stem}.exr"))
     seconds = time.perf_counter() - start
-    layer = pixels("MRPNN")
+    layer = pictures.pixels("MRPNN")
     pictures.view_transformed(pictures.over_sky(layer), scene).save(out / f"{path.stem}.png")
     covered = (layer[..., 3] > 0.02).mean()
     say(f"{path.name}: rendered in {seconds:.1f} s, reading and writing included; {covered:.0%} of the image covered")
@@ -52,7 +52,7 @@ def demo(path: Path, out: Path, options) -> str:
 
 def comparison_picture(scene, options):
     """The compared layer, Cycles' image and their signed difference, side by side."""
-    layer, cycles, error = pixels("MRPNN"), pixels("MRPNN Cycles"), pixels("MRPNN error")
+    layer, cycles, error = pictures.pixels("MRPNN"), pictures.pixels("MRPNN Cycles"), pictures.pixels("MRPNN error")
     mean = cycles[cycles[..., 3] > 0.02][:, :3].mean()
     return pictures.row([
         (f"MRPNN, {options.depth_samples} depth samples", pictures.view_transformed(pictures.over_sky(layer), scene)),
@@ -62,16 +62,8 @@ def comparison_picture(scene, options):
     ], height=384)
 
 
-def pixels(image_name: str) -> np.ndarray:
-    """A float Image data-block as (H, W, 4), rows from the top."""
-    image = bpy.data.images[image_name]
-    values = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(image.size[1], image.size[0], 4)[::-1]
-
-
 def say(text: str) -> None:
-    """A line for the person, past Blender's own chatter (see `hush`)."""
+    """Print a line for the user, past what Blender prints itself (see `hush`)."""
     _terminal.write(text + "\n")
     _terminal.flush()
 
@@ -80,7 +72,7 @@ _terminal = sys.stdout
 
 
 def hush(log: Path) -> None:
-    """From now on what Blender prints goes to `log`; only `say` still reaches the terminal."""
+    """Send what Blender prints to the file `log` from now on; only `say` still reaches the terminal."""
     global _terminal
     sys.stdout.flush()
     _terminal = os.fdopen(os.dup(1), "w")
@@ -96,9 +88,9 @@ def parse(arguments):
     parser.add_argument("--optical-depth", type=float, default=100.0,
                         help="of the volume's longest edge at its densest (100)")
     parser.add_argument("--size", type=int, nargs=2, default=(768, 448), metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--depth-samples", type=int, default=4, help="network evaluations a pixel (4)")
-    parser.add_argument("--scale", type=int, default=25, help="size of the comparison in per cent (25)")
-    parser.add_argument("--samples", type=int, default=48, help="samples a pixel in each of two Cycles renders (48)")
+    parser.add_argument("--depth-samples", type=int, default=4, help="network evaluations per pixel (4)")
+    parser.add_argument("--scale", type=int, default=25, help="size of the comparison in percent (25)")
+    parser.add_argument("--samples", type=int, default=48, help="samples per pixel in each of two Cycles renders (48)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()
@@ -130,6 +122,7 @@ def main(arguments=None) -> int:
             continue
         say("\n" + table)
     say(f"pictures are in {os.path.relpath(options.out)}")
+    say(made_by("benchmarks.demo", arguments))
     return 1 if failed else 0
 
 

@@ -8,23 +8,26 @@ from mathutils import Vector
 from training.data.volumes import HELD_BACK, make_volume
 
 from ..demo import scene as demo_scene
-from ..support.extension import ROOT
+from ..support.data import volume_file
 
-SHARED = ROOT.parent / "shared" / "volumes"
-# Seeds of procedural volumes that no training uses, and files of ../shared/volumes with Y up.
+#: Seeds of procedural volumes that no training uses, and files with Y up.
 SEEDS = {"cloud": demo_scene.CLOUD_SEED, "model": HELD_BACK[516], "wisps": HELD_BACK[515]}
 FILES = {"smoke": "openvdb_smoke.vdb", "plume": "plume/pbrt_plume_0068.vdb"}
+#: Volumes that a clone of the repository lacks: measured where they are present, and in no mean.
+EXTRAS = ("plume",)
 LIGHTS = ("side", "front", "back")
-# How much wider the images are on which seconds are measured as artists would see them, and those of scenes with little
-# noise on which errors are too.
+# Factors by which images are larger where seconds are measured at a size that artists use, and where errors of scenes
+# with little noise are measured too.
 ENLARGED, DENOISED_ENLARGED = 8, 4
 
 
 @dataclass(frozen=True)
 class Case:
-    """volume: of SEEDS or FILES. light: of LIGHTS. anisotropy: G. optical_density: of the longest edge at the
-    densest. albedo: grey. suns: how many; the first stands at `light`. size: pixels an edge. cells: an edge of a
-    procedural volume. growth: what a case shows that is no part of the set, or "".
+    """One scene.
+
+    volume: of SEEDS or FILES. light: of LIGHTS. anisotropy: G. optical_density: optical thickness of the longest edge
+    at the densest. albedo: grey. suns: how many; the first stands at `light`. size: pixels per edge. cells: per edge of
+    a procedural volume. growth: what a case shows that is not part of the set, or "".
     """
 
     volume: str = "cloud"
@@ -44,11 +47,11 @@ class Case:
 
     @property
     def available(self) -> bool:
-        return self.volume in SEEDS or (SHARED / FILES[self.volume]).exists()
+        return self.volume in SEEDS or volume_file(FILES[self.volume]).exists()
 
 
 def cases(size: int) -> list:
-    """The set, then what shows how costs grow; `size`: pixels an edge of the set."""
+    """The set, then what shows how costs grow, without what needs an absent file; size: pixels per edge of the set."""
     base = Case(size=size)
     found = [base]
     found += [replace(base, volume=volume) for volume in (*SEEDS, *FILES)]
@@ -67,6 +70,11 @@ def cases(size: int) -> list:
     }
     found += [replace(case, growth=what) for what, several in growing.items() for case in several]
     return [case for case in dict.fromkeys(found + enlarged) if case.available]
+
+
+def absent_files() -> list:
+    """Paths of the volumes whose cases are left out."""
+    return [path for path in map(volume_file, FILES.values()) if not path.exists()]
 
 
 def make(case: Case, folder: Path, openvdb, read_scene):
@@ -96,7 +104,7 @@ def _towards(light: str) -> Vector:
 
 def _file(case: Case, folder: Path, openvdb) -> Path:
     if case.volume in FILES:
-        return SHARED / FILES[case.volume]
+        return volume_file(FILES[case.volume])
     path = folder / f"{case.volume}-{case.cells}.vdb"
     if not path.exists():
         demo_scene.write_grid(path, make_volume(SEEDS[case.volume], case.cells).density, openvdb)

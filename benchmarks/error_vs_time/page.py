@@ -6,7 +6,7 @@ from inference.evaluation.error import Estimate
 from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
 from ..fidelity.tables import table
-from .cases import ENLARGED
+from .cases import ENLARGED, EXTRAS
 
 CYCLES, DENOISED = "cycles", "cycles denoised"
 NOISY = "too noisy"
@@ -18,10 +18,10 @@ def equal(result, method: str, clock: str = "cpu_seconds"):
 
 
 def seconds_to_error(result, method: str, error: float = None, timed=None):
-    """Cycles' processor seconds to the layer's error, or another; None where none can be told.
+    """Cycles' processor seconds to the layer's error, or another; None where they cannot be told.
 
-    timed: the figures of the same scene at another size, if their seconds are to count: of path tracing alone, whose
-    noise in a pixel does not ask for the size. A filter's error does.
+    timed: the figures of the same scene at another size, whose seconds count instead. Only without denoising: a path
+    tracer's noise in a pixel does not depend on the size of the image, a filter's error does.
     """
     error = result["judged"]["rmse"]["value"] if error is None else error
     rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
@@ -53,26 +53,56 @@ def rung(result, method: str):
     return next((one for one in result["rungs"] if one["method"] == method), None)
 
 
+def of_the_set(results) -> list:
+    """Without those that show how costs grow."""
+    return [result for result in results if not result["case"]["growth"]]
+
+
+def counted(results) -> list:
+    """Those that anyone can measure from the repository alone; no mean is over others."""
+    return [result for result in results if result["case"]["volume"] not in EXTRAS]
+
+
+def sources(results) -> list:
+    """The sentences on what made the figures, each once."""
+    return list(dict.fromkeys(result["made_by"] for result in results if "made_by" in result))
+
+
+def csv_table(results):
+    """Header, and a row for each image: the case, the method, its error, its time."""
+    rows = []
+    for result in results:
+        for rung in result["rungs"]:
+            row = dict(result["case"])
+            row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
+            for name in ("rmse", "bias"):
+                row.update({f"{name}{end}": rung[name][key]
+                            for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))})
+            rows.append(row)
+    return list(rows[0]), [[f"{value:.5g}" if isinstance(value, float) else value for value in row.values()]
+                           for row in rows]
+
+
 def page(results, wanted: int) -> str:
     """results: of the cases measured so far, of `wanted`."""
-    main = [result for result in results if not result["case"]["growth"]]
+    main = of_the_set(results)
     model = results[0]["judged"]["method"]
     size = results[0]["case"]["size"]
     parts = [
         "# Error against run time\n",
-        f"Made by `python -m benchmarks.error_vs_time`; {len(results)} of {wanted} scenes measured. Figures by image "
-        "stand in [error-vs-time.csv](error-vs-time.csv).\n",
+        *(f"{sentence}\n" for sentence in sources(results)),
+        f"{len(results)} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
         f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "
         f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
         "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
-        "changes little; the CSV has wall clock too. *First* counts fields, shadows and loading of the network, which "
-        "further frames of the same volume and sun do not pay again; *frame* does not: at few pixels *first* is "
+        "changes little; the CSV has wall clock too. *First* includes fields, shadows and loading the network, which "
+        "further frames of the same volume and sun do not pay for again; *frame* does not: at few pixels *first* is "
         "nearly all of it. Errors need references that take hours at the size of a real image; seconds do not, and are "
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if main:
-        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(main, results),
+        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(counted(main), results),
                   "![Error against time, a scene a panel](images/error-vs-time.png)\n",
                   "## Every scene\n", scenes(main, model)]
     parts += [filtered(results), "## How costs grow\n",
@@ -98,15 +128,16 @@ def headline(main, results) -> str:
                                  f"{min(by_error):.3g}", f"{max(by_error):.3g}", f"{least:.3g}",
                                  f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
     head = ["pixels", "against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends",
-            "scenes", "aim reached"]
-    return ("How many times as long Cycles takes to the layer's error. Without denoising by its measured noise and "
-            "1/√N where that is beyond the ladder; denoised, beyond the ladder at least as long as if 1/√N held. "
-            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds a sample are those measured there; the "
-            f"samples that Cycles needs are those at {size}², as if the layer's error were the same. Denoised Cycles is "
-            "not among those rows: what a filter leaves depends on the size (see below). "
+            "scenes", "target reached"]
+    return ("How many times as long Cycles takes to reach the layer's error. Without denoising: by its measured noise, "
+            "extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which is a lower bound. "
+            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
+            f"number of samples that Cycles needs is that at {size}², as if the layer's error were the same. Denoised "
+            "Cycles has no such rows: the error that a filter leaves depends on the size (see below). Scenes of "
+            f"volumes that the repository lacks ({', '.join(EXTRAS)}) count in no row. "
             "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
-            "scenes, is what it would be were each error as large as its 95 % interval allows. An aim counts as "
-            "reached where that mean reaches it, and as missed where even the first falls short.\n\n"
+            "scenes, is the mean if each error were as large as its 95 % interval allows. A target counts as reached "
+            "where that mean reaches it, and as missed where even the geometric mean falls short.\n\n"
             + table(head, rows))
 
 
@@ -125,10 +156,10 @@ def filtered(results) -> str:
                          "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×"])
     if not rows:
         return ""
-    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples a pixel",
+    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples per pixel",
             "denoised to the layer's error: times first / frame"]
-    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less a filter costs it: of two scenes with "
-            "little noise errors were measured in larger images too.\n\n" + table(head, rows))
+    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
+            "scenes with little noise, errors were measured in larger images too.\n\n" + table(head, rows))
 
 
 def at_size(result, size: int, results):
@@ -184,7 +215,8 @@ def growth(results) -> str:
     for one in (r for r in results[0]["rungs"] if r["method"] == results[0]["judged"]["method"]):
         rows.append(["depth samples", str(one["samples"]), f"{one['once_cpu']:.2g}",
                      f"{one['cpu_seconds'] - one['once_cpu']:.2g}", "", ""])
-    head = ["grows", "value", "layer, once", "layer, frame", "Cycles, a sample a pixel", "Cycles, to an error of 0.1"]
+    head = ["grows", "value", "layer, once", "layer, frame", "Cycles, per sample per pixel",
+            "Cycles, to an error of 0.1"]
     return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
 
 

@@ -9,18 +9,18 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 from .cases import ENLARGED
-from .page import CYCLES, at_size, label, seconds_to_error
+from .page import CYCLES, at_size, counted, label, of_the_set, seconds_to_error
 
 COLOURS = {"cycles": "#1f77b4", "cycles denoised": "#17a2a2", "single-scattering": "#7f7f7f", "multi-octave": "#b8860b"}
 LAYER_COLOUR = "#c0392b"
 COLUMNS = 4
-GROWING = (("size", "pixels an edge"), ("cells", "voxels an edge"), ("suns", "suns"), ("albedo", "albedo"),
+GROWING = (("size", "pixels per edge"), ("cells", "voxels per edge"), ("suns", "suns"), ("albedo", "albedo"),
            ("optical_density", "optical density"), ("anisotropy", "G"))
 
 
 def save_ladders(results, path: Path) -> None:
-    """A panel a scene: error against processor seconds, with intervals."""
-    main = [result for result in results if not result["case"]["growth"]]
+    """A panel per scene: error against processor seconds, with intervals."""
+    main = of_the_set(results)
     if not main:
         return
     rows = math.ceil(len(main) / COLUMNS)
@@ -56,8 +56,8 @@ def _ladder(axis, result) -> None:
 
 
 def save_headline(results, path: Path) -> None:
-    """A row a scene: processor seconds for an image of the larger size, and Cycles' to the same error."""
-    main = [result for result in results if not result["case"]["growth"]]
+    """A row per scene: processor seconds for an image of the larger size, and Cycles' to the same error."""
+    main = counted(of_the_set(results))
     size = ENLARGED * results[0]["case"]["size"]
     known = [(r, at_size(r, size, results)) for r in main if r["judged"]["rmse"]["value"]]
     known = sorted(

@@ -2,22 +2,25 @@
 
     python -m benchmarks.fidelity.convergence runs/* --csv docs/convergence.csv --png docs/images/convergence.png
 
-Reads what training.train wrote to each run. The error is the root mean square relative to the
-prediction at points, without the targets' noise. What the CSV holds of other networks stays.
+Reads what training.train wrote to each run. The error is the root mean square relative to the prediction at points,
+without the targets' noise. Rows of other networks stay in the CSV.
 """
 
 import argparse
-import csv
 import itertools
 import json
 import pathlib
 
 import matplotlib
 
+from ..support import pages
+from ..support.provenance import made_by
+
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 
+PROGRAM = "benchmarks.fidelity.convergence"
 HEAD = ["network", "volumes", "rows", "rows_seen", "held_rmse", "held_bias"]
 
 
@@ -31,18 +34,21 @@ def read_run(folder: pathlib.Path):
 
 
 def main(options=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", type=pathlib.Path)
     parser.add_argument("--csv", type=pathlib.Path, required=True)
     parser.add_argument("--png", type=pathlib.Path, required=True)
     arguments = parser.parse_args(options)
     new = [row for run in arguments.runs for row in read_run(run)]
     networks = {row[0] for row in new}
+    names = ", ".join(sorted(networks))
+    sources = [f"{names}: {made_by(PROGRAM, options, sorted(networks))}"]
     if arguments.csv.exists():
-        with open(arguments.csv, newline="") as file:
-            new = [row for row in list(csv.reader(file))[1:] if row[0] not in networks] + new
-    with open(arguments.csv, "w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([HEAD, *new])
+        others = [list(row.values()) for row in pages.read_csv(arguments.csv) if row["network"] not in networks]
+        new = others + new
+        sources = [line for line in pages.csv_made_by(arguments.csv) if not line.startswith(f"{names}: ")] + sources
+    pages.replace(arguments.csv, pages.csv_text(sources, HEAD, new))
     figure, axes = plt.subplots(figsize=(7, 4.5), dpi=120)
     for (network, volumes), rows in itertools.groupby(new, key=lambda row: row[:2]):
         seen, errors = zip(*((int(row[3]), float(row[4])) for row in rows))

@@ -1,16 +1,17 @@
-"""Real volumes of ../shared/volumes as the path tracer takes them: cubic voxels, the largest density 1."""
+"""Real volumes as the path tracer takes them: cubic voxels, the largest density 1."""
 
 import functools
 import itertools
 import pathlib
+from typing import List, Tuple
 
 import numpy as np
 
+from ..support.data import volume_file
 from ..support.extension import extension
-from .views import ANISOTROPIES, GREY, LIGHTS, SHARED, traced_view
+from .views import ANISOTROPIES, GREY, LIGHTS, View, ViewSpec, traced_view
 
-FOLDER = SHARED.parent / "volumes"
-#: File, grid, and whether its second axis points up.
+#: File, grid, and whether its second axis points up. The plume is an extra.
 FILES = {
     "openvdb-smoke": ("openvdb_smoke.vdb", "density", True),
     "smoke-wind": ("blender_smoke_wind.vdb", "density", False),
@@ -26,7 +27,7 @@ def real_density(name: str) -> np.ndarray:
     """float32 (n, n, n): the active voxels in the middle of a cube, a voxel of zeros around their longest side."""
     file, grid_name, y_up = FILES[name]
     openvdb = extension().mrpnn_addon.vdb.openvdb_module.load_openvdb()
-    grid = openvdb.read(str(FOLDER / file), grid_name)
+    grid = openvdb.read(str(volume_file(file)), grid_name)
     low, high = grid.evalActiveVoxelBoundingBox()
     active = np.zeros(np.subtract(high, low) + 1, np.float32)
     grid.copyToArray(active, ijk=low)
@@ -39,15 +40,19 @@ def real_density(name: str) -> np.ndarray:
     return np.maximum(density, 0.0) / density.max()
 
 
-def real_views(size: int, samples: int, cache: pathlib.Path) -> list:
-    """Every volume at every density, at the strongest and no anisotropy, in every light; none where the folder is absent."""
-    if not FOLDER.exists():
-        return []
-    facts = itertools.product(FILES, SIGMA_HATS, (ANISOTROPIES[0], ANISOTROPIES[-1]), LIGHTS)
-    return [
-        traced_view(
-            f"{volume}-{sigma_hat:g}-{light}-g{anisotropy:g}", volume, functools.partial(real_density, volume), light,
-            sigma_hat, GREY, anisotropy, size, samples, cache,
-        )
-        for volume, sigma_hat, anisotropy, light in facts
+def real_views(size: int, samples: int, folder: pathlib.Path) -> Tuple[List[View], List[pathlib.Path]]:
+    """Every volume at every optical thickness, at the strongest and no anisotropy, in every light.
+
+    size: pixels per edge; samples: paths per pixel in each half; folder: of references. Gives the views and the files
+    of volumes that are absent, whose views are left out.
+    """
+    present = [volume for volume, (file, *_) in FILES.items() if volume_file(file).exists()]
+    absent = [volume_file(file) for volume, (file, *_) in FILES.items() if volume not in present]
+    facts = itertools.product(present, SIGMA_HATS, (ANISOTROPIES[0], ANISOTROPIES[-1]), LIGHTS)
+    specs = [ViewSpec(volume, light, sigma_hat, GREY, g, size, samples) for volume, sigma_hat, g, light in facts]
+    views = [
+        traced_view(f"{spec.volume}-{spec.sigma_hat:g}-{spec.light}-g{spec.anisotropy:g}", spec,
+                    functools.partial(real_density, spec.volume), folder)
+        for spec in specs
     ]
+    return views, absent

@@ -1,4 +1,4 @@
-"""The measurements as Markdown: a summary, the shared views, and the paper's Tables 1 and 2."""
+"""The measurements as Markdown: a summary, the independent references, and the paper's Tables 1 and 2."""
 
 from .real_volumes import FILES
 from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, SIGMA_HAT
@@ -59,7 +59,7 @@ class Measured:
 
 
 def summary(measured: Measured) -> str:
-    """Each system over the views that all systems were measured on, so that means compare."""
+    """Each system over the views that all systems were measured on, so that means are comparable."""
     common = set.intersection(*({m.view for m in measured.all if m.system == s} for s in measured.systems))
     every = {m.view for m in measured.all}
     rows = []
@@ -73,11 +73,11 @@ def summary(measured: Measured) -> str:
                     percent(_mean(m.bias for m in found)), f"{percent(worst.bias)} ({worst.view})",
                     f"{_mean(m.paper for m in found):.2f}", f"{_mean(m.seconds for m in found):.1f}",
                 ])
-    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds a frame"]
+    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds per frame"]
     return table(head, rows)
 
 
-def shared_tables(measured: Measured, published: dict) -> str:
+def independent_tables(measured: Measured, published: dict) -> str:
     """Relative RMSE and bias on the independent references, beside the published network's."""
     views = [view for view in published if any(m.view == view for m in measured.all)]
     parts = []
@@ -110,12 +110,13 @@ def real_tables(measured: Measured) -> str:
             cells = [f"{found[k].rmse:.3f} {percent(found[k].bias)}" if k in found else "n/a" for k in kinds]
             rows.append([volume, f"{sigma_hat:g}", *cells])
         columns = [[m for m in mine if (m.light, m.anisotropy) == kind] for kind in kinds]
-        rows.append(["**mean**", "", *(f"{_mean(m.rmse for m in c):.3f} {percent(_mean(m.bias for m in c))}" for c in columns)])
+        means = (f"{_mean(m.rmse for m in column):.3f} {percent(_mean(m.bias for m in column))}" for column in columns)
+        rows.append(["**mean**", "", *means])
         head = ["volume", "optical density", *(f"{light}, G = {g:g}" for light, g in kinds)]
         within = sum(abs(m.bias) <= BIAS_BOUND for m in mine)
         parts.append(
-            f"{system}: {_mean(m.rmse for m in mine):.3f} on the mean, bias {percent(_mean(m.bias for m in mine))}, within "
-            f"{100 * BIAS_BOUND:g} % on {within} of {len(mine)} views\n\n" + table(head, rows)
+            f"{system}: {_mean(m.rmse for m in mine):.3f} on the mean, bias {percent(_mean(m.bias for m in mine))}, "
+            f"within {100 * BIAS_BOUND:g} % on {within} of {len(mine)} views\n\n" + table(head, rows)
         )
     return "\n".join(parts)
 
@@ -140,7 +141,7 @@ def table1(measured: Measured) -> str:
     head = ["volume", "light", *measured.systems]
     return (
         "Error: relative RMSE (95 %) · the paper's metric\n\n" + table(head, errors)
-        + "\nSeconds a frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
+        + "\nSeconds per frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
     )
 
 
@@ -167,22 +168,23 @@ def table2(measured: Measured) -> str:
     return table(head, rows) if rows else ""
 
 
-def document(measurements, published: dict, depth_samples: int) -> str:
-    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}."""
+def document(measurements, published: dict, source: str) -> str:
+    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}; source: what made the figures."""
     measured = Measured(measurements)
     parts = [
         "# Fidelity\n",
-        f"{depth_samples} depth samples. Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
+        f"{source}\n",
+        "Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
         "metric is RMSE × 100 of tone-mapped luma. 0: less than the references can resolve. n/a: the system does not "
         "know that albedo or anisotropy, or was not measured. The error of `reference`, the path tracer at the "
         "depth samples, is its noise.\n",
         "## Summary\n", summary(measured),
     ]
     if any(m.view in published for m in measurements):
-        parts += ["## Independent references\n", shared_tables(measured, published)]
+        parts += ["## Independent references\n", independent_tables(measured, published)]
     parts += [
         f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
-        "The boost against RPNN is the ratio of seconds a frame at equal samples, as in the paper. That against the "
+        "The boost against RPNN is the ratio of seconds per frame at equal samples, as in the paper. That against the "
         "path tracer is the time in which its noise would be as large as the system's whole error, over the "
         "system's seconds.\n",
         table1(measured),

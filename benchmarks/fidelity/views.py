@@ -1,4 +1,4 @@
-"""The views on which systems are measured: what is seen, from where, in what light, and its reference.
+"""The views that systems are measured on: what is seen, from where, in what light, and its reference.
 
 Cube units: the volume fills [-1/2, 1/2]^3, the camera looks at the origin, the sun has irradiance 1.
 """
@@ -14,13 +14,13 @@ from inference import Camera, Medium, Settings, Sun, render
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
 
+from ..support.data import REFERENCES
 from .references import traced_halves
 
-SHARED = pathlib.Path(__file__).resolve().parents[3] / "shared" / "fidelity"
 # The references leave out some faint pixels; those count that show the medium.
 MASK_ALPHA = 0.02
 LIGHTS = ("side", "front", "back")
-#: Held-back seeds, none of them among those that training looks at: two cumuli, simulated smoke, a plume,
+#: Held-back seeds, none of them among those that training validates on: two cumuli, simulated smoke, a plume,
 #: solids cut from one another, a homogeneous solid.
 VOLUMES = {
     name: HELD_BACK[i]
@@ -36,35 +36,56 @@ FOV = 40.0
 POSITION = (1.1, -0.95, 0.45)
 
 
-@dataclass
+@dataclass(frozen=True)
+class ViewSpec:
+    """What a view shows, and the size of its reference.
+
+    volume: its name. light: one of LIGHTS. sigma_hat: optical thickness of the cube's edge at density 1.
+    albedo: one value per channel. size: pixels per edge. samples: paths per pixel in each half of the reference.
+    """
+
+    volume: str
+    light: str
+    sigma_hat: float = SIGMA_HAT
+    albedo: Tuple[float, float, float] = GREY
+    anisotropy: float = ANISOTROPIES[0]
+    size: int = 64
+    samples: int = 1024
+
+
+@dataclass(frozen=True, eq=False)
 class View:
     """One image to be predicted.
 
-    volume: its name; density: () -> float32 (n, n, n); sun, position, up: (3,), cube units; fov: degrees.
-    halves: () -> float64 (2, H, W, 4), radiance and alpha of two independent references of `samples` paths a pixel.
+    density: () -> float32 (n, n, n). sun, position, up: (3,), cube units. fov: degrees.
+    reference: (View) -> float64 (2, H, W, 4), radiance and alpha of two independent halves.
     """
 
     name: str
-    volume: str
-    light: str
+    spec: ViewSpec
     density: Callable
-    sigma_hat: float
-    anisotropy: float
-    albedo: Tuple[float, float, float]
     sun: np.ndarray
     position: np.ndarray
     up: Tuple[float, float, float]
     fov: float
-    size: int
-    samples: int
-    halves: Callable = None
+    reference: Callable
 
-    def render(self, settings: Settings):
-        """The layer of this view."""
-        camera = Camera(
-            look_at(self.position, self.up), resolution=(self.size, self.size), fov=np.radians(self.fov))
-        medium = Medium(self.sigma_hat, self.albedo, self.anisotropy)
-        return render([(cube_volume(self.density(), self.volume), medium)], [Sun(self.sun, 1.0)], camera, settings)
+    def halves(self) -> np.ndarray:
+        """float64 (2, H, W, 4): radiance and alpha of two independent references of `spec.samples` paths per pixel."""
+        return self.reference(self)
+
+    def camera(self, size: int) -> Camera:
+        """Square, `size` pixels per edge."""
+        return Camera(look_at(self.position, self.up), resolution=(size, size), fov=np.radians(self.fov))
+
+    def volumes(self) -> list:
+        """What `inference.render` takes: the volume with its medium."""
+        medium = Medium(self.spec.sigma_hat, self.spec.albedo, self.spec.anisotropy)
+        return [(cube_volume(self.density(), self.spec.volume), medium)]
+
+    def render(self, settings: Settings, size: int = None):
+        """The layer of this view; size: pixels per edge, the reference's without."""
+        return render(self.volumes(), [Sun(self.sun, 1.0)], self.camera(size or self.spec.size), settings)
 
 
 def look_at(position, up=(0.0, 1.0, 0.0)) -> np.ndarray:
@@ -80,32 +101,33 @@ def look_at(position, up=(0.0, 1.0, 0.0)) -> np.ndarray:
 
 
 @functools.lru_cache(1)
-def _shared_density(name: str) -> np.ndarray:
-    with np.load(SHARED / "volumes" / f"{name}.npz") as data:
-        return data["density"]
+def independent_density(name: str) -> np.ndarray:
+    """float32 (N, N, N): the density of an independent reference's volume, its second axis up."""
+    with np.load(REFERENCES / "volumes" / f"{name}.npz") as data:
+        return data["density"].astype(np.float32)
 
 
-def _shared_view(name: str) -> View:
-    path = SHARED / "views" / f"{name}.npz"
-    with np.load(path) as view:
-        facts = {key: view[key] for key in view.files if key != "ab"}
-        size = view["ab"].shape[1]
+def _independent_view(path: pathlib.Path) -> View:
+    with np.load(path) as data:
+        facts = {key: data[key] for key in data.files if key != "ab"}
+        size = data["ab"].shape[1]
 
-    def halves():
-        with np.load(path) as view:
-            return view["ab"].astype(np.float64)
+    def halves(view):
+        with np.load(path) as data:
+            return data["ab"].astype(np.float64)
 
-    volume, _, light = name.split("-")[:3]
-    return View(
-        name, volume, light, functools.partial(_shared_density, volume), float(facts["sigma"]), round(float(facts["g"]), 6),
-        tuple(round(float(value), 6) for value in facts["albedo"]), facts["sun"], facts["cam"], (0.0, 1.0, 0.0),
-        float(facts["fov"]), size, int(facts["spp"]), halves,
+    volume, _, light = path.stem.split("-")[:3]
+    spec = ViewSpec(
+        volume, light, float(facts["sigma"]), tuple(round(float(value), 6) for value in facts["albedo"]),
+        round(float(facts["g"]), 6), size, int(facts["spp"]),
     )
+    return View(path.stem, spec, functools.partial(independent_density, volume), facts["sun"], facts["cam"],
+                (0.0, 1.0, 0.0), float(facts["fov"]), halves)
 
 
-def shared_views() -> list:
-    """Those beside the project, whose references share no code with it; none where the folder is absent."""
-    return [_shared_view(path.stem) for path in sorted((SHARED / "views").glob("*.npz"))]
+def independent_views() -> list:
+    """Those of benchmarks/data/references, whose path tracer shares no code with the project."""
+    return [_independent_view(path) for path in sorted((REFERENCES / "views").glob("*.npz"))]
 
 
 @functools.lru_cache(1)
@@ -124,33 +146,32 @@ def sun_direction(light: str, position=POSITION, up=(0.0, 0.0, 1.0)) -> np.ndarr
     return direction / np.linalg.norm(direction)
 
 
-def traced_view(name, volume, density, light, sigma_hat, albedo, anisotropy, size, samples, cache) -> View:
-    """A view whose reference our own tracer makes; density: () -> float32 (n, n, n), its third axis up."""
-    view = View(
-        name, volume, light, density, sigma_hat, anisotropy, albedo, sun_direction(light), np.array(POSITION),
-        (0.0, 0.0, 1.0), FOV, size, samples,
-    )
-    view.halves = functools.partial(traced_halves, view, cache)
-    return view
+def traced_view(name: str, spec: ViewSpec, density: Callable, folder: pathlib.Path) -> View:
+    """A view whose reference the project's own path tracer makes and keeps in `folder`.
+
+    density: () -> float32 (n, n, n), its third axis up.
+    """
+    reference = functools.partial(traced_halves, folder=folder)
+    return View(name, spec, density, sun_direction(spec.light), np.array(POSITION), (0.0, 0.0, 1.0), FOV, reference)
 
 
-def procedural_view(volume, light, albedo, anisotropy, size, samples, cells, cache) -> View:
-    """A held-back volume, one of VOLUMES."""
-    name = f"{volume}-{light}-g{anisotropy:g}-albedo{albedo[0]:g}"
-    density = functools.partial(_held_back_density, VOLUMES[volume], cells)
-    return traced_view(name, volume, density, light, SIGMA_HAT, albedo, anisotropy, size, samples, cache)
+def procedural_view(spec: ViewSpec, cells: int, folder: pathlib.Path) -> View:
+    """A held-back volume, one of VOLUMES; cells: along an edge of it."""
+    name = f"{spec.volume}-{spec.light}-g{spec.anisotropy:g}-albedo{spec.albedo[0]:g}"
+    return traced_view(name, spec, functools.partial(_held_back_density, VOLUMES[spec.volume], cells), folder)
 
 
-def procedural_views(size: int, samples: int, cells: int, cache: pathlib.Path) -> list:
+def procedural_views(size: int, samples: int, cells: int, folder: pathlib.Path) -> list:
     """Table 1's views of every held-back volume and Table 2's of some.
 
-    size: pixels an edge; samples: paths a pixel in each half; cells: an edge of the volumes; cache: folder of
+    size: pixels per edge; samples: paths per pixel in each half; cells: along an edge of the volumes; folder: of
     references.
     """
     wanted = [(volume, light, GREY, ANISOTROPIES[0]) for volume in VOLUMES for light in LIGHTS]
     for volume in VARIED:
         wanted += [(volume, light, albedo, ANISOTROPIES[0]) for albedo in ALBEDOS[1:] for light in LIGHTS]
         wanted += [(volume, light, GREY, g) for g in ANISOTROPIES[1:] for light in LIGHTS]
-    # Views of one volume together: the last density made is kept.
+    # Views of one volume together: the density made last is cached.
     wanted.sort(key=lambda facts: facts[0])
-    return [procedural_view(*facts, size, samples, cells, cache) for facts in wanted]
+    specs = [ViewSpec(volume, light, SIGMA_HAT, albedo, g, size, samples) for volume, light, albedo, g in wanted]
+    return [procedural_view(spec, cells, folder) for spec in specs]

@@ -2,26 +2,29 @@
 
     python -m benchmarks.stability                 all of them; writes docs/stability.csv, its table and picture
     python -m benchmarks.stability --quick         a part, writes nothing
-    python -m benchmarks.stability --only sun      groups by name; the others' figures stay as they were
+    python -m benchmarks.stability --only sun      groups by name; the figures of the others stay
 
-The exit status is 1 where a bound is violated, and each violation is printed.
+The exit status is 1 where a bound is violated; each violation is printed.
 """
 
 import argparse
-import pathlib
 import sys
 import warnings
 
+from ..support.extension import ROOT
+from ..support.pages import csv_made_by
+from ..support.provenance import made_by
 from . import densities, files, laws, lights, placements, refusals, stages
 from .case import Outcome, violations
 from .table import read_csv, write_csv, write_pictures, write_table
 
-DOCS = pathlib.Path(__file__).resolve().parents[2] / "docs"
+PROGRAM = "benchmarks.stability"
+DOCS = ROOT / "docs"
 CASES = [case for part in (densities, files, placements, lights, stages, laws, refusals) for case in part.CASES]
 
 
 def measure(case) -> Outcome:
-    """The case's outcome; a warning of numpy's or an exception is none."""
+    """The case's outcome; an empty one where it warns or raises."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
@@ -32,7 +35,8 @@ def measure(case) -> Outcome:
 
 
 def main(options=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", nargs="+", metavar="GROUP")
     arguments = parser.parse_args(options)
@@ -48,8 +52,10 @@ def main(options=None) -> int:
     if not arguments.quick:
         before, measured = read_csv(DOCS / "stability.csv"), {id(case): outcome for case, outcome in found}
         every = [(case, measured.get(id(case)) or Outcome(before.get((case.group, case.name), {}))) for case in CASES]
-        write_csv(DOCS / "stability.csv", every)
-        write_table(DOCS / "stability.md", every)
+        earlier = csv_made_by(DOCS / "stability.csv") if arguments.only else []
+        sources = [*earlier, made_by(PROGRAM, options)]
+        write_csv(DOCS / "stability.csv", every, sources)
+        write_table(DOCS / "stability.md", every, sources)
     if not arguments.quick and not arguments.only:
         write_pictures(DOCS / "images" / "stability.png", found)
     print(f"{len(chosen)} cases, {len(broken)} violations")

@@ -1,12 +1,12 @@
-"""Optical density, and densities that change suddenly."""
+"""Optical thickness, and densities that change abruptly."""
 
 import numpy as np
 
 from inference import Volume
 from inference.scene.sparse_grid import SparseGrid
 
+from .renders import RenderSpec, render_case
 from .scenes import blob, camera, placed
-from .shots import shot
 
 
 def one_dense_voxel():
@@ -24,7 +24,7 @@ def sheets(axis: int):
 
 
 def far_corners(cells: int):
-    """Blobs at two opposite corners of a grid of cells³ voxels, of which nothing else is kept; the first is `blob()`."""
+    """Blobs at two opposite corners of a grid of cells³ voxels that stores nothing else; the first is `blob()`."""
     count, part = np.full(3, cells // 8), blob()
     corners = np.indices((2, 2, 2)).reshape(3, -1)
     blocks = part.reshape(2, 8, 2, 8, 2, 8).transpose(0, 2, 4, 1, 3, 5).reshape(8, 8, 8, 8)
@@ -38,22 +38,71 @@ CHECKERS = (np.indices((12, 12, 12)).sum(axis=0) % 2).astype(np.float32)
 QUICK = (1e-6, 1.0, 1e2, 1e7)
 
 CASES = [
-    *(shot("optical density", f"σ̂ = {s:g}", blob(), s, quick=s in QUICK) for s in 10.0 ** np.arange(-6, 8)),
-    *(shot("sudden density", f"one voxel a million times denser, σ̂ = {s:g}", one_dense_voxel(), s, quick=s == 1e7)
-      for s in (1e3, 1e5, 1e7)),
-    *(shot("sudden density", f"sheets one voxel thin across {'xyz'[axis]}, σ̂ = {s:g}", sheets(axis), s,
-           alpha=6e-3, single=0.1, bias=0.04, quick=s == 1e3 and axis == 0) for axis in range(3) for s in (10.0, 1e3, 1e5)),
-    shot("sudden density", "checkerboard of 0 and 1e5", CHECKERS * np.float32(1e5), 1.0, quick=True),
-    shot("sudden density", "checkerboard of 0 and 1e5, thin", CHECKERS * np.float32(1e5), 1e-4),
-    shot("sudden density", "densities of 1e-40 (denormal), σ̂ = 1e-40", blob() * np.float32(1e-40), 1.0),
-    shot("sudden density", "densities of 1e-40 (denormal), σ̂ = 100", blob() * np.float32(1e-40), 1e42, quick=True),
-    shot("sudden density", "densities of 3e38, σ̂ = 30", blob() * np.float32(3e38), 1e-37, quick=True),
-    # Light reaches less deep than double precision tells places apart.
-    shot("sudden density", "densities of 3e38, σ̂ = 3e38", blob() * np.float32(3e38), 1.0, single=None, bias=None),
-    shot("grid", "2048³ voxels, two corners of 16³ filled", far_corners(2048), seen=placed(blob())),
-    shot("grid", "one voxel", np.ones((1, 1, 1)), 5.0, alpha=5e-3, quick=True),
-    *(shot("grid", f"{' × '.join(map(str, shape))} voxels", np.ones(shape), s,
-           camera(3.0 * np.array((0.6, 0.5, 0.4)), fov=fov), alpha=2e-2, quick=shape == (1, 1, 64))
-      for shape, s, fov in (((1, 1, 64), 50.0, 0.02), ((64, 1, 1), 50.0, 0.02), ((1, 1, 2048), 2e3, 6e-4),
-                            ((64, 64, 1), 500.0, 0.4))),
+    *(
+        render_case("optical density", f"σ̂ = {s:g}", RenderSpec(blob(), s), quick=s in QUICK)
+        for s in 10.0 ** np.arange(-6, 8)
+    ),
+    *(
+        render_case(
+            "sudden density",
+            f"one voxel a million times denser, σ̂ = {s:g}",
+            RenderSpec(one_dense_voxel(), s),
+            quick=s == 1e7,
+        )
+        for s in (1e3, 1e5, 1e7)
+    ),
+    *(
+        render_case(
+            "sudden density",
+            f"sheets one voxel thin across {'xyz'[axis]}, σ̂ = {s:g}",
+            RenderSpec(sheets(axis), s),
+            alpha=6e-3,
+            single=0.1,
+            bias=0.04,
+            quick=s == 1e3 and axis == 0,
+        )
+        for axis in range(3)
+        for s in (10.0, 1e3, 1e5)
+    ),
+    render_case("sudden density", "checkerboard of 0 and 1e5", RenderSpec(CHECKERS * np.float32(1e5), 1.0), quick=True),
+    render_case("sudden density", "checkerboard of 0 and 1e5, thin", RenderSpec(CHECKERS * np.float32(1e5), 1e-4)),
+    render_case(
+        "sudden density", "densities of 1e-40 (denormal), σ̂ = 1e-40", RenderSpec(blob() * np.float32(1e-40), 1.0)
+    ),
+    render_case(
+        "sudden density",
+        "densities of 1e-40 (denormal), σ̂ = 100",
+        RenderSpec(blob() * np.float32(1e-40), 1e42),
+        quick=True,
+    ),
+    render_case(
+        "sudden density", "densities of 3e38, σ̂ = 30", RenderSpec(blob() * np.float32(3e38), 1e-37), quick=True
+    ),
+    # Light penetrates less deep than double precision resolves.
+    render_case(
+        "sudden density",
+        "densities of 3e38, σ̂ = 3e38",
+        RenderSpec(blob() * np.float32(3e38), 1.0),
+        single=None,
+        bias=None,
+    ),
+    render_case(
+        "grid", "2048³ voxels, two corners of 16³ filled", RenderSpec(far_corners(2048), visible=placed(blob()))
+    ),
+    render_case("grid", "one voxel", RenderSpec(np.ones((1, 1, 1)), 5.0), alpha=5e-3, quick=True),
+    *(
+        render_case(
+            "grid",
+            f"{' × '.join(map(str, shape))} voxels",
+            RenderSpec(np.ones(shape), s, camera(3.0 * np.array((0.6, 0.5, 0.4)), fov=fov)),
+            alpha=2e-2,
+            quick=shape == (1, 1, 64),
+        )
+        for shape, s, fov in (
+            ((1, 1, 64), 50.0, 0.02),
+            ((64, 1, 1), 50.0, 0.02),
+            ((1, 1, 2048), 2e3, 6e-4),
+            ((64, 64, 1), 500.0, 0.4),
+        )
+    ),
 ]

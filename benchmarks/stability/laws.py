@@ -1,4 +1,4 @@
-"""What holds in every scene: renders with the shipped network against each other, and against the path tracer."""
+"""What holds in every scene: renders with the shipped network, against each other and against the path tracer."""
 
 import functools
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from inference.network.predictor import FLUENCE_MOST
+from inference.network.predictor import MAX_FLUENCE
 from inference.network.network import register_system
 from inference.scene.phase_function import henyey_greenstein
 
@@ -19,8 +19,8 @@ VIEW = camera(pixels=12)
 MEDIUM = Medium(30.0, 0.95, 0.5)
 
 
-def draw(volume=CLOUD, medium=MEDIUM, suns=(SUN,), view=VIEW, samples=4, model="mrpnn", seed=0):
-    return render([(volume, medium)], list(suns), view, Settings(samples, model, seed))
+def draw(volume=CLOUD, medium=MEDIUM, suns=(SUN,), view=VIEW, settings=Settings(4)):
+    return render([(volume, medium)], list(suns), view, settings)
 
 
 @functools.lru_cache
@@ -69,12 +69,12 @@ def coloured():
 
 
 def large_image():
-    """8192 × 8192 pixels, a tenth of a thousandth of which show something, against that part rendered alone."""
+    """8192 × 8192 pixels, one in 10 000 of which shows something, against that part rendered alone."""
     view = camera(pixels=8192, fov=2.9)
-    whole = draw(view=view, samples=1)
+    whole = draw(view=view, settings=Settings(1))
     rows, columns = np.nonzero(whole.alpha)
     part = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-    alone = draw(view=replace(view, region=part), samples=1)
+    alone = draw(view=replace(view, region=part), settings=Settings(1))
     strips = [slice(top, top + 256) for top in range(0, 8192, 256)]
     names = ("rgb", "single", "multiple", "alpha", "uncertainty", "depth")
     bad = sum(unsound(replace(whole, **{name: getattr(whole, name)[rows] for name in names})) for rows in strips)
@@ -88,12 +88,12 @@ def black():
 
 
 def bounded(**changed):
-    """No more than the largest fluence of a conservative medium, where the phase function peaks."""
+    """At most what the largest fluence of a conservative medium scatters at the phase function's peak."""
     def measure():
         layer = draw(**changed)
         medium = changed.get("medium", MEDIUM)
         g = float(np.clip(abs(medium.anisotropy), 0.0, 0.95))
-        most = FLUENCE_MOST * henyey_greenstein(1.0, g)
+        most = MAX_FLUENCE * henyey_greenstein(1.0, g)
         told = bool(layer.report.warnings) or abs(medium.anisotropy) <= 0.95
         return Outcome({"unsound": unsound(layer), "share of the most": float(layer.multiple.max() / most),
                         "not told": float(not told)}, layer.rgb / max(layer.rgb.max(), 1e-30))
@@ -112,23 +112,23 @@ def thin_truth():
     from training.reference import PathTracer
 
     register_system("1024 paths", lambda: PathTracer(1024))
-    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), samples=8, model=model).multiple.mean()
+    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), settings=Settings(8, model)).multiple.mean()
                     for model in ("mrpnn", "1024 paths"))
     return Outcome({"bias": float(abs(found / truth - 1.0))})
 
 
 def more_depths():
     """Error against 512 depth samples falls at least as 1/N."""
-    truth = draw(samples=512).multiple
-    error = [np.sqrt(((draw(samples=n).multiple - truth) ** 2).mean()) for n in (4, 32)]
+    truth = draw(settings=Settings(512)).multiple
+    error = [np.sqrt(((draw(settings=Settings(n)).multiple - truth) ** 2).mean()) for n in (4, 32)]
     return Outcome({"32 over 4 samples": float(error[1] / error[0])})
 
 
 def furnace(anisotropy: float):
-    """Albedo 1 under an even sky of radiance 1 looks like the sky; here 14 suns are the sky."""
+    """Albedo 1 under an even sky of radiance 1 looks like the sky, which 14 suns approximate."""
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = [tuple(sign * (i == axis) for i in range(3)) for axis in range(3) for sign in (-1, 1)]
-    # Weights with which these 14 integrate polynomials of degree 5 over the sphere.
+    # The weights of the quadrature that integrates polynomials of degree 5 over the sphere.
     suns = [Sun(d, 4 * np.pi * 3 / 40) for d in corners] + [Sun(d, 4 * np.pi / 15) for d in faces]
 
     def measure():
@@ -141,13 +141,13 @@ def furnace(anisotropy: float):
 
 
 def traced(**changed):
-    """The network's picture against two independent halves of the path tracer's, whose noise does not count."""
+    """The network's picture against two independent halves by the path tracer, whose noise does not count."""
     def measure():
         from training.reference import PathTracer
 
         register_system("64 paths", lambda: PathTracer(64))
-        layer = draw(**changed, samples=16)
-        a, b = (draw(**changed, samples=16, model="64 paths", seed=seed).rgb for seed in (1, 2))
+        layer = draw(**changed, settings=Settings(16))
+        a, b = (draw(**changed, settings=Settings(16, "64 paths", seed)).rgb for seed in (1, 2))
         seen = layer.alpha > 0.5 * layer.alpha.max()
         return Outcome({"unsound": unsound(layer), "relative RMSE": relative_rmse(layer.rgb, a, b, seen).value,
                         "bias": abs(relative_bias(layer.rgb, a, b, seen).value)}, layer.rgb / layer.rgb.max())

@@ -5,8 +5,8 @@ import numpy as np
 from inference import Sun
 
 from .placements import CLOUD
+from .renders import RenderSpec, render_case
 from .scenes import camera, placed
-from .shots import shot
 
 BOX = placed(np.ones((16, 16, 16)))
 VIEW = camera()
@@ -15,14 +15,40 @@ DIRECTIONS = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), 
 TOWARDS_CAMERA = VIEW.world_matrix[:3, 2]
 
 CASES = [
-    *(shot("sun", f"along {name}, {what}, σ̂ = {s:g}", volume, s, suns=(Sun(direction),), bias=0.03,
-           quick=(name, s) in (("x", 1e3), ("a corner", 10.0)) and volume is BOX)
-      for name, direction in DIRECTIONS.items() for what, volume in (("cloud", CLOUD), ("box", BOX))
-      for s in (10.0, 1e3)),
-    shot("sun", "behind the camera (γ = π)", CLOUD, suns=(Sun(TOWARDS_CAMERA),), anisotropy=0.857, quick=True),
-    shot("sun", "in front of the camera (γ = 0)", CLOUD, suns=(Sun(-TOWARDS_CAMERA),), anisotropy=0.857),
-    *(shot("sun", f"irradiance {e:g}", CLOUD, suns=(Sun((0.4, 0.3, 0.8), e),)) for e in (1e-6, 1e8, 1e30)),
-    *(shot("phase function", f"G = {g:g}, sun in front", CLOUD, suns=(Sun(-TOWARDS_CAMERA),), anisotropy=g,
-           quick=abs(g) == 0.999, single=0.15) for g in (-0.999, -0.5, 0.0, 1e-12, 0.5, 0.95, 0.999)),
-    *(shot("albedo", f"albedo {a!r}", CLOUD, albedo=a, quick=a == 1.0) for a in (1e-9, 0.5, 1.0 - 1e-7, 1.0)),
+    *(
+        render_case(
+            "sun",
+            f"along {name}, {what}, σ̂ = {s:g}",
+            RenderSpec(volume, s, suns=(Sun(direction),)),
+            bias=0.03,
+            quick=(name, s) in (("x", 1e3), ("a corner", 10.0)) and volume is BOX,
+        )
+        for name, direction in DIRECTIONS.items()
+        for what, volume in (("cloud", CLOUD), ("box", BOX))
+        for s in (10.0, 1e3)
+    ),
+    render_case(
+        "sun", "behind the camera (γ = π)", RenderSpec(CLOUD, suns=(Sun(TOWARDS_CAMERA),), anisotropy=0.857), quick=True
+    ),
+    render_case(
+        "sun", "in front of the camera (γ = 0)", RenderSpec(CLOUD, suns=(Sun(-TOWARDS_CAMERA),), anisotropy=0.857)
+    ),
+    *(
+        render_case("sun", f"irradiance {e:g}", RenderSpec(CLOUD, suns=(Sun((0.4, 0.3, 0.8), e),)))
+        for e in (1e-6, 1e8, 1e30)
+    ),
+    *(
+        render_case(
+            "phase function",
+            f"G = {g:g}, sun in front",
+            RenderSpec(CLOUD, suns=(Sun(-TOWARDS_CAMERA),), anisotropy=g),
+            quick=abs(g) == 0.999,
+            single=0.15,
+        )
+        for g in (-0.999, -0.5, 0.0, 1e-12, 0.5, 0.95, 0.999)
+    ),
+    *(
+        render_case("albedo", f"albedo {a!r}", RenderSpec(CLOUD, albedo=a), quick=a == 1.0)
+        for a in (1e-9, 0.5, 1.0 - 1e-7, 1.0)
+    ),
 ]

@@ -1,9 +1,9 @@
-"""Where volumes and cameras are, and how they are turned, scaled and sheared."""
+"""Volumes and cameras in extreme places, turned, scaled and sheared."""
 
 import numpy as np
 
+from .renders import RenderSpec, render_case
 from .scenes import along, blob, camera, moved, placed, rotation
-from .shots import shot
 
 CLOUD = placed(blob())
 EYE = np.array((1.7, -1.3, 2.1))
@@ -45,12 +45,30 @@ CAMERAS = {
 }
 
 CASES = [
-    *(shot("placement", f"scale {k:g}", *scaled(k), quick=k == 1e-6) for k in (1e-6, 1e-3, 1e3, 1e6)),
-    *(shot("placement", f"{d:g} from the origin", *shifted(d), quick=d == 1e7) for d in (1e3, 1e5, 1e7)),
-    *(shot("placement", f"sheared by {a:g}", *sheared(a), alpha=5e-3) for a in (1.5, 10.0)),
-    *(shot("placement", f"turned by {name}", moved(CLOUD, turn)) for name, turn in TURNS.items()),
-    *(shot("placement", name, moved(CLOUD, np.diag(size)), quick=name == "flat to 1e-6", alpha=5e-3)
-      for name, size in STRETCHED.items()),
-    *(shot("camera", name, CLOUD, view=view, bias=0.04, quick=name in ("at the centre", "along x, orthographic"))
-      for name, view in CAMERAS.items()),
+    *(
+        render_case("placement", f"scale {k:g}", RenderSpec(*scaled(k)), quick=k == 1e-6)
+        for k in (1e-6, 1e-3, 1e3, 1e6)
+    ),
+    *(
+        render_case("placement", f"{d:g} from the origin", RenderSpec(*shifted(d)), quick=d == 1e7)
+        for d in (1e3, 1e5, 1e7)
+    ),
+    *(render_case("placement", f"sheared by {a:g}", RenderSpec(*sheared(a)), alpha=5e-3) for a in (1.5, 10.0)),
+    *(render_case("placement", f"turned by {name}", RenderSpec(moved(CLOUD, turn))) for name, turn in TURNS.items()),
+    *(
+        render_case(
+            "placement", name, RenderSpec(moved(CLOUD, np.diag(size))), quick=name == "flat to 1e-6", alpha=5e-3
+        )
+        for name, size in STRETCHED.items()
+    ),
+    *(
+        render_case(
+            "camera",
+            name,
+            RenderSpec(CLOUD, view=view),
+            bias=0.04,
+            quick=name in ("at the centre", "along x, orthographic"),
+        )
+        for name, view in CAMERAS.items()
+    ),
 ]

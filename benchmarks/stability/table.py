@@ -1,12 +1,13 @@
 """The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
 
-import csv
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
+
+from ..support import pages
 
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 COLUMNS = ("group", "case", "against", "quantity", "error", "bound")
@@ -21,35 +22,33 @@ def rows(found):
 
 
 def read_csv(path):
-    """Errors {(group, case): {quantity: error}} of an earlier run; nothing where there was none."""
+    """Errors {(group, case): {quantity: error}} of an earlier run; empty where there was none."""
     errors = {}
-    if path.exists():
-        with open(path, newline="") as file:
-            for row in csv.DictReader(file):
-                errors.setdefault((row["group"], row["case"]), {})[row["quantity"]] = float(row["error"])
+    for row in pages.read_csv(path) if path.exists() else ():
+        errors.setdefault((row["group"], row["case"]), {})[row["quantity"]] = float(row["error"])
     return errors
 
 
-def write_csv(path, found):
-    with open(path, "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
+def write_csv(path, found, sources):
+    """sources: sentences on what made the figures, one for each run that some of them are from."""
+    formatted = ([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
+    pages.replace(path, pages.csv_text(sources, COLUMNS, formatted))
 
 
-def write_table(path, found):
-    """Replace what lies between the marks in the page."""
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
+def write_table(path, found, sources):
+    """Replace what is between the marks in the page."""
+    lines = [f"{source}\n" for source in sources]
+    lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
     for group, name, against, quantity, error, bound in rows(found):
         mark = "" if error <= bound else " **violated**"
         lines.append(f"| {group} | {name} | {against} | {quantity} | {error:.2g}{mark} | {bound:g} |")
     page = path.read_text()
     before, rest = page.split(BEGIN)
-    path.write_text("\n".join([before + BEGIN, "", *lines, "", END]) + rest.split(END)[1])
+    pages.replace(path, "\n".join([before + BEGIN, "", *lines, "", END]) + rest.split(END)[1])
 
 
 def write_pictures(path, found):
-    """A contact sheet of every case that has a picture, each scaled to its own brightest pixel."""
+    """A contact sheet of every case that has a picture, each relative to its brightest pixel."""
     shown = [(case, outcome.picture) for case, outcome in found if outcome.picture is not None]
     columns = 12
     lines = -(-len(shown) // columns)

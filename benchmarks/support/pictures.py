@@ -1,4 +1,4 @@
-"""Pictures for people: view-transformed images, signed error maps, captioned rows of both."""
+"""Pictures to look at: view-transformed images, signed error maps, captioned rows of both."""
 
 import tempfile
 from pathlib import Path
@@ -41,8 +41,16 @@ def view_transformed(linear: np.ndarray, scene) -> Image.Image:
         bpy.data.images.remove(image)
 
 
+def pixels(image_name: str) -> np.ndarray:
+    """A float Image data-block as (H, W, 4), rows from the top."""
+    image = bpy.data.images[image_name]
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1]
+
+
 def signed_map(error: np.ndarray, limit: float) -> Image.Image:
-    """(H, W) as colour: red too bright, blue too dark, white right, full colour at `limit`."""
+    """(H, W) as colours: red where too bright, blue where too dark, white at 0, saturated at `limit`."""
     share = np.clip(error / limit, -1.0, 1.0)[..., None]
     colour = np.where(share > 0, TOO_BRIGHT, TOO_DARK)
     mapped = 1.0 + np.abs(share) * (colour - 1.0)

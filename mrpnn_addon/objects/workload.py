@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...inference.marching.ray_steps import LEAST_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
+from ...inference.marching.ray_steps import MIN_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
 from ...inference.numerics.intersection import box_interval
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
@@ -84,7 +84,7 @@ def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: in
     steps_per_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
                   STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
     found.stiff = found.thickness / steps_per_voxel > STIFF
-    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), LEAST_VOXELS)
+    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
     found.steps = float(np.ceil(voxels * steps_per_voxel).sum()) * share
     if hit.any():
         found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())

@@ -11,6 +11,7 @@ def scene_state(scene) -> tuple:
     render = scene.render
     return (
         _changes, scene.name, scene.frame_current, scene.camera and scene.camera.name, scene.mrpnn.settings(),
+        scene.world and scene.world.name_full, scene.mrpnn.world_directions,
         render.resolution_x, render.resolution_y, render.resolution_percentage, render.use_border,
         render.border_min_x, render.border_min_y, render.border_max_x, render.border_max_y,
     )

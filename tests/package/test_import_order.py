@@ -63,7 +63,7 @@ def test_imports_are_found_wherever_they_stand():
               "from ..b.c import d\n"
               "def f():\n"
               "    import e.f\n"
-              "    from mrpnn.inference import g\n")
+              "    from inference import g\n")
     assert [path for _, path in sorted(imports(source, ("x", "y", "z")))] == [
         ("x", "y", "a"), ("x", "b", "c", "d"), ("e", "f"), ("inference", "g")]
 
@@ -75,6 +75,11 @@ def test_packages_import_only_those_below(package):
     assert found
     assert [(place, ".".join(path)) for place, _, path in found
             if path[0] in known - {package, *PACKAGES[package]}] == []
+
+
+def test_no_test_imports_a_test():
+    assert [(place, ".".join(path)) for place, _, path in package_imports("tests")
+            if path[0] == "tests" and path[1] != "support"] == []
 
 
 @pytest.mark.parametrize("package", ["inference", "training"])

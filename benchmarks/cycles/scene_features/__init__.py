@@ -1,11 +1,13 @@
-"""Small scenes, one a feature, for `benchmarks.cycles.scenes`.
+"""Small scenes, one for each feature, for `benchmarks.cycles.scenes`.
 
 A builder takes a `Stage` and changes it. MEASURED are compared with Cycles; NAMED must give a message.
 """
 
 from . import cameras, emission, lights, materials, surfaces, volumes
 from .named import NAMED
-from .stage import CELLS, SEED, cube_mesh, make_stage
+from .stage import CELLS, SEED, make_stage
+
+__all__ = ["CELLS", "MEASURED", "NAMED", "SEED", "make_stage"]
 
 MEASURED = {
     name: builder

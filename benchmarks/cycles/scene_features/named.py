@@ -1,4 +1,4 @@
-"""What must give a message instead of a picture."""
+"""Scenes that must give a message."""
 
 import bpy
 
@@ -14,7 +14,8 @@ def lamp_of(kind):
 
 def world_fog(stage):
     tree = stage.scene.world.node_tree
-    tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    scatter = tree.nodes.new("ShaderNodeVolumeScatter")
+    tree.links.new(scatter.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
 
 
 def linked_sun(stage):

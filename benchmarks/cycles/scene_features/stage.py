@@ -1,4 +1,4 @@
-"""The scene that every feature starts from, and what several of them build."""
+"""The scene that every feature starts from, and objects that several of them build."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,8 +19,8 @@ DENSITY = 12.0
 class Stage:
     """The scene that every feature starts from: a cloud of edge 2 around the origin, a sun, a camera.
 
-    scene, cloud, shader, sun, camera: bpy blocks. folder: for files. step_rate: for Cycles' reference.
-    surfaces: objects that it holds out.
+    scene, cloud, shader, sun, camera: of bpy. folder: for files. step_rate: of Cycles' reference.
+    surfaces: objects that the reference holds out.
     """
 
     scene: object

@@ -1,0 +1,40 @@
+"""Pages and CSV files that benchmarks write."""
+
+import csv
+import io
+import os
+import re
+from pathlib import Path
+from typing import Iterable, List, Sequence
+
+
+def replace(path: Path, text: str) -> None:
+    """Write a file through a temporary name, so that it is never half there."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def with_table(page: str, name: str, table: str, made_by: str) -> str:
+    """The page with a table, and the sentence on what made it, between the marks <!-- name --> and <!-- end -->."""
+    found = f"{table}\n\n{made_by}\n"
+    marked = rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)"
+    return re.sub(marked, lambda mark: mark.group(1) + found + mark.group(2), page, flags=re.S)
+
+
+def csv_text(made_by: Sequence[str], header: Sequence, rows: Iterable[Sequence]) -> str:
+    """CSV below lines "# ...": sentences on what made it."""
+    text = io.StringIO()
+    text.writelines(f"# {line}\n" for line in made_by)
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    return text.getvalue()
+
+
+def read_csv(path: Path) -> List[dict]:
+    """Rows of a file that `csv_text` made, by column."""
+    return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
+
+
+def csv_made_by(path: Path) -> List[str]:
+    """The sentences of such a file on what made it."""
+    return [line[2:] for line in path.read_text().splitlines() if line.startswith("# ")]
