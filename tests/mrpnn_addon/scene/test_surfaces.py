@@ -86,7 +86,7 @@ def test_transparent_surfaces_are_named(addon, scene, tmp_path, change):
     described = read(addon)
     assert not described.surfaces
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "seen through" in warning
+    assert "\"Ball\"" in warning and "is transparent" in warning
 
 
 def test_instances_and_text_occlude_and_objects_hidden_from_the_camera_do_not(addon, scene, tmp_path):

@@ -157,7 +157,8 @@ MISTAKES = [
     (missing_file, "file not found"), (no_file, "loads no file"), (no_volume_file, "as OpenVDB"),
     (empty_grid, "is empty"), (missing_grid, "no grid \"heat\""), (background_grid, "background 0.5"),
     (unsupported_node, "not supported"), (no_density, "neither scatters"),
-    (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not a number"), (far_away, "above 1e+09"),
+    (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not finite"),
+    (far_away, "exceeds 1e+09"),
     (vertices_of_no_number, "not finite")]
 
 
@@ -207,7 +208,7 @@ def test_instances_of_an_invalid_volume_are_named_once(addon, scene, cloud, tmp_
 
 
 @pytest.mark.parametrize("mistake, said", [
-    (lambda sun: setattr(sun.rotation_euler, "x", NAN), "not a number"),
+    (lambda sun: setattr(sun.rotation_euler, "x", NAN), "not finite"),
     (lambda sun: setattr(sun.data, "color", (NAN, 1.0, 1.0)), "finite"),
     (lambda sun: setattr(sun, "scale", (0.0, 0.0, 0.0)), "scale 0"),
     (lambda sun: nodes_of(sun), "Blackbody"),
