@@ -12,9 +12,12 @@ from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 QUICK = [case for case in CASES if case.quick]
+FIRST = {case.group: case.name for case in reversed(QUICK)}
 
 
-@pytest.mark.parametrize("case", QUICK, ids=[f"{case.group}: {case.name}" for case in QUICK])
+@pytest.mark.parametrize("case", [
+    pytest.param(case, id=f"{case.group}: {case.name}", marks=() if case.name == FIRST[case.group] else pytest.mark.slow)
+    for case in QUICK])
 def test_an_extreme_case_stays_within_its_bounds(case):
     if case in files.CASES:
         pytest.importorskip("bpy")

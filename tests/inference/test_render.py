@@ -241,7 +241,7 @@ def test_warnings_name_what_is_outside_the_trained_range():
 
 
 @pytest.mark.parametrize("anisotropy", [-0.99, 0.0, 0.999])
-@pytest.mark.parametrize("sigma_t", [1e-6, 1.0, 1e7])
+@pytest.mark.parametrize("sigma_t", [pytest.param(1e-6, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow), 1e7])
 def test_outside_the_trained_range_radiance_stays_finite_and_bounded(sigma_t, anisotropy):
     """At most a conservative medium's largest fluence, all of it in the peak of the phase function."""
     random = np.random.default_rng(6)

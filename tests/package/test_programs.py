@@ -280,7 +280,8 @@ FLUID = """
         depsgraph = bpy.context.evaluated_depsgraph_get()
         if frame in (6, 10):
             described = read_scene(depsgraph)
-            layer = inference.render(described.volumes, described.suns, described.camera, inference.Settings(multiple=False))
+            settings = inference.Settings(multiple=False)
+            layer = inference.render(described.volumes, described.suns, described.camera, settings)
             evaluated = domain.evaluated_get(depsgraph).modifiers["Fluid"].domain_settings
             x, y, z = evaluated.domain_resolution
             density = numpy.array(evaluated.density_grid).reshape(z, y, x)

@@ -56,6 +56,7 @@ def test_merging_keeps_extinction_where_it_is(turn):
     np.testing.assert_allclose(both * medium.sigma_t.mean(), 6.0 * a + 12.0 * b, atol=0.02 * 12.0)
 
 
+@pytest.mark.slow
 def test_merged_grids_are_no_finer_than_the_network_sees():
     fine = ball(voxels=300)
     volume, medium = merged([(fine, Medium(2.0)), (ball((0.1, 0.0, 0.0)), Medium(2.0))])

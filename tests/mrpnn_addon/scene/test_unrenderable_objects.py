@@ -160,9 +160,12 @@ MISTAKES = [
     (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not finite"),
     (far_away, "exceeds 1e+09"),
     (vertices_of_no_number, "not finite")]
+# One of each part: the file, its grid, the material, a mesh and the transform.
+QUICK = missing_file, background_grid, unsupported_node, open_mesh, not_a_number
 
 
-@pytest.mark.parametrize("mistake, said", MISTAKES, ids=[make.__name__ for make, _ in MISTAKES])
+@pytest.mark.parametrize("mistake, said", [
+    pytest.param(make, said, id=make.__name__, marks=() if make in QUICK else pytest.mark.slow) for make, said in MISTAKES])
 def test_an_invalid_volume_is_named_and_the_others_are_rendered(addon, scene, cloud, alone, tmp_path, mistake, said):
     mistake(scene, tmp_path)
     described = read(addon)
