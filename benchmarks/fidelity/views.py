@@ -102,9 +102,9 @@ def look_at(position, up=(0.0, 1.0, 0.0)) -> np.ndarray:
 
 @functools.lru_cache(1)
 def independent_density(name: str) -> np.ndarray:
-    """float32 (N, N, N): the density of an independent reference's volume, its second axis up."""
+    """float32 (N, N, N), largest value 1: the density of an independent reference's volume, its second axis up."""
     with np.load(REFERENCES / "volumes" / f"{name}.npz") as data:
-        return data["density"].astype(np.float32)
+        return data["density"].astype(np.float32) / data["largest"]
 
 
 def _independent_view(path: pathlib.Path) -> View:
