@@ -89,8 +89,8 @@ def check_tag(tag: str) -> None:
     """Raise SystemExit unless `tag` is "v" and the manifest's version."""
     version = manifest()["version"]
     if tag != f"v{version}":
-        raise SystemExit(f"the tag is {tag}, but blender_manifest.toml says version {version}: tag v{version}, or change "
-                         "the version there")
+        raise SystemExit(
+            f"the tag is {tag}, but blender_manifest.toml has version {version}: tag v{version}, or change that")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from .image.scattered_emission_pass import add_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .marching.extended_lights import ExtendedLights
 from .occluders.depth_buffer import DepthBuffer
-from .occluders.occluders import NO_OCCLUDERS, find_occluders, of_suns
+from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .plan.plan import Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
@@ -56,9 +56,9 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            shared = cache is not None and "unchanged" in settings.leave_out
             plan = make_plan(volumes, lights, camera, settings)
-            cache = cache if shared else RenderCache(any_view=False)
+            if cache is None or "unchanged" not in settings.leave_out:
+                cache = RenderCache(any_view=False)
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
@@ -111,8 +111,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         if surfaces and grids:
             corners = np.concatenate([grid.corners() for grid in grids])
             occluders, lit = find_occluders(surfaces, [sun.direction for sun in plan.suns], corners, cancel)
-            if len(lit) < len(plan.suns) and "needless_suns" in plan.leave_out:
-                plan, occluders = plan.with_suns(lit), of_suns(occluders, lit or [0], corners)
+            if len(lit) < len(plan.suns) and "needless_suns" in plan.optimizations:
+                plan, occluders = plan.with_suns(lit), select_suns(occluders, lit or [0], corners)
     with report.stage("shadows"), context.progress.stage("shadows"):
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
@@ -131,7 +131,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
             for g, members in enumerate(plan.groups)]
     for g, group in enumerate(groups):
         channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
-        if channels is not None:
+        if group is not None and channels is not None:
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
     return PreparedScene(plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network)

@@ -1,20 +1,26 @@
 """Content-keyed cache shared between renders."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from .grids.grid import Grid
 from .grids.merge import merge
+from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
 from .runtime.cancellation import NEVER, CancelToken
 from .scene.description import Medium, Volume
 from .transport.scattered_emission import ScatteredEmission
 
+# Volumes with their media.
+Members = Sequence[tuple[Volume, Medium]]
+
 
 @dataclass(frozen=True)
 class ScatteringGroup:
-    """Volumes that the network takes as one medium: a Volume and Medium that stand for them, and what predicts there."""
+    """Volumes that the network treats as one medium: a Volume and Medium that represent them, and their predictor."""
 
     volume: Volume
     medium: Medium
@@ -22,27 +28,32 @@ class ScatteringGroup:
 
 
 class RenderCache:
-    """Networks, grids, predictors and scattered emission of the last render, found again by what they were made from.
+    """Networks, grids, predictors and scattered emission of earlier renders, keyed by what they were made from.
 
-    It is never out of date, and its memory is held until it is dropped. Renders on several threads may share one. Every
-    method raises Cancelled. any_view: whether lookup lattices are built for all of a volume, to serve other views too,
-    rather than for what one view shows of it.
+    Never out of date, as long as the arrays of rendered volumes are not modified in place. Safe to share between
+    renders on several threads. Holds every network that was asked for, and the rest as of the last render, until it is
+    dropped. Every method raises Cancelled. any_view: whether lookup lattices cover the whole of a volume, so that they
+    serve other views too, rather than the part that one view shows.
     """
 
     def __init__(self, any_view: bool = True):
         self.any_view = any_view
         self._lock = threading.Lock()
-        self._networks, self._grids, self._merged, self._predictors, self._emission = {}, [], {}, {}, {}
+        self._networks: dict[tuple[str, str], System] = {}
+        self._grids: list[tuple[Volume, Grid]] = []
+        self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
+        self._predictors: dict[int, VolumePredictor] = {}
+        self._emission: dict[int, tuple[Members, ScatteredEmission]] = {}
 
-    def network(self, name: str, provider: str, cancel: CancelToken = NEVER):
-        """As `load_network`."""
+    def network(self, name: str, provider: str, cancel: CancelToken = NEVER) -> System:
+        """As `load_network`; loads each network once per provider."""
         with cancel.locked(self._lock):
             if (name, provider) not in self._networks:
-                self._networks = {(name, provider): load_network(name, provider)}
+                self._networks[name, provider] = load_network(name, provider)
             return self._networks[name, provider]
 
-    def grids(self, volumes: list[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
-        """A Grid of each volume."""
+    def grids(self, volumes: Sequence[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
+        """Grid of each volume."""
         with cancel.locked(self._lock):
             found = []
             for volume in volumes:
@@ -52,11 +63,12 @@ class RenderCache:
             self._grids = found
             return [grid for _, grid in found]
 
-    def group(self, network, members, grids: list[Grid], number: int, cancel: CancelToken = NEVER) -> ScatteringGroup:
-        """One group of volumes.
+    def group(
+        self, network: System, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken = NEVER
+    ) -> ScatteringGroup:
+        """The ScatteringGroup of some volumes.
 
-        members: pairs of Volume and Medium; grids: a Grid of each; number: of the group in its render, whose predecessor
-        there is given up.
+        grids: Grid of each member. number: of the group in its render; replaces the group that had it before.
         """
         with cancel.locked(self._lock):
             volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
@@ -66,8 +78,10 @@ class RenderCache:
                 known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel)
             return ScatteringGroup(volume, medium, known)
 
-    def scattered_emission(self, members, grids, number: int, cancel: CancelToken = NEVER) -> ScatteredEmission:
-        """The light that a group of volumes emits and scatters; arguments as for `group`."""
+    def scattered_emission(
+        self, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken = NEVER
+    ) -> ScatteredEmission:
+        """Light that a group of volumes emits and scatters; arguments as for `group`."""
         with cancel.locked(self._lock):
             known = self._emission.pop(number, None)
             if known is None or not _same_members(known[0], members):
@@ -76,13 +90,17 @@ class RenderCache:
             return known[1]
 
     def keep_groups(self, count: int) -> None:
-        """Give up what groups beyond a render's `count` have left."""
+        """Drop the groups from number `count` on."""
         with self._lock:
-            for kept in (self._merged, self._predictors, self._emission):
-                for number in [number for number in kept if number >= count]:
-                    del kept[number]
+            groups: tuple[dict[int, Any], ...] = self._merged, self._predictors, self._emission
+            for cached in groups:
+                for number in [number for number in cached if number >= count]:
+                    del cached[number]
 
-    def _merge(self, members, grids, number, cancel):
+    def _merge(
+        self, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken
+    ) -> tuple[Volume, Medium]:
+        """Members of a group as one medium."""
         known = self._merged.pop(number, None)
         if known is None or not _same_members(known[0], members):
             names = " and ".join(volume.name for volume, _ in members)
@@ -92,18 +110,18 @@ class RenderCache:
 
 
 def _same_volume(a: Volume, b: Volume) -> bool:
-    """Whether two volumes hold the same density and emission in the same place."""
+    """Whether two volumes hold equal density and emission at the same place."""
     return a is b or a.same_content(b)
 
 
-def _serves(predictor: VolumePredictor, network, volume: Volume, medium: Medium) -> bool:
-    """Whether a predictor was made of the same network, volume and anisotropy."""
+def _serves(predictor: VolumePredictor, network: System, volume: Volume, medium: Medium) -> bool:
+    """Whether a predictor was made from the same network, volume and anisotropy."""
     return predictor.network is network and predictor.requested_anisotropy == medium.anisotropy and _same_volume(
         predictor.volume, volume)
 
 
-def _same_members(made_of, members) -> bool:
-    """Whether pairs of Volume and Medium are the same, in every number."""
+def _same_members(made_of: Members, members: Members) -> bool:
+    """Whether pairs of Volume and Medium are equal in every number."""
     return len(made_of) == len(members) and all(
         _same_volume(old, new) and before.same_coefficients(after)
         for (old, before), (new, after) in zip(made_of, members))

@@ -1,6 +1,6 @@
 """Between Blender and `inference`: reads scenes and hands layers back.
 
-Packages import only those above them in this list; `tests/test_import_order.py` checks it.
+Packages import only those above them in this list; `tests/package/test_import_order.py` checks it.
 
     runtime     threads, processes of their own, files that are complete or absent
     settings    properties of scenes and view layers, preferences, networks to choose from

@@ -1,4 +1,4 @@
-"""Everything the extension adds to Blender besides panels."""
+"""Registration of everything but the panels."""
 
 import bpy
 
@@ -6,11 +6,11 @@ from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
 from ..mrpnn_addon.scene import changes
 from ..mrpnn_addon.settings import properties, view_layer
-from ..mrpnn_addon.status import experience, file_watch
+from ..mrpnn_addon.status import calibration, file_watch
 from . import check, command, compare, composite, documentation, render
 
 # Registered in this order and removed in the opposite one: settings first, the command line last.
-MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, experience)
+MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, calibration)
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *documentation.classes)
 
 

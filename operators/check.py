@@ -1,4 +1,4 @@
-"""Operator `mrpnn.check`: what a render would leave out or approximate, before rendering."""
+"""Operator `mrpnn.check`: what a render would leave out or approximate."""
 
 import bpy
 
@@ -22,7 +22,7 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
         return self.execute(context) if waiting is None else waiting
 
     def cancel(self, context):
-        """Blender calls this where it ends the operator itself, as when it closes or loads a file."""
+        """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
         self.stop_waiting(context)
 
     def execute(self, context):

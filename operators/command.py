@@ -19,7 +19,7 @@ from . import command_actions
 from .console import Console
 
 COMMAND = "mrpnn"
-# Of what --json writes and --progress json prints.
+# Version of the output of --json and --progress json.
 FORMAT_VERSION = 1
 
 
@@ -43,21 +43,23 @@ def _parser() -> argparse.ArgumentParser:
                         help=".exr: multi-layer, scene-linear; .png: with the scene's view transform; # are the "
                              "frame's digits, // is the .blend file's folder")
     render.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10,15; the file's current one by default")
-    render.add_argument("--skip-existing", action="store_true", help="leave frames whose file is there already")
+    render.add_argument("--skip-existing", action="store_true", help="skip frames whose file exists")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
     compare.add_argument("--samples", type=_positive, default=32,
-                         help="samples a pixel in each of the reference's two halves, at most")
-    compare.add_argument("--seconds", type=float, default=0.0, help="that Cycles may take, roughly; 0: any")
-    compare.add_argument("--ladder", type=int, default=64, help="samples a pixel of Cycles' highest rung; 0: none")
-    compare.add_argument("--no-denoise", action="store_true", help="leave out Cycles with OpenImageDenoise")
-    compare.add_argument("--all-models", action="store_true", help="every network, not the scene's alone")
+                         help="samples per pixel in each of the reference's two halves, at most")
+    compare.add_argument("--seconds", type=float, default=0.0, help="time limit for Cycles, roughly; 0: none")
+    compare.add_argument("--ladder", type=int, default=64,
+                         help="highest number of samples per pixel of Cycles; 0: none")
+    compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
+    compare.add_argument("--all-models", action="store_true", help="every network, not only the scene's")
     compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
-    compare.add_argument("--folder", default=REPORT_FOLDER, help="for the report, and for images to go on from")
+    compare.add_argument("--folder", default=REPORT_FOLDER,
+                         help="of the report and of images from which another run continues")
     compare.add_argument("--bounces", type=_positive, default=1024, help="most scattering events along a path")
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
 
-    report = actions.add_parser("report", help="say what a render would do, without rendering")
+    report = actions.add_parser("report", help="describe what a render would do, without rendering")
     for action in (render, report):
         action.add_argument("--strict", action="store_true",
                             help="fail where an object cannot be rendered, instead of leaving it out with a warning")
@@ -65,9 +67,9 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
 
     for action in (render, compare, report):
-        action.add_argument("--json", metavar="FILE", help="file for everything that is known at the end")
+        action.add_argument("--json", metavar="FILE", help="file for all results")
         action.add_argument("--progress", choices=("text", "json"), default="text",
-                            help="json: one object a line on standard output")
+                            help="json: one object per line on standard output")
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("memory-limit", float),
                            ("model", str), ("provider", str), ("resolution-percentage", _positive), ("camera", str),
@@ -75,31 +77,32 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
                                 help="GiB; the scene's own setting by default" if name == "memory-limit"
                                 else "the scene's own by default")
-        action.add_argument("--leave-out", type=_omissions, metavar="NAMES",
+        action.add_argument("--leave-out", type=_optimizations, metavar="NAMES",
                             help=f"all, none, or with commas between: {', '.join(OPTIMIZATIONS)}")
     return parser
 
 
-def _omissions(text: str) -> frozenset:
+def _optimizations(text: str) -> frozenset:
     named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")))
     if named <= ALL:
         return named
-    raise argparse.ArgumentTypeError(f"there is no {min(named - ALL)!r} to leave out; there are: {', '.join(OPTIMIZATIONS)}")
+    raise argparse.ArgumentTypeError(
+        f"there is no optimization {min(named - ALL)!r}; there are: {', '.join(OPTIMIZATIONS)}")
 
 
 def _positive(text: str) -> int:
     number = int(text)
     if number < 1:
-        raise argparse.ArgumentTypeError(f"{number} is not above 0")
+        raise argparse.ArgumentTypeError(f"{number} is not positive")
     return number
 
 
 def main(arguments) -> int:
     """Run the command with its arguments, e.g. ["render", "--output", "cloud.exr"].
 
-    Returns the exit status: 0 when everything asked for is there, 1 with one line that says why when not.
+    Returns the exit status: 0 on success, 1 after one line with the error.
     """
-    # Before its arguments are known, errors go out as text.
+    # Errors are text until the arguments are parsed.
     console, options = Console(machine=False), None
     found = {"version": FORMAT_VERSION, "blend": bpy.data.filepath, "blender": bpy.app.version_string}
     start = time.perf_counter()
@@ -113,7 +116,7 @@ def main(arguments) -> int:
         return 0
     except (_UsageError, SceneError, OSError) as problem:
         error = str(problem)
-    except OverflowError as problem:  # Blender's properties hold 32 bits.
+    except OverflowError as problem:  # Blender's properties have 32 bits.
         error = f"a number is too large ({problem})"
     except KeyboardInterrupt:
         error = "stopped"
@@ -131,8 +134,8 @@ def main(arguments) -> int:
 
 
 def register():
-    # The bpy module has no program, so no command line, and crashes at its end over a command still
-    # registered. (bpy.app.module would say so, but Blender 4.2 and 4.3 lack it.)
+    # The bpy module has no command line, and crashes at its end while a command is registered. (bpy.app.module would
+    # tell, but Blender 4.2 and 4.3 lack it.)
     if bpy.app.binary_path:
         global _handle
         _handle = bpy.utils.register_cli_command(COMMAND, main)

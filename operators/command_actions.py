@@ -1,4 +1,4 @@
-"""What the command line does: render frames, compare one with Cycles, report on a scene."""
+"""The actions of the command line: render frames, compare one with Cycles, report on a scene."""
 
 import os
 from contextlib import contextmanager
@@ -18,7 +18,7 @@ ENDINGS = (".exr", ".png")
 
 
 def render(options, console, found: dict) -> None:
-    """Render each frame to its file. `found` gathers what --json writes, frame by frame."""
+    """Render each frame to its file. `found` collects the output of --json, frame by frame."""
     scene = bpy.context.scene
     if os.path.splitext(options.output)[1].lower() not in ENDINGS:
         raise SceneError(f"--output must end in .exr or .png, not {options.output!r}")
@@ -35,14 +35,14 @@ def render(options, console, found: dict) -> None:
 
 
 def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dict:
-    """Render one frame to `path`; the facts about it."""
+    """Render one frame to `path`; returns its facts."""
     scene = bpy.context.scene
-    # Also for the current frame: an override may have changed what is evaluated.
+    # Even for the current frame: an override may change what is evaluated.
     scene.frame_set(frame)
     description = read_scene(bpy.context.evaluated_depsgraph_get())
     if strict:
         require_all(description)
-    # As Blender's own output does, once it is clear that there is something to write.
+    # As Blender does, once the scene is known to be valid.
     os.makedirs(os.path.dirname(path), exist_ok=True)
     exr = path.lower().endswith(".exr")
     finished = render_scene(description, settings, path if exr else None, console.progress(frame))
@@ -55,13 +55,13 @@ def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dic
     for warning in finished.warnings:
         console.event("warning", warning, frame=frame, message=warning)
     facts = {"frame": frame, "file": path, "seconds": finished.seconds, "warnings": finished.warnings}
-    # Farms look for Blender's own words.
+    # Render farms parse Blender's message.
     console.event("frame", f"wrote {path} in {finished.seconds:.1f} s\nSaved: '{path}'", **facts)
     return {**facts, "report": finished.layer.report.to_dict()}
 
 
 def compare(options, console, found: dict) -> None:
-    """Compare one frame with Cycles, and write the report."""
+    """Compare one frame with Cycles and write the report."""
     scene = bpy.context.scene
     if options.frame is not None:
         scene.frame_set(options.frame)
@@ -80,7 +80,7 @@ def compare(options, console, found: dict) -> None:
 
 
 def report(options, console, found: dict) -> None:
-    """Say what a frame's render would do, without rendering."""
+    """Describe what a frame's render would do, without rendering."""
     scene = bpy.context.scene
     if options.frame is not None:
         scene.frame_set(options.frame)
@@ -114,7 +114,7 @@ def report(options, console, found: dict) -> None:
 
 @contextmanager
 def _overridden(options):
-    """The scene's settings with those of the command line in their place; the scene keeps its own."""
+    """The scene's settings with those of the command line; the scene is restored afterwards."""
     scene = bpy.context.scene
     settings = scene.mrpnn.settings()
     names = ("depth_samples", "seed", "threads", "model", "provider", "leave_out")

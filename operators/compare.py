@@ -1,4 +1,4 @@
-"""Operator `mrpnn.compare`: error against run time, of the layer and of Cycles, on the scene's view."""
+"""Operator `mrpnn.compare`: error against run time of the layer and of Cycles, for the scene's view."""
 
 import time
 
@@ -18,12 +18,12 @@ from .waiting import WaitsForVolumes
 REFERENCE_IMAGE = f"{IMAGE_NAME} Cycles"
 ERROR_IMAGE = f"{IMAGE_NAME} error"
 TEXT_NAME = f"{IMAGE_NAME} comparison"
-SECONDS_A_TICK, SECONDS_A_LOOK = 0.1, 0.01
+TICK_INTERVAL, POLL_INTERVAL = 0.1, 0.01
 
 
 class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
     """Render this view with Cycles as well, and report samples, time and error of both.
-    Cycles runs in a process of its own. Esc stops it and keeps what is finished; another run continues from there"""
+    Cycles runs in a separate process. Esc stops it and keeps what is finished; another run continues from there"""
 
     bl_idname = "mrpnn.compare"
     bl_label = "Compare with Cycles"
@@ -50,7 +50,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         description="Size of the compared images, relative to the render resolution. Time grows with its square")
     reference_path: StringProperty(
         name="Reference Image", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
-        description="Image of the same view, OpenEXR with alpha, to measure errors against. Without, Cycles renders it")
+        description="OpenEXR image of the same view, with alpha, to measure errors against. Without it, Cycles renders "
+                    "one")
     folder: StringProperty(
         name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
         description="Folder of the report and of finished images, from which another run continues. While the file "
@@ -58,16 +59,17 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     _run = None
     _timer = None
-    # Of `_finish`, once the run is done.
+    # The generator `_finish`, once the run is done.
     _steps = None
-    # Whether Blender stays usable meanwhile, as after the dialog; scripts wait.
+    # Whether it runs modally, as after the dialog; scripts block.
     _modal = False
 
     def invoke(self, context, event):
         if bpy.app.background:
             return self.execute(context)
         self._modal = True
-        # Blender prepares its view transform at the first picture, for as long as 0.3 s: now, while nothing is at work.
+        # Blender prepares its view transform for the first picture, which takes up to 0.3 s: do it before anything
+        # runs.
         view_png(np.zeros((1, 1, 4)), context.scene)
         return context.window_manager.invoke_props_dialog(self)
 
@@ -100,9 +102,9 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             return self._deliver(_finish(run))
         MRPNN_OT_compare._run = run
         manager = context.window_manager
-        self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
+        self._timer = manager.event_timer_add(TICK_INTERVAL, window=context.window)
         manager.progress_begin(0, 100)
-        # Once it has waited for its volumes, Blender calls `modal` already.
+        # After waiting for volumes, the operator is modal already.
         if self.reader is None:
             manager.modal_handler_add(self)
         return {'RUNNING_MODAL'}
@@ -133,7 +135,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         return {'RUNNING_MODAL'}
 
     def _step(self, context):
-        """One step of the report; Blender is free between them."""
+        """One step of the report; Blender handles events between steps."""
         try:
             done = next(self._steps)
         except BaseException as problem:
@@ -167,13 +169,13 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     def _failed(self, problem):
         if isinstance(problem, ReferenceError):
-            return self._fail("the compared scene was removed meanwhile; the images of Cycles are kept")
+            return self._fail("the compared scene was removed; the images of Cycles are kept")
         if isinstance(problem, (SceneError, OSError)):
             return self._fail(problem)
         raise problem
 
     def _deliver(self, steps):
-        """Take the steps of `_finish` to their end, and tell."""
+        """Run the steps of `_finish` to the end, and report."""
         try:
             *_, (comparison, page) = steps
         except (ReferenceError, SceneError, OSError) as problem:
@@ -189,20 +191,20 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
 
 def _finish(run: ComparisonRun):
-    """Figures, report and images of a run that is done, in short steps: gives None, and (comparison, page) at last."""
+    """Figures, report and images of a finished run, in short steps: yields None, and (comparison, page) last."""
     figures = in_background(run.result)
     while not figures.done():
-        time.sleep(SECONDS_A_LOOK)
+        time.sleep(POLL_INTERVAL)
         yield None
     comparison = figures.result()
-    for page in run.writing(comparison):
+    for page in run.writing(comparison):  # noqa: B007, the last one is returned
         yield None
     show(run)
     yield comparison, page
 
 
 def show(run: ComparisonRun) -> None:
-    """Leave the layer, the reference and their difference as images."""
+    """Show the layer, the reference and their difference as images."""
     layer, reference = run.layer_image(), run.reference_image()
     show_image(layer, IMAGE_NAME)
     show_image(reference, REFERENCE_IMAGE)
@@ -210,7 +212,7 @@ def show(run: ComparisonRun) -> None:
 
 
 def _keep_as_text(table: str) -> None:
-    """Put the table into the Text data-block that shows it in Blender's text editor."""
+    """Write the table to a Text data-block."""
     text = bpy.data.texts.get(TEXT_NAME) or bpy.data.texts.new(TEXT_NAME)
     text.clear()
     text.write(table + "\n")

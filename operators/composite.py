@@ -1,4 +1,4 @@
-"""Operators `mrpnn.composite` and its neighbours: the volumes by MRPNN over the rest of the scene by Cycles."""
+"""Operators that composite the volumes by MRPNN over the rest of the scene by Cycles."""
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
@@ -17,7 +17,7 @@ class MRPNN_OT_composite(bpy.types.Operator):
 
     shadows: BoolProperty(
         name="Shadows on Surfaces", default=True,
-        description="Keep the volumes in Cycles, invisible to the camera, so that they shade surfaces")
+        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces")
 
     @classmethod
     def poll(cls, context):
@@ -30,7 +30,7 @@ class MRPNN_OT_composite(bpy.types.Operator):
             self.report({'ERROR'}, f"this scene renders the volumes of scene \"{surfaces.name}\"; composite there")
             return {'CANCELLED'}
         if not any(shows_volume(shown) for shown in _objects(scene)):
-            self.report({'ERROR'}, "the scene holds no Volume object; add one (Add > Volume > Import OpenVDB)")
+            self.report({'ERROR'}, "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
             return {'CANCELLED'}
         try:
             composite(scene, self.shadows)
@@ -84,12 +84,12 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
 
 
 def _composited(scene):
-    """The scene itself where it is composited, or the one whose volumes it renders; else None."""
+    """The composited scene: this one, or the one whose volumes it renders; else None."""
     return scene if scene.mrpnn_composite.active else scene.mrpnn_composite.surfaces
 
 
 def _objects(scene):
-    """All objects of a scene, those that its collection instances show as well."""
+    """All objects of a scene, including those of its collection instances."""
     ahead, seen = [scene.collection], set()
     while ahead:
         collection = ahead.pop()

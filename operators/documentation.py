@@ -1,10 +1,10 @@
-"""Operator `mrpnn.documentation`: open the pages that the extension ships."""
+"""Operator `mrpnn.documentation`: open the documentation that the extension ships."""
 
 from pathlib import Path
 
 import bpy
 
-# The pages themselves: the extension's folder holds them, so they fit its version.
+# The shipped pages match the extension's version.
 PAGES = Path(__file__).resolve().parent.parent / "docs"
 
 

@@ -1,4 +1,4 @@
-"""Operator `mrpnn.render`: the scene's volumes into an Image, and into an EXR file if wanted."""
+"""Operator `mrpnn.render`: render the scene's volumes to an Image and, if requested, to an EXR file."""
 
 import functools
 import os
@@ -14,7 +14,7 @@ from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
 from .waiting import SceneLoading
 
-SECONDS_A_TICK = 0.1
+TICK_INTERVAL = 0.1
 
 
 class MRPNN_OT_render(bpy.types.Operator):
@@ -25,7 +25,7 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     filepath: StringProperty(
         name="EXR File", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
-        description="Multi-layer OpenEXR file to write; without it, the scene's own setting holds",
+        description="Multi-layer OpenEXR file to write; without it, the scene's setting applies",
     )
 
     _job = None
@@ -33,7 +33,7 @@ class MRPNN_OT_render(bpy.types.Operator):
     _timer = None
 
     def execute(self, context):
-        """Render at once; Blender waits."""
+        """Render while Blender waits."""
         try:
             finished = render_scene(read_scene(context.evaluated_depsgraph_get()), context.scene.mrpnn.settings(),
                                     self._exr_path(context.scene))
@@ -53,19 +53,19 @@ class MRPNN_OT_render(bpy.types.Operator):
         except SceneError as error:
             return self._fail(error)
         manager = context.window_manager
-        self._timer = manager.event_timer_add(SECONDS_A_TICK, window=context.window)
+        self._timer = manager.event_timer_add(TICK_INTERVAL, window=context.window)
         manager.progress_begin(0, 100)
         manager.modal_handler_add(self)
         return {'RUNNING_MODAL'}
 
     def _next(self, context):
-        """What reads the scene's volumes, and where they are read, what renders them: threads that need no bpy."""
+        """The next worker: one that reads the scene's volumes, then one that renders. Neither needs bpy."""
         exr_path = self._exr_path(context.scene)
         if self._loading is None or self._loading.outdated(context):
             self._loading = SceneLoading(context)
             if self._loading.worker is not None:
                 return self._loading.worker
-        # From here on the scene may change under it.
+        # The scene may change from here on.
         found = read_scene(context.evaluated_depsgraph_get(), self._loading.reader)
         self._loading = None
         return RenderJob(found, context.scene.mrpnn.settings(), exr_path)
@@ -99,7 +99,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         return self._deliver(context, job.result)
 
     def cancel(self, context):
-        """Blender calls this where it ends the operator itself, as when it closes or loads a file."""
+        """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
         job = MRPNN_OT_render._job
         job.stop()
         job.wait()
@@ -117,9 +117,9 @@ class MRPNN_OT_render(bpy.types.Operator):
             return None
         path = bpy.path.abspath(path)
         if not os.path.isabs(path):
-            raise SceneError(f"the EXR file {path} lies beside the .blend file, which is not saved yet; "
+            raise SceneError(f"the EXR file {path} is relative to the .blend file, which is not saved yet; "
                              "save it, or enter a full path")
-        # A scene from elsewhere brings its own path; it shall replace nothing but pictures.
+        # A downloaded scene has its own path, which must not overwrite anything but pictures.
         if not path.lower().endswith(".exr"):
             raise SceneError(f"the EXR file {path} must end in .exr")
         if not os.path.isdir(os.path.dirname(path)):
@@ -134,7 +134,7 @@ class MRPNN_OT_render(bpy.types.Operator):
     def _deliver(self, context, finished):
         image = show_in_image(finished.layer)
         if not bpy.app.background:
-            # Once this operator has ended: opening a window runs its handlers again.
+            # After this operator has ended: opening a window runs its handlers again.
             bpy.app.timers.register(functools.partial(_display, image.name))
         remember_finished(finished)
         for warning in finished.warnings:
@@ -150,7 +150,7 @@ def _display(name):
     if image is None or not windows:
         return
     if not _image_editors():
-        # Blender's own render view: a new window or area, as the user's preferences say.
+        # Blender's render view: a new window or area, by the user's preferences.
         with bpy.context.temp_override(window=windows[0]):
             bpy.ops.render.view_show('INVOKE_DEFAULT')
     for editor in _image_editors()[:1]:

@@ -1,16 +1,16 @@
-"""Operators whose work begins once a thread has read the scene's volumes; Blender stays usable meanwhile."""
+"""Operators that wait for a thread to read the scene's volumes; Blender stays usable meanwhile."""
 
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.volumes.loading import VolumeLoading
 from ..mrpnn_addon.volumes.reader import VolumeReader
 
-SECONDS_A_TICK = 0.1
+TICK_INTERVAL = 0.1
 
 
 class SceneLoading:
-    """Reads the volumes of a context's scene, and again where it has changed meanwhile.
+    """Reads the volumes of a context's scene.
 
-    worker: the VolumeLoading, or None where there is nothing to read. reader: that knows the volumes in the end.
+    worker: the VolumeLoading, or None where nothing needs reading. reader: has the volumes in the end.
     """
 
     def __init__(self, context):
@@ -20,37 +20,38 @@ class SceneLoading:
         self.worker = VolumeLoading(self.reader, sources) if sources else None
 
     def outdated(self, context) -> bool:
-        """Whether what was read is another scene's."""
+        """Whether the scene has changed since."""
         context.evaluated_depsgraph_get()
         return self._state != scene_state(context.scene)
 
 
 class WaitsForVolumes:
-    """Mixin of an operator with a window. reader: a VolumeReader of the scene's volumes, None where none was needed."""
+    """Mixin of an operator with a window. reader: a VolumeReader with the scene's volumes; None where none was needed.
+    """
 
     reader = None
     _loading = None
     _reading_timer = None
 
     def wait_for_volumes(self, context) -> bool:
-        """Begin to read what the scene's volumes lack; whether there is anything to wait for, in `modal`."""
+        """Start to read the scene's volumes; returns whether `modal` has to wait."""
         loading = SceneLoading(context)
         if loading.worker is None:
             return False
         self._loading = loading
-        self._reading_timer = context.window_manager.event_timer_add(SECONDS_A_TICK, window=context.window)
-        self._say(context)
+        self._reading_timer = context.window_manager.event_timer_add(TICK_INTERVAL, window=context.window)
+        self._show_status(context)
         context.window_manager.modal_handler_add(self)
         return True
 
     def still_waiting(self, context, event):
-        """What `modal` has to give while this reads, or where it has failed; None once everything is read."""
+        """The result of `modal` while reading or after an error; None once everything is read."""
         worker = self._loading.worker
         if event.type == 'ESC' and worker is not None:
             worker.stop()
             return {'RUNNING_MODAL'}
         if event.type != 'TIMER' or worker is not None and not worker.done:
-            self._say(context)
+            self._show_status(context)
             return {'PASS_THROUGH'}
         error = worker and worker.error
         if error is None and self._loading.outdated(context):
@@ -63,12 +64,12 @@ class WaitsForVolumes:
         self.report({'INFO'} if worker.cancelled else {'ERROR'}, "stopped" if worker.cancelled else str(error))
         return {'CANCELLED'}
 
-    def _say(self, context):
+    def _show_status(self, context):
         if self._loading.worker is not None:
             context.workspace.status_text_set(f"{self._loading.worker.message.capitalize()}  (Esc stops)")
 
     def stop_waiting(self, context) -> None:
-        """End it."""
+        """Stop reading and remove the timer."""
         if self._reading_timer is None:
             return
         context.window_manager.event_timer_remove(self._reading_timer)

@@ -15,7 +15,7 @@ from . import (
     world_panel,
 )
 
-# Panels are drawn in the order of their registration, the parent first.
+# Blender draws panels in the order of their registration, parents first.
 _parent, *_children = render_panel.classes
 MODULES = (view_layer_panel, object_panel, visibility_panel, material_panel, light_panel, camera_panel, world_panel)
 CLASSES = (*preferences_panel.classes, _parent, *composite_panel.classes, *_children,

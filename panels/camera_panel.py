@@ -1,4 +1,4 @@
-"""Panoramas, of which Blender's own panel shows only Cycles' settings."""
+"""Panorama settings, of which Blender's own panel shows only Cycles'."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""What the render properties say of a composited scene and of the scene of its volumes."""
+"""Composited scenes and the scenes of their volumes, in the render properties."""
 
 import bpy
 
@@ -25,7 +25,7 @@ class MRPNN_PT_composite(bpy.types.Panel):
             _draw_composited(context, layout, composite)
         else:
             draw_text(context, layout, f"Renders the volumes of scene \"{composite.surfaces.name}\", whose settings "
-                                       "it follows; change them there", 'INFO')
+                                       "it copies; change them there", 'INFO')
             _show(layout, composite.surfaces)
         layout.operator(MRPNN_OT_composite_remove.bl_idname, icon='X')
 

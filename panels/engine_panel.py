@@ -1,4 +1,4 @@
-"""What the panels of this engine in Blender's own tabs share."""
+"""Base of this engine's panels in Blender's own tabs."""
 
 from bpy_extras.node_utils import find_node_input
 
@@ -7,7 +7,7 @@ from ..mrpnn_addon.nodes.sockets import active_output, always_has_nodes, has_nod
 
 
 class EnginePanel:
-    """A panel of the properties editor, while the engine is chosen."""
+    """A panel of the properties editor, shown while the engine is chosen."""
 
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
@@ -18,12 +18,12 @@ class EnginePanel:
 
 
 def draw_shader(layout, block, name: str, colour: str = "") -> None:
-    """The shader at an input of the output that is rendered, of a material, World or light.
+    """Draw the shader at an input of the output that is rendered, of a material, World or light.
 
-    colour: the property that holds its colour while it has no nodes, or "".
+    colour: the property that holds the colour without nodes, or "".
     """
     layout.use_property_split = True
-    # Once, with what every block has.
+    # Every block has a surface: draw the switch once.
     if name == "Surface" and not always_has_nodes(block):
         layout.prop(block, "use_nodes", icon='NODETREE')
     output = active_output(block)

@@ -1,4 +1,4 @@
-"""Lights."""
+"""Settings of lights."""
 
 import bpy
 
@@ -25,7 +25,7 @@ class MRPNN_PT_light(_LightPanel, bpy.types.Panel):
             draw_text(context, layout, "Left out: only sun lamps and the World light volumes", 'INFO')
         layout.use_property_split = True
         column = layout.column()
-        # The temperature, exposure and normalization of lights came with Blender 4.5.
+        # Lights have temperature, exposure and normalization from Blender 4.5 on.
         tinted = getattr(light, "use_temperature", False)
         if hasattr(light, "use_temperature"):
             row = column.column(heading="Temperature").row()

@@ -1,4 +1,4 @@
-"""The shaders of the active material."""
+"""Shaders of the active material."""
 
 import bpy
 

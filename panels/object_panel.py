@@ -1,4 +1,4 @@
-"""Panel in the object properties of volumes: how MRPNN sees them."""
+"""Volumes in the object properties."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""The extension's entry in the preferences."""
+"""The extension's preferences."""
 
 import bpy
 

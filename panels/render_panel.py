@@ -17,7 +17,7 @@ from ..operators.documentation import MRPNN_OT_documentation
 from ..operators.render import MRPNN_OT_render
 from .text import draw_text
 
-# Headings of a comparison's clocks.
+# Column titles by a comparison's clock.
 TIMES = {"seconds": "Time", "cpu_seconds": "Processor"}
 
 
@@ -42,7 +42,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
         layout.row().prop(settings, "preset", expand=True)
         _split(layout).prop(settings, "model")
-        # With their names in the fields, which the default width would cut off beside them.
+        # Names inside the fields: beside them, the default width would truncate them.
         column = layout.column(align=True)
         column.prop(settings, "depth_samples")
         column.prop(settings, "seed")
@@ -53,7 +53,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
 
 
 def _draw_last(context, layout, last):
-    """Time and warnings of the last render, or why it failed; what Before Rendering says is not said again."""
+    """Time and warnings of the last render, or its error, without what Before Rendering shows."""
     if last is None:
         return
     if last.error:
@@ -83,7 +83,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
             draw_text(context, layout, f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}, "
                                        f"{expected.pixels:,} pixels", 'OUTLINER_DATA_VOLUME')
             if not lights:
-                draw_text(context, layout, "Only what volumes emit is seen; add a sun with Add > Light > Sun", 'INFO')
+                draw_text(context, layout, "Only emission is visible; add a sun with Add > Light > Sun", 'INFO')
             else:
                 about = "Roughly" if expected.rough else "About"
                 draw_text(context, layout, f"{about} {_duration(expected.seconds)}", 'TIME')
@@ -134,7 +134,7 @@ class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
             draw_text(context, column, text, 'DOT')
 
 
-# The last forecast, what is not rendered, and what they were made for: panels are drawn whenever the pointer moves.
+# Cache of the last forecast and unrendered objects: panels are redrawn whenever the pointer moves.
 _forecasts = {}
 
 
@@ -143,7 +143,7 @@ def _expected(context):
     if _forecasts.get("key") != key:
         depsgraph = context.evaluated_depsgraph_get()
         value = forecast(depsgraph), unrendered(depsgraph)
-        # Asking for the scene may have evaluated it, which counts as a change.
+        # Evaluating the scene counts as a change.
         _forecasts.update(key=(*key[:3], *scene_state(context.scene)), value=value)
     return _forecasts["value"]
 
@@ -163,7 +163,7 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
 
     def draw(self, context):
         column = _split(self.layout)
-        # Render Volumes gives the layer alone, whatever the film.
+        # Render Volumes shows the layer alone, whatever the film.
         column.active = context.engine == MRPNNRenderEngine.bl_idname
         column.prop(context.scene.render, "film_transparent", text="Transparent")
 
@@ -184,7 +184,7 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
 
 
 def _draw_preferred(context, layout, value: str) -> None:
-    """What 0 in the setting above stands for."""
+    """The value that 0 in the setting above stands for."""
     draw_text(context, layout, f"{value}, as in the preferences")
 
 
@@ -218,10 +218,10 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self.layout.column()
-        # Cycles' properties are there while Cycles is enabled.
+        # Cycles' properties exist while Cycles is enabled.
         column.enabled = hasattr(context.scene, "cycles")
         column.operator(MRPNN_OT_compare.bl_idname)
-        # The panel below tells of a composite that is there.
+        # An existing composite has its own panel below.
         if not (context.scene.mrpnn_composite.active or context.scene.mrpnn_composite.surfaces):
             column.operator(MRPNN_OT_composite.bl_idname)
         _draw_comparison(context, self.layout, last_comparison())

@@ -1,24 +1,24 @@
-"""Sentences in panels, whose labels do not wrap by themselves."""
+"""Wraps sentences in panels, whose labels do not wrap."""
 
 import blf
 
-# Of a region's width, at scale 1: the margins of panel and box, the icon and the label's own padding.
-TAKEN = 72
+# Margins of panel and box, icon and label padding, in pixels at scale 1.
+MARGIN = 72
 
 
 def draw_text(context, layout, text: str, icon: str = 'NONE') -> None:
-    """A sentence in as many labels as the region's width asks for, the first with the icon."""
+    """Draw a sentence as labels that fit the region's width, the icon before the first."""
     scale, points = context.preferences.system.ui_scale, context.preferences.ui_styles[0].widget.points
     blf.size(0, points * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    width = context.region.width - TAKEN * scale
+    width = context.region.width - MARGIN * scale
     for index, line in enumerate(wrapped(text, width, lambda part: blf.dimensions(0, part)[0])):
         column.label(text=line, icon=icon if index == 0 else 'BLANK1')
 
 
 def wrapped(text: str, width: float, measure) -> list:
-    """The words of a text in lines that `measure` finds no wider than `width`; a wider word is cut."""
+    """The words of a text in lines that are no wider than `width` by `measure`; wider words are split."""
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".lstrip()

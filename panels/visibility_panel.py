@@ -1,4 +1,4 @@
-"""Cycles' ray visibility of objects, as far as volumes heed it."""
+"""Cycles' ray visibility settings that affect volumes."""
 
 import bpy
 
@@ -23,7 +23,7 @@ class MRPNN_PT_visibility(EnginePanel, bpy.types.Panel):
 
 
 def _rays(shown):
-    """Names of the kinds of rays whose switch changes something for an object."""
+    """Ray types whose setting has an effect for an object."""
     if shown is None:
         return ()
     if shows_volume(shown):

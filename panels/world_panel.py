@@ -1,4 +1,4 @@
-"""The shader of the World."""
+"""The World's shader and ray visibility."""
 
 import bpy
 
@@ -26,7 +26,7 @@ class MRPNN_PT_world_visibility(_WorldPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        # Cycles' own properties, gone while Cycles is disabled.
+        # Properties of Cycles, absent while Cycles is disabled.
         return super().poll(context) and hasattr(context.world, "cycles_visibility")
 
     def draw(self, context):

@@ -68,7 +68,7 @@ def measured(name, stage, options) -> dict:
     """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
     from mrpnn import inference
     from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
-    from mrpnn.mrpnn_addon.cycles.reference import render_reference, volumes_and_suns
+    from mrpnn.mrpnn_addon.cycles.reference import PathTracing, render_reference, volumes_and_suns
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -92,8 +92,8 @@ def measured(name, stage, options) -> dict:
         # Single scattering is cheap: less noise, and a smaller error to tell.
         samples = options.samples * (4 if bounces == 0 else 1)
         start = time.process_time()
-        reference = render_reference(stage.scene, objects, samples, bounces, world=world, step_rate=stage.step_rate,
-                                     areas=bool(stage.surfaces))
+        reference = render_reference(
+            stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world)
         found[f"{kind} seconds"] = time.process_time() - start
         a, b = reference.a, reference.b
         for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):

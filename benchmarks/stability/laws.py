@@ -7,7 +7,7 @@ import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from inference.network.predictor import FLUENCE_MOST
+from inference.network.predictor import MAX_FLUENCE
 from inference.network.network import register_system
 from inference.scene.phase_function import henyey_greenstein
 
@@ -93,7 +93,7 @@ def bounded(**changed):
         layer = draw(**changed)
         medium = changed.get("medium", MEDIUM)
         g = float(np.clip(abs(medium.anisotropy), 0.0, 0.95))
-        most = FLUENCE_MOST * henyey_greenstein(1.0, g)
+        most = MAX_FLUENCE * henyey_greenstein(1.0, g)
         told = bool(layer.report.warnings) or abs(medium.anisotropy) <= 0.95
         return Outcome({"unsound": unsound(layer), "share of the most": float(layer.multiple.max() / most),
                         "not told": float(not told)}, layer.rgb / max(layer.rgb.max(), 1e-30))

@@ -5,30 +5,24 @@ import functools
 import importlib
 import importlib.util
 import sys
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
 from pathlib import Path
+
+import inference
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class _SharedInference(MetaPathFinder, Loader):
-    """Imports `mrpnn.inference` and all below it as the very modules of `inference`.
+def share_inference() -> None:
+    """Let `mrpnn.inference` and all below it be the very modules of `inference`.
 
-    Otherwise a process that uses both would hold two copies, with two SceneErrors and two registries of networks.
+    Otherwise a process that uses both would hold two copies, with two SceneErrors and two registries of networks. The
+    aliases are entered in sys.modules rather than found by the import system, which would set each module as an
+    attribute of its package, and so put the module `inference.render` in place of the function.
     """
-
-    def find_spec(self, name, path=None, target=None):
-        return ModuleSpec(name, self) if f"{name}.".startswith("mrpnn.inference.") else None
-
-    def create_module(self, spec):
-        module = importlib.import_module(spec.name.removeprefix("mrpnn."))
-        spec.loader_state = module.__spec__
-        return module
-
-    def exec_module(self, module):
-        # The import system has just given the module the alias's spec; its own comes back.
-        module.__spec__ = module.__spec__.loader_state
+    for path in sorted((ROOT / "inference").rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        names = [".".join(parts[:count]) for count in range(1, len(parts) + (parts[-1] != "__init__"))]
+        sys.modules.update({f"mrpnn.{name}": importlib.import_module(name) for name in names})
 
 
 def load_extension():
@@ -41,7 +35,8 @@ def load_extension():
         "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules["mrpnn"] = package
-    sys.meta_path.insert(0, _SharedInference())
+    share_inference()
+    package.inference = inference
     spec.loader.exec_module(package)
     package.register()
     return package

@@ -1,79 +1,79 @@
 """How far a rendered layer is from a reference that is itself noisy.
 
-The reference comes as two independent halves A and B. A squared error against one half
-keeps that half's noise; the product (L - A)(L - B) does not, because the noises of A and B
-are independent of each other and of L:
+The reference comes as two independent halves A and B. A squared error against one half includes that half's noise; the
+product (L - A)(L - B) does not, because the noises of A and B are independent of each other and of L:
+
     E[(L - A)(L - B)] = (L - reference)^2.
 
-Framebuffer are linear radiance, (H, W) or (H, W, channels), premultiplied, on black.
+Images are linear radiance, (H, W) or (H, W, channels), premultiplied, on black.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-# Errors of neighbouring pixels go together (a cloud's edge too bright, its core too dark), so the
-# bootstrap draws whole tiles; drawing single pixels would promise intervals that are too narrow.
+# Errors of neighbouring pixels are correlated, so that the bootstrap resamples tiles; resampling pixels would give too
+# narrow intervals.
 TILE = 8
 RESAMPLES = 2000
 
 
 @dataclass
 class Estimate:
-    """A figure and its bootstrap 95 % interval."""
+    """A value and its bootstrapped 95 % confidence interval."""
 
     value: float
     low: float
     high: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.value:.4f} [{self.low:.4f}, {self.high:.4f}]"
 
 
-def relative_rmse(layer, a, b, mask, seed=0) -> Estimate:
+def relative_rmse(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike, seed: int = 0) -> Estimate:
     """sqrt(mean((L - A)(L - B))) / mean((A + B) / 2) over the pixels of `mask`.
 
-    layer, a, b: (H, W) or (H, W, C). mask: bool (H, W).
-    Where noise makes the mean product negative the error is below what the halves can
-    resolve and 0 is returned.
-    Raises ValueError for shapes that differ, an empty mask or a black reference.
+    layer, a, b: (H, W) or (H, W, C). mask: bool (H, W). seed: of the bootstrap. Returns 0 if noise makes the mean
+    product negative: the error is then below what the halves can resolve. Raises ValueError for shapes that differ, an
+    empty mask and a black reference.
     """
-    layer, a, b, mask = _checked(layer, a, b, mask)
-    squared = ((layer - a) * (layer - b)).mean(axis=-1)
-    reference = ((a + b) / 2).mean(axis=-1)
+    image, first, second, shown = _checked(layer, a, b, mask)
+    squared = ((image - first) * (image - second)).mean(axis=-1)
+    reference = ((first + second) / 2).mean(axis=-1)
 
-    def statistic(sums):
+    def statistic(sums: np.ndarray) -> np.ndarray:
         count, square, brightness = sums
         return np.sqrt(np.maximum(square / count, 0.0)) / (brightness / count)
 
-    return _estimate(statistic, mask, seed, squared, reference)
+    return _estimate(statistic, shown, seed, squared, reference)
 
 
-def relative_bias(layer, a, b, mask, seed=0) -> Estimate:
-    """mean(L - (A + B) / 2) / mean((A + B) / 2) over the pixels of `mask`; positive: too bright.
+def relative_bias(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike, seed: int = 0) -> Estimate:
+    """mean(L - (A + B) / 2) / mean((A + B) / 2) over the pixels of `mask`; positive if too bright.
 
     Arguments and errors as for `relative_rmse`.
     """
-    layer, a, b, mask = _checked(layer, a, b, mask)
-    reference = ((a + b) / 2).mean(axis=-1)
-    difference = layer.mean(axis=-1) - reference
+    image, first, second, shown = _checked(layer, a, b, mask)
+    reference = ((first + second) / 2).mean(axis=-1)
+    difference = image.mean(axis=-1) - reference
 
-    def statistic(sums):
+    def statistic(sums: np.ndarray) -> np.ndarray:
         _, deviation, brightness = sums
         return deviation / brightness
 
-    return _estimate(statistic, mask, seed, difference, reference)
+    return _estimate(statistic, shown, seed, difference, reference)
 
 
-def paper_metric(layer, a, b) -> float:
-    """The paper's figure: 100 x RMSE of luma after ACES tone mapping of pi L, over the whole image.
+def paper_metric(layer: ArrayLike, a: ArrayLike, b: ArrayLike) -> float:
+    """The paper's metric: 100 x RMSE of luma after ACES tone mapping of pi L, over the whole image.
 
-    layer, a, b: (H, W) or (H, W, 3). The published implementation's radiance is pi times
-    physical, hence the factor. Split halves as above; tone mapping bends the noise of each half
-    a little, so very noisy halves read slightly too high.
+    layer, a, b: (H, W) or (H, W, 3). The factor of pi is there because the published implementation's radiance is pi
+    times the physical one. Tone mapping is not linear, so that very noisy halves give a slightly too large value.
     """
-    layer, a, b = (_tone_mapped_luma(np.asarray(image, np.float64)) for image in (layer, a, b))
-    return 100.0 * float(np.sqrt(max(0.0, np.mean((layer - a) * (layer - b)))))
+    luma, first, second = (_tone_mapped_luma(np.asarray(image, np.float64)) for image in (layer, a, b))
+    return 100.0 * float(np.sqrt(max(0.0, np.mean((luma - first) * (luma - second)))))
 
 
 def _tone_mapped_luma(radiance: np.ndarray) -> np.ndarray:
@@ -83,23 +83,27 @@ def _tone_mapped_luma(radiance: np.ndarray) -> np.ndarray:
     return mapped if mapped.ndim == 2 else mapped @ np.array([0.2126, 0.7152, 0.0722])
 
 
-def _checked(layer, a, b, mask):
-    """Framebuffer as float64 (H, W, C) and the mask as bool (H, W)."""
+def _checked(
+    layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Images as float64 (H, W, C) and the mask as bool (H, W)."""
     images = [np.asarray(image, np.float64) for image in (layer, a, b)]
-    mask = np.asarray(mask, bool)
+    shown = np.asarray(mask, bool)
     shapes = {image.shape for image in images}
-    if len(shapes) != 1 or images[0].shape[:2] != mask.shape:
-        raise ValueError(f"images and mask differ in size: {sorted(shapes)}, mask {mask.shape}")
-    if not mask.any():
+    if len(shapes) != 1 or images[0].shape[:2] != shown.shape:
+        raise ValueError(f"images and mask differ in size: {sorted(shapes)}, mask {shown.shape}")
+    if not shown.any():
         raise ValueError("the mask is empty: no pixel shows the volume")
-    layer, a, b = (image if image.ndim == 3 else image[..., None] for image in images)
-    if not (a + b)[mask].sum() > 0.0:
+    first, second, third = (image if image.ndim == 3 else image[..., None] for image in images)
+    if not (second + third)[shown].sum() > 0.0:
         raise ValueError("the reference is black where the layer shows the volume")
-    return layer, a, b, mask
+    return first, second, third, shown
 
 
-def _estimate(statistic, mask, seed, *per_pixel) -> Estimate:
-    """`statistic` of (pixel count, sums of `per_pixel`) over the mask, with its tile bootstrap.
+def _estimate(
+    statistic: Callable[[np.ndarray], np.ndarray], mask: np.ndarray, seed: int, *per_pixel: np.ndarray
+) -> Estimate:
+    """`statistic` of (pixel count, sums of `per_pixel`) over the mask, with its bootstrap over tiles.
 
     statistic: takes (1 + len(per_pixel), ...) sums and works along the trailing axes.
     """
@@ -112,6 +116,6 @@ def _estimate(statistic, mask, seed, *per_pixel) -> Estimate:
 
 
 def tile_sums(image: np.ndarray) -> np.ndarray:
-    """Sums over TILE x TILE pixels, flattened; tiles at the right and lower edge may be smaller."""
+    """Sums over TILE x TILE pixels, flattened; tiles at the right and lower edges may be smaller."""
     rows, columns = np.arange(0, image.shape[0], TILE), np.arange(0, image.shape[1], TILE)
     return np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1).ravel()

@@ -1,18 +1,20 @@
-"""Error against run time: candidates at several sample counts, and what a second of each buys.
+"""Error against run time: candidates at several sample counts, and the error that a given time buys.
 
-A path tracer's error is noise: error^2 = variance / samples. Its variance is measured between the
-reference's two halves, its seconds on the ladder's rungs, so that what was not rendered can be told
-and is marked as extrapolated.
+The error of a path tracer is noise: error^2 = variance / samples. Its variance is estimated from the two halves of the
+reference and its seconds per sample from rendered images, so that the error at other sample counts is extrapolated, and
+marked as such.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .error import Estimate, tile_sums
 
 MEASURED, EXTRAPOLATED, AT_MOST, AT_LEAST = "measured", "extrapolated", "at most", "at least"
-# A reference is good where its noise moves a candidate's RMSE by less than this share of it.
+# A reference is good if its noise changes the RMSE of a candidate by less than this fraction.
 ACCURACY = 0.1
 
 
@@ -20,9 +22,9 @@ ACCURACY = 0.1
 class Rung:
     """One candidate's image against the reference.
 
-    method: what made it; samples: a pixel, or depths. seconds: wall clock of the frame; cpu_seconds: of all
-    threads; once, once_cpu: of these, what further frames of the same volume and sun would not pay again.
-    rmse, bias: relative. flip: NVIDIA's perceptual difference, None where it was not computed.
+    method: what rendered it. samples: per pixel, or depth samples. seconds: wall clock of the frame. cpu_seconds: of
+    all threads. once, once_cpu: the part of these that further frames of the same volume and sun do not repeat. rmse,
+    bias: relative. flip: NVIDIA's perceptual difference, None if it was not computed.
     """
 
     method: str
@@ -37,26 +39,26 @@ class Rung:
 
     @property
     def error(self) -> float:
-        """The RMSE, or the end of its interval where the reference cannot tell it from 0."""
+        """The RMSE, or the upper end of its interval where the reference cannot tell it from 0."""
         return self.rmse.value or self.rmse.high
 
 
 @dataclass
 class Reached:
-    """A figure and how it is known: MEASURED, EXTRAPOLATED, AT_MOST or AT_LEAST."""
+    """A value and how it is known: MEASURED, EXTRAPOLATED, AT_MOST or AT_LEAST."""
 
     value: float
     how: str
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.value:.3g}" + ("" if self.how == MEASURED else f" ({self.how})")
 
 
 @dataclass
 class PathTracing:
-    """What a sample costs and brings: seconds = start + each * samples, error = sqrt(variance / samples).
+    """Cost and noise of a path tracer: seconds = start + each * samples, error = sqrt(variance / samples).
 
-    variance: of a pixel at one sample, over the squared mean. largest: most samples that were rendered at once.
+    variance: of a pixel at one sample, over the squared mean. largest: largest number of samples that was rendered.
     """
 
     start: float
@@ -65,42 +67,43 @@ class PathTracing:
     largest: int
 
     def seconds(self, samples: float) -> float:
+        """Time for a number of samples per pixel."""
         return self.start + self.each * samples
 
     def seconds_for(self, error: float) -> Reached:
-        """Seconds until the noise is as small as `error`."""
+        """Time until the noise falls to `error`."""
         samples = self.variance / error**2 if error > 0.0 else np.inf
         return Reached(self.seconds(samples), MEASURED if 1 <= samples <= self.largest else EXTRAPOLATED)
 
     def error_after(self, seconds: float) -> Reached:
-        """Error in that time; where it does not suffice for a sample, that of one."""
+        """Error after some time; that of one sample if the time is too short for one."""
         samples = (seconds - self.start) / self.each
         if samples < 1.0:
             return Reached(float(np.sqrt(self.variance)), AT_LEAST)
         return Reached(float(np.sqrt(self.variance / samples)), MEASURED if samples <= self.largest else EXTRAPOLATED)
 
 
-def cost(samples, seconds):
-    """(start, each) of seconds = start + each * samples, the relative misfit least; neither below 0."""
-    samples, seconds = np.asarray(samples, float), np.asarray(seconds, float)
-    if len(np.unique(samples)) < 2:
-        return 0.0, float((seconds / samples).mean())
-    each, start = np.polyfit(samples, seconds, 1, w=1.0 / np.maximum(seconds, 1e-9))
+def cost(samples: ArrayLike, seconds: ArrayLike) -> tuple[float, float]:
+    """Fit (start, each) of seconds = start + each * samples with the least relative error; neither is negative."""
+    x, y = np.asarray(samples, float), np.asarray(seconds, float)
+    if len(np.unique(x)) < 2:
+        return 0.0, float((y / x).mean())
+    each, start = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-9))
     if each <= 0.0 or start < 0.0:
-        return 0.0, float(seconds.sum() / samples.sum())
+        return 0.0, float(y.sum() / x.sum())
     return float(start), float(each)
 
 
-def variance_at_one(a, b, mask, samples: float) -> float:
+def variance_at_one(a: np.ndarray, b: np.ndarray, mask: np.ndarray, samples: float) -> float:
     """Variance of a pixel at one sample over the squared mean; a, b: (H, W, C) halves of `samples` each."""
     return float(0.5 * np.mean((a - b)[mask] ** 2) * samples / (0.5 * np.mean((a + b)[mask])) ** 2)
 
 
-def seconds_on_ladder(rungs: list[Rung], error: float, clock: str = "seconds") -> Reached:
-    """Seconds in which a ladder of one method, by ascending samples, gets down to `error`.
+def seconds_on_ladder(rungs: Sequence[Rung], error: float, clock: str = "seconds") -> Reached:
+    """Time in which a ladder of one method, by ascending samples, reaches `error`.
 
-    Between rungs on the straight line of the logarithms. Beyond the last the error is taken to fall with
-    1 / sqrt(samples), which a filter that blurs never does better than: AT_LEAST.
+    Log-log interpolation between rungs. Beyond the last the error is assumed to fall with 1 / sqrt(samples), which a
+    biased filter cannot exceed: AT_LEAST. clock: attribute of Rung to read.
     """
     times, errors = [getattr(r, clock) for r in rungs], [r.error for r in rungs]
     for i, (time, found) in enumerate(zip(times, errors)):
@@ -116,23 +119,24 @@ def seconds_on_ladder(rungs: list[Rung], error: float, clock: str = "seconds") -
     return Reached(start + each * rungs[best].samples * (errors[best] / error) ** 2, AT_LEAST)
 
 
-def error_on_ladder(rungs: list[Rung], seconds: float, clock: str = "seconds") -> Reached:
-    """Error of a ladder of one method after so many seconds: its best rung that is done by then."""
+def error_on_ladder(rungs: Sequence[Rung], seconds: float, clock: str = "seconds") -> Reached:
+    """Error of a ladder of one method after some time: that of its best rung finished by then."""
     done = [r.error for r in rungs if getattr(r, clock) <= seconds]
     return Reached(min(done), MEASURED) if done else Reached(rungs[0].error, AT_LEAST)
 
 
 @dataclass
 class Verdict:
-    """Whether a reference can judge a candidate. more: how many times its samples a good one has, 1 at least.
-    seconds: that a good one takes.
+    """Whether a reference is good enough to judge a candidate.
+
+    more: factor of its samples that a good one has, at least 1. seconds: that a good one takes.
     """
 
     good: bool
     more: float
     seconds: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         if self.good:
             return f"good: its noise moves the error by less than {ACCURACY:.0%}"
         if not np.isfinite(self.more):
@@ -141,10 +145,10 @@ class Verdict:
                 f"and takes about {self.seconds:.0f} s")
 
 
-def judge(rung: Rung, a, b, mask, seconds: float) -> Verdict:
-    """Whether halves a, b (H, W, C), rendered in `seconds`, tell the rung's RMSE to ACCURACY.
+def judge(rung: Rung, a: np.ndarray, b: np.ndarray, mask: np.ndarray, seconds: float) -> Verdict:
+    """Whether halves a, b (H, W, C), rendered in `seconds`, determine the rung's RMSE to ACCURACY.
 
-    The mean of (d - e_a)(d - e_b) over P pixels, e independent noise of variance v, varies by
+    The mean of (d - e_a)(d - e_b) over P pixels, with independent noise e of variance v, has the variance
     (2 d^2 v + v^2) / P.
     """
     mean = 0.5 * np.mean((a + b)[mask])
@@ -158,7 +162,7 @@ def judge(rung: Rung, a, b, mask, seconds: float) -> Verdict:
         return Verdict(False, np.inf, np.inf)
     if second == 0.0:  # a reference without noise
         return Verdict(True, 1.0, seconds)
-    # Variance may grow by u before the squared error's standard error reaches 2 ACCURACY of it.
+    # The variance may grow by a factor u until the standard error of the squared error reaches 2 ACCURACY of it.
     wanted = pixels * (2 * ACCURACY * square) ** 2
     u = (np.sqrt((square * first) ** 2 + second * wanted) - square * first) / second
     more = 1.0 / u

@@ -6,14 +6,14 @@ from .mip_lattices import Lattices
 from .phase_features import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil, frames
 
-# Points looked up together, so that what is made on the way stays in the cache, and products are small (`products.py`).
+# Points looked up together, so that intermediate results stay in the cache and matrix products small (`small_matmul`).
 POINTS_PER_STEP = 192
 
 
-def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
+def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """The stencil around each position: float32 (N, 192, 3) in the cube's frame.
 
-    positions: (N, 3); omega: (N, 3) camera-ray directions; sun: (3,) unit vector.
+    positions: (N, 3). omega: (N, 3) camera-ray directions. sun: (3,) unit vector.
     """
     points = np.empty((len(positions), POINTS, 3), np.float32)
     rotation = frames(omega, sun).astype(np.float32)
@@ -26,10 +26,10 @@ def stencil_points(stencil: Stencil, positions, omega, sun) -> np.ndarray:
 class FieldLookup:
     """Features mu and S at the stencil around points, for one sun."""
 
-    def __init__(self, stencil: Stencil, lattices: Lattices, sun):
+    def __init__(self, stencil: Stencil, lattices: Lattices, sun: np.ndarray):
         """sun: (3,) unit vector in the cube's frame."""
         self.lattices, self.sun = lattices, np.asarray(sun, np.float64)
-        # Of each of the stencil's points: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
+        # Per point of the stencil: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
         levels = [lattices.levels[m] for m in stencil.mips]
         scale = np.array([level.scale for level in levels], np.float32)
         origin = np.array([level.origin * level.scale for level in levels], np.float32)
@@ -37,8 +37,9 @@ class FieldLookup:
         self.row = self.stride[1].astype(np.float32)
         sizes = np.array([level.packed.size for level in lattices.levels])
         begin = (np.cumsum(sizes) - sizes)[stencil.mips]
-        self.begin = (begin - (self.stride * np.array([level.first for level in levels]).T).sum(axis=0)).astype(np.int32)
-        # Fine cells are linear in a point's position, its frame and its jitter: one product an axis gives all points'.
+        first = np.array([level.first for level in levels]).T
+        self.begin = (begin - (self.stride * first).sum(axis=0)).astype(np.int32)
+        # Fine cells are linear in a point's position, frame and jitter: one product per axis gives those of all points.
         low, count = len(stencil.low), len(stencil.mips)
         self.terms = np.zeros((3, 6, count), np.float32)
         self.terms[:, 0], self.terms[:, 4] = scale, 1.0
@@ -47,12 +48,14 @@ class FieldLookup:
         towards[low:] = stencil.high * scale[low:]
         self.terms[:, 5] = self.sun[:, None].astype(np.float32) * towards - origin
 
-    def __call__(self, positions, omega, view, jitter=None) -> np.ndarray:
-        """float32 (N, stencil's points, columns of the lattices) of points.
+    def __call__(
+        self, positions: np.ndarray, omega: np.ndarray, view: np.ndarray, jitter: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Features of points: float32 (N, points of the stencil, columns of the lattices).
 
-        positions: float (N, 3) in the cube's frame; omega: (V, 3) camera-ray directions, and view: int (N,), which of them
-        each point is seen along. jitter: (N, 3) in [-1/2, 1/2), by which lookups of each point are moved, in fine
-        cells; none by default. Averaged over jitter, the nearest cell is linear interpolation, and cells leave no bands.
+        positions: (N, 3) in the cube's frame. omega: (V, 3) camera-ray directions. view: int (N,), direction of each
+        point. jitter: (N, 3) in [-1/2, 1/2), offset of each point's lookups in fine cells; averaged over it, the
+        nearest cell is linear interpolation, and cells leave no bands.
         """
         count = len(positions)
         point = np.zeros((3, count, 6), np.float32)
@@ -64,7 +67,7 @@ class FieldLookup:
         features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
         for start in range(0, count, POINTS_PER_STEP):
             span = slice(start, start + POINTS_PER_STEP)
-            # Rows and columns of a level are few enough to be counted in single precision.
+            # Rows and columns of a level are exact in single precision.
             cell = np.floor(point[1, span] @ self.terms[1])
             cell *= self.row
             cell += np.floor(point[2, span] @ self.terms[2])
@@ -76,24 +79,31 @@ class FieldLookup:
         return features
 
 
-def distinct_rows(rows):
-    """Of rows (N, k) those that differ from the one before: their numbers (V,), and which of them each row is, int32 (N,)."""
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Run-length encoding of rows (N, k).
+
+    Returns the numbers int (V,) of the rows that differ from the previous one, and int32 (N,) which of them each row
+    equals.
+    """
     new = np.ones(len(rows), bool)
     new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
     return np.flatnonzero(new), np.cumsum(new, dtype=np.int32) - np.int32(1)
 
 
-def angle_to_sun(omega, sun) -> np.ndarray:
-    """gamma float32 (N,): the angle between camera rays (N, 3) and the direction towards the sun (3,)."""
+def angle_to_sun(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
+    """Angles gamma float32 (N,) between camera rays (N, 3) and the direction towards the sun (3,)."""
     cosine = np.asarray(omega, np.float64) @ np.asarray(sun, np.float64)
     return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
 
 
-def describe(lookup: FieldLookup, phase: PhaseFeatures, positions, omega, jitter=None):
+def describe(
+    lookup: FieldLookup, phase: PhaseFeatures, positions: np.ndarray, omega: np.ndarray,
+    jitter: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Descriptors of points for one sun, as the paper's networks read them.
 
-    positions, omega: (N, 3) in the cube's frame; jitter: as FieldLookup has it. Returns features float32
-    (3, N, 192) in the order mu, S, P, and gamma float32 (N,).
+    positions, omega: (N, 3) in the cube's frame. jitter: as for FieldLookup. Returns features float32 (3, N, 192) in
+    the order mu, S, P, and gamma float32 (N,).
     """
     first, view = distinct_rows(omega)
     features = np.empty((3, len(positions), POINTS), np.float32)

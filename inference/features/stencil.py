@@ -1,8 +1,8 @@
-"""The stencil of A.2: 192 points around x at which the medium is described.
+"""The stencil of appendix A.2 of the paper: 192 points around x at which the medium is described.
 
-160 low-frequency points live in a frame that follows the camera ray: z along
-omega, the sun in the half-plane x > 0, y = 0. 32 high-frequency points lie on the ray to
-the sun. The points were computed once (`training/data/stencil.py`) and travel inside the weights file.
+160 low-frequency points live in a frame that follows the camera ray: z along omega, the sun in the half-plane x > 0,
+y = 0. 32 high-frequency points lie on the ray to the sun. The points are computed once (`training/data/stencil.py`) and
+stored in the weights file.
 """
 
 import hashlib
@@ -10,12 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+# Points and mip level of each layer: eight low-frequency layers, then four high-frequency ones.
 LAYER_POINTS = (8, 8, 16, 16, 16, 32, 32, 32, 8, 8, 8, 8)
 LAYER_MIPS = (0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3)
 LOW_LAYERS = 8
 LOW_POINTS = sum(LAYER_POINTS[:LOW_LAYERS])
 POINTS = sum(LAYER_POINTS)
-# Of each layer, every so many points are left in a sparse stencil.
+# A sparse stencil keeps one in so many points of each layer.
 SPARSE = 4
 MIPS = 8
 
@@ -24,17 +25,19 @@ MIPS = 8
 class Stencil:
     """Points of the stencil, in units of the working cube's edge.
 
-    low: float32 (160, 3), offsets in the frame of `frames`.
-    high: float32 (32,), distances along the direction towards the sun.
-    every: 1, or SPARSE where only every so many points of each layer are left.
+    low: float32 (160, 3), offsets in the frame of `frames`. high: float32 (32,), distances towards the sun.
+    every: 1, or SPARSE for a stencil that keeps only every fourth point of each layer. mips: int (192 / every,), mip
+    level of each point.
+
+    Raises ValueError for other numbers of points.
     """
 
     low: np.ndarray
     high: np.ndarray
     every: int = 1
-    mips: np.ndarray = field(init=False)  # int (192 / every,), mip of each point
+    mips: np.ndarray = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         low = LOW_POINTS // self.every
         if self.low.shape != (low, 3) or self.high.shape != (POINTS // self.every - low,):
             raise ValueError(f"stencil of {self.low.shape} and {self.high.shape} points is not A.2's")
@@ -43,41 +46,40 @@ class Stencil:
         object.__setattr__(self, "mips", np.repeat(LAYER_MIPS, LAYER_POINTS)[:: self.every])
 
     @classmethod
-    def read(cls, values, every: int = 1) -> "Stencil":
-        """From the floats (640 or 160,) of `written`. Raises ValueError where there are others."""
+    def read(cls, values: np.ndarray, every: int = 1) -> "Stencil":
+        """From the floats that `written` gives. Raises ValueError for another number of them."""
         low = 3 * (LOW_POINTS // every)
         return cls(values[:low].reshape(-1, 3), values[low:], every)
 
     def written(self) -> np.ndarray:
-        """float32 (640,), or (160,) of a sparse one: the points as weights files keep them."""
+        """The points as weights files store them: float32 (640,), or (160,) of a sparse stencil."""
         return np.concatenate([self.low.ravel(), self.high])
 
     def sparse(self) -> "Stencil":
-        """Of each layer every fourth point."""
+        """Every fourth point of each layer."""
         return Stencil(self.low[::SPARSE], self.high[::SPARSE], SPARSE)
 
     @property
     def digest(self) -> str:
-        """Identifies the points: sha256 of their float32 bytes."""
+        """SHA-256 of the points' float32 bytes."""
         return hashlib.sha256(self.low.tobytes() + self.high.tobytes()).hexdigest()
 
     def reach(self, mip: int) -> float:
-        """Largest distance from x of a point of this mip, in cube edges."""
+        """Largest distance from x of a point of this mip level, in cube edges."""
         low = np.linalg.norm(self.low[self.mips[: len(self.low)] == mip], axis=1)
         high = self.high[self.mips[len(self.low) :] == mip]
         return float(max(low.max(initial=0.0), high.max(initial=0.0)))
 
 
 def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """Rotations from the stencil's frame to the cube's.
+    """Rotations (N, 3, 3) from the stencil's frame to the cube's.
 
-    omega: (N, 3) unit camera-ray directions; sun: (3,) unit vector towards the sun.
-    Returns (N, 3, 3); column 2 is omega, column 0 the sun's part perpendicular to it. Where
-    the two are parallel the roll is arbitrary but fixed.
+    omega: (N, 3) unit camera-ray directions. sun: (3,) unit vector towards the sun. Column 2 is omega, column 0 the
+    sun's perpendicular part; where the two are parallel the roll is arbitrary but fixed.
     """
     omega = np.asarray(omega, np.float64)
     x = sun - (omega @ sun)[:, None] * omega
-    # The axis least aligned with omega stands in for a sun without a perpendicular part.
+    # The axis least aligned with omega replaces a perpendicular part that vanishes.
     spare = np.eye(3)[np.abs(omega).argmin(axis=1)]
     spare = spare - np.sum(spare * omega, axis=1, keepdims=True) * omega
     x = np.where(np.linalg.norm(x, axis=1, keepdims=True) < 1e-6, spare, x)

@@ -1,4 +1,4 @@
-"""Bounds of the voxels that hold anything."""
+"""Bounds of the voxels that are not 0."""
 
 import numpy as np
 
@@ -6,8 +6,8 @@ from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
 
 
-def filled_bounds(values):
-    """First and one past the last voxel that is not 0 on each axis: two int (3,), or None where there is none.
+def filled_bounds(values: np.ndarray | SparseGrid) -> tuple[np.ndarray, np.ndarray] | None:
+    """First and one past the last voxel that is not 0 on each axis: two int (3,), or None if all are 0.
 
     values: array (nx, ny, nz) or SparseGrid.
     """
@@ -23,8 +23,8 @@ def filled_bounds(values):
     return np.array(low), np.array(high)
 
 
-def active_bounds(density):
-    """As `filled_bounds`; raises SceneError where all is 0."""
+def active_bounds(density: np.ndarray | SparseGrid) -> tuple[np.ndarray, np.ndarray]:
+    """As `filled_bounds`; raises SceneError if all voxels are 0."""
     bounds = filled_bounds(density)
     if bounds is None:
         raise SceneError("the density grid is zero everywhere")

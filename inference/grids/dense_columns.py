@@ -1,4 +1,4 @@
-"""Optical depths towards one sun, kept on every slice of a grid."""
+"""Optical depths towards one sun, stored on every slice of a grid."""
 
 import numpy as np
 
@@ -8,17 +8,18 @@ from .optical_depth_sweep import cubic, sweep
 
 
 class DenseColumns:
-    """Of one padded density; slices lie across the sun's main axis, columns along its rays.
+    """Optical depths of one padded density on slices across the sun's main axis, in columns along its rays.
 
-    padded: float32, from `pad_with_zeros`; direction: (3,) the sun's direction, d(index)/d(world unit). Raises Cancelled.
-    offsets: float32 (slices, 2), what is added to a place of the padded grid on a slice to have its column; size: (2,)
+    padded: float32, from `pad_with_zeros`. direction: (3,) towards the sun, d(index)/d(world unit). Raises Cancelled.
+
+    offsets: float32 (slices, 2), added to a position in the padded grid on a slice gives its column. size: (2,)
     columns.
     """
 
     def __init__(self, padded: np.ndarray, direction: np.ndarray, cancel: CancelToken = NEVER):
         main = int(np.abs(direction).argmax())
         shape = [padded.shape[axis] + MORE for axis in range(3) if axis != main]
-        # A slice more at either end, where nothing is left to pass.
+        # One more slice at either end, beyond which there is no density.
         self.depths = np.zeros((padded.shape[main] + 2, *shape), np.float32)
         self.offsets = np.ones((len(self.depths), 2), np.float32)
         for number, columns, *fractions in sweep(padded, direction, weights=cubic):
@@ -28,10 +29,10 @@ class DenseColumns:
         self.size = shape
 
     def slices(self, number: np.ndarray) -> np.ndarray:
-        """Where slices of the padded grid, int (N,), are kept."""
+        """Where slices of the padded grid, int (N,), are stored."""
         return np.clip(number + 1, 0, len(self.depths) - 1)
 
-    def corners(self, number, b, c):
+    def corners(self, number: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[np.ndarray]:
         """Depths (N,) of columns (b, c), (b, c + 1), (b + 1, c) and (b + 1, c + 1) on slices from `slices`."""
         base = (number * np.intp(self.size[0]) + b) * np.intp(self.size[1]) + c
         flat, row = self.depths.reshape(-1), self.size[1]

@@ -1,4 +1,4 @@
-"""A grid with all its voxels."""
+"""A grid that stores all its voxels."""
 
 import numpy as np
 
@@ -6,9 +6,10 @@ from ..numerics.interpolation import pad_with_zeros, sample_padded
 
 
 def refined(values: np.ndarray, times: int) -> np.ndarray:
-    """The same trilinear interpolant on finer voxels, which are optically thinner: float32.
+    """The same trilinear interpolant on `times` finer voxels, which are optically thinner: float32.
 
-    values: (nx, ny, nz). Of an axis' n voxels (n + 1) * times - 1 are made, between the places -1 and n, where all is 0.
+    values: (nx, ny, nz). The n voxels of an axis become (n + 1) * times - 1, between positions -1 and n, where the
+    interpolant reaches 0.
     """
     values = np.pad(values, 1).astype(np.float32)
     for axis in range(3):
@@ -20,10 +21,13 @@ def refined(values: np.ndarray, times: int) -> np.ndarray:
 
 
 class DenseGrid:
-    """As SparseGrid, of float32 values (nx, ny, nz)."""
+    """A dense grid with the interface of SparseGrid.
+
+    values: float32 (nx, ny, nz).
+    """
 
     CELL = 3
-    # Voxel 0 lies at 1 of the padded grid.
+    # Voxel 0 is at index 1 of the padded grid.
     cells_first = np.ones(3, int)
 
     def __init__(self, values: np.ndarray):
@@ -36,7 +40,7 @@ class DenseGrid:
         return sample_padded(self.padded, index)
 
     def cells(self) -> np.ndarray:
-        """bool, which cells hold anything."""
+        """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
         filled = self.padded != 0.0
         for axis in range(3):
             filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], self.CELL), axis=axis)

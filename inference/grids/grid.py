@@ -1,6 +1,7 @@
-"""A volume at the density's own resolution: what camera rays and single scattering read."""
+"""A volume at the resolution of its density, for camera rays and single scattering."""
 
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,15 +21,15 @@ from .sun_optical_depth import SunOpticalDepth
 class Grid:
     """The active part of a volume's density and emission.
 
-    Voxels are the volume's, or finer ones where these are few. Indices count from the centre of the first active voxel;
-    the support of the trilinear interpolation is the box from -1 to the number of voxels on each axis.
+    Voxels are those of the volume, or finer ones if these are few. Indices count from the centre of the first active
+    voxel; the support of the trilinear interpolant is the box from -1 to the number of voxels on each axis.
 
-    density: DenseGrid or SparseGrid. emission: three of them, one per colour channel, or none. emission_power: as in Volume.
-    occupancy: Occupancy of both. shape: voxels. peak: largest density. linear: (3, 3) and offset: (3,), continuous indices
-    from world positions. box: lowest and highest index (3,) of the support. voxel, longest: shortest and longest edge of a
-    voxel in world units.
+    density: DenseGrid or SparseGrid. emission: one grid per colour channel, or none. emission_power: as in Volume.
+    occupancy: Occupancy of density and emission. shape: voxels. peak: largest density. linear: (3, 3) and offset: (3,),
+    continuous indices from world positions. box: lowest and highest index (3,) of the support. voxel, longest: shortest
+    and longest edge of a voxel in world units.
 
-    Raises SceneError where density and emission are 0 everywhere.
+    Safe to use on several threads. Raises SceneError if density and emission are 0 everywhere.
     """
 
     def __init__(self, volume: Volume):
@@ -40,7 +41,6 @@ class Grid:
         high = np.max([end for _, end in bounds], axis=0)
         times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
         self.density = _part(volume.density, low, high, times)
-        # One grid a colour channel, or none.
         self.emission = [_part(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
@@ -52,15 +52,16 @@ class Grid:
         self.offset = times * (index_from_world[:3, 3] - low + 1.0) - 1.0
         sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0) / times
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
-        self._sun_depths, self._preparing = {}, threading.Lock()
+        self._sun_depths: dict[bytes, SunOpticalDepth] = {}
+        self._lock = threading.Lock()
 
-    def sun_depths(self, directions, cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
+    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
         """Optical depth towards each sun; directions: unit vectors (3,) in the world.
 
-        Those of the last call are kept and used again. Raises Cancelled.
+        Those of the last call are cached. Raises Cancelled.
         """
         index_directions = [self.linear @ direction for direction in directions]
-        with cancel.locked(self._preparing):
+        with cancel.locked(self._lock):
             known, self._sun_depths = self._sun_depths, {}
             for direction in index_directions:
                 cancel.check()
@@ -70,18 +71,18 @@ class Grid:
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:
-        """World positions (N, 3) as continuous indices, float64."""
+        """Continuous indices float64 (N, 3) of world positions (N, 3)."""
         return product(world, self.linear.T) + self.offset
 
     def corners(self) -> np.ndarray:
-        """(8, 3) of the support in the world."""
+        """World corners (8, 3) of the support."""
         low, high = self.box
         ends = np.array([[(low, high)[b][axis] for axis, b in enumerate((x, y, z))]
                          for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         return (ends - self.offset) @ np.linalg.inv(self.linear).T
 
-    def interval(self, origins, directions):
-        """Distances at which world rays enter and leave the grid's support."""
+    def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""
         return box_interval(self.index(origins), product(directions, self.linear.T), *self.box)
 
     def sample_density(self, index: np.ndarray) -> np.ndarray:
@@ -94,8 +95,8 @@ class Grid:
         return values if self.emission_power == 1 else values * np.abs(values) ** (self.emission_power - 1)
 
 
-def _part(values, low, high, times: int):
-    """DenseGrid or SparseGrid of voxels from low (3,) to before high (3,); of an array on finer ones if times > 1."""
+def _part(values: np.ndarray | SparseGrid, low: np.ndarray, high: np.ndarray, times: int) -> DenseGrid | SparseGrid:
+    """Voxels from low (3,) to before high (3,), those of an array refined `times` times."""
     if isinstance(values, SparseGrid):
         return values.crop(low, high)
     inside = values[tuple(map(slice, low, high))]

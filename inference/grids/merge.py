@@ -1,44 +1,50 @@
 """Several overlapping volumes as one medium."""
 
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Volume
+from .grid import Grid
 
-# Points at which density is evaluated at a time.
+# Points evaluated at a time.
 POINTS_PER_BATCH = 1 << 20
 
 
-def merge(grids, media: list[Medium], name: str, cancel: CancelToken = NEVER) -> tuple[Volume, Medium]:
-    """One Volume and Medium with the extinction of all of them, and their mean albedo and mean cosine.
+def merge(
+    grids: Sequence[Grid], media: Sequence[Medium], name: str, cancel: CancelToken = NEVER
+) -> tuple[Volume, Medium]:
+    """One Volume and Medium with the extinction of several, and their mean albedo and mean cosine.
 
-    grids: a Grid of each. Voxels are those of the grid with the finest, or as many of
-    them together as leave at most 256 along an edge; their extinction is exact in grey media and, in each colour, in
-    proportion to that. The means are weighted with what scatters.
+    grids: Grid of each volume. Voxels are those of the finest grid, or the smallest multiple of them that leaves at
+    most 256 along an edge. The extinction is exact for grey media; for others each colour channel is proportional to
+    the mean. Albedo and mean cosine are weighted by extinction and by scattering. Raises Cancelled.
     """
     finest = min(grids, key=lambda grid: grid.voxel)
-    # All grids' corners as indices of the finest's voxels.
+    # Corners of all grids as indices of the finest.
     ends = np.concatenate([finest.index(grid.corners()) for grid in grids])
     low, high = np.floor(ends.min(axis=0)), np.ceil(ends.max(axis=0))
     together = int(np.ceil((high - low + 1.0).max() / LEVEL0_CELLS))
     low = np.floor(low / together).astype(int)
     shape = np.ceil((high + 1.0) / together).astype(int) - low
     world_from_index = np.eye(4)
-    turn = np.linalg.inv(finest.linear)
-    # The middle of a voxel that `together`^3 make lies between them.
+    world_from_finest = np.linalg.inv(finest.linear)
+    # The centre of a voxel made of together^3 lies between theirs.
     first = low * together + 0.5 * (together - 1)
-    world_from_index[:3, :3], world_from_index[:3, 3] = turn * together, turn @ (first - finest.offset)
+    world_from_index[:3, :3] = world_from_finest * together
+    world_from_index[:3, 3] = world_from_finest @ (first - finest.offset)
 
     sigma_t = np.array([medium.sigma_t for medium in media])
     grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
-    density, amounts = np.zeros(shape, np.float32), []
+    density, totals = np.zeros(shape, np.float32), []
     for grid, factor in zip(grids, grey):
         values = resampled(grid, grid.sample_density, world_from_index, shape, cancel)
-        amounts.append(float(values.sum(dtype=np.float64)))
+        totals.append(float(values.sum(dtype=np.float64)))
         density += np.float32(factor) * values
-    amounts = np.array(amounts)[:, None]
+    amounts = np.array(totals)[:, None]
     extinction = (amounts * sigma_t).sum(axis=0)
     scattering = amounts * sigma_t * [medium.albedo for medium in media]
     albedo = np.divide(scattering.sum(axis=0), extinction, out=np.zeros(3), where=extinction > 0.0)
@@ -48,15 +54,20 @@ def merge(grids, media: list[Medium], name: str, cancel: CancelToken = NEVER) ->
     return Volume(density, world_from_index, name), medium
 
 
-def resampled(grid, sample, world_from_index, shape, cancel: CancelToken = NEVER) -> np.ndarray:
-    """Values of a Grid in the voxels of another: float32 `shape`. sample: its method that gives them.
+def resampled(
+    grid: Grid, sample: Callable[[np.ndarray], np.ndarray], world_from_index: np.ndarray, shape: np.ndarray,
+    cancel: CancelToken = NEVER,
+) -> np.ndarray:
+    """Values of a Grid at the voxels of another: float32 of `shape`.
 
-    The interpolant at their centres, or where they are the larger at 2x2x2 places in each.
+    sample: values (N,) of the grid at continuous indices (3, N). world_from_index: (4, 4) transform of the other grid.
+    Takes the interpolant at voxel centres, or the mean of 2 x 2 x 2 points per voxel where those are the larger voxels.
+    Raises Cancelled.
     """
     values = np.zeros(shape, np.float32)
     index_from_other = grid.linear @ world_from_index[:3, :3]
     offset = grid.linear @ world_from_index[:3, 3] + grid.offset
-    # Voxels of the other that the grid's support can reach.
+    # Voxels of the other grid that the support can reach.
     back = (grid.corners() - world_from_index[:3, 3]) @ np.linalg.inv(world_from_index[:3, :3]).T
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)

@@ -1,21 +1,21 @@
-"""Where a grid holds anything: what camera rays may skip."""
+"""Which parts of a grid are empty, so that camera rays may skip them."""
 
 import numpy as np
 
-#: Voxels from a point, along any axis, within which nothing is missed, interpolation included.
+#: Distance in voxels along any axis, within which nothing is missed, including the reach of interpolation.
 REACH = 2
 
 
 class Occupancy:
-    """A point whose surroundings hold something lies in a filled cell.
+    """Coarse cells of a grid, such that every point near a value other than 0 lies in a filled cell.
 
-    filled: bool (cx, cy, cz), cells that hold something; cell: voxels an edge of them, more than REACH; first: (3,),
-    where the cells have voxel 0.
+    filled: bool (cx, cy, cz), cells that hold a value other than 0. cell: voxels along an edge of a cell, more than
+    REACH. first: (3,), position of voxel 0 in the cells.
     """
 
-    def __init__(self, filled: np.ndarray, cell: int, first):
+    def __init__(self, filled: np.ndarray, cell: int, first: np.ndarray):
         self.cell, self.first = cell, first
-        # A cell counts as its neighbours do.
+        # Neighbours of filled cells count as filled.
         for axis in range(3):
             around = np.moveaxis(filled, axis, 0)
             grown = around.copy()
@@ -25,14 +25,15 @@ class Occupancy:
         self.filled = np.ascontiguousarray(filled)
 
     def share(self) -> float:
-        """Of the cells, those that are filled or beside one that is."""
+        """Fraction of the cells that are filled or have a filled neighbour."""
         return float(self.filled.mean())
 
     def near(self, index: np.ndarray) -> np.ndarray:
-        """bool (N,): False only where nothing lies within REACH of continuous indices float32 (3, N)."""
-        base = 0
+        """bool (N,): False only where all values within REACH of continuous indices float32 (3, N) are 0."""
+        base: np.ndarray | int = 0
         for at, first, size in zip(index, self.first, self.filled.shape):
-            # Points beyond the cells take the rim's answer.
-            cell = np.clip((at + np.float32(first)) * np.float32(1.0 / self.cell), np.float32(0.0), np.float32(size - 1))
+            # Points outside are clamped onto the border.
+            cell = (at + np.float32(first)) * np.float32(1.0 / self.cell)
+            cell = np.clip(cell, np.float32(0.0), np.float32(size - 1))
             base = base * np.intp(size) + cell.astype(np.int32)
         return self.filled.reshape(-1).take(base)

@@ -1,30 +1,44 @@
 """Optical depth from every cell of a grid towards the sun, in one sweep.
 
-Slices across the sun's dominant axis are visited from the sun's side. Each slice is
-sheared along the sun's direction once, added to running columns, and the columns are
-sheared back to the cells: interpolation never accumulates, and the cost is a few passes
-over the grid whatever the direction.
+Slices across the sun's dominant axis are visited from the sun's side. Each slice is sheared once along the sun's
+direction, added to running columns, and the columns are sheared back to the cells. Interpolation never accumulates, and
+the cost is a few passes over the grid for any direction.
 """
+
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from ..plan.sun_columns import BEFORE, MORE, Shear
 
+# Weights of four neighbours at a fraction between the middle two.
+Fraction = float | np.float32
+Weights = Callable[[Fraction], list[Fraction]]
 
-def linear(f) -> list:
-    """Weights of four neighbours in a row at a point that lies `f` beyond the second: the usual interpolation."""
+
+def linear(f: Fraction) -> list[Fraction]:
+    """Linear interpolation: weights of four neighbours in a row at a point `f` beyond the second."""
     return [0.0, 1 - f, f, 0.0]
 
 
-def cubic(f) -> list:
-    """The same by Catmull and Rom: parabolas are kept, so that linear interpolation afterwards is all that blurs."""
-    return [0.5 * f * (-1 + f * (2 - f)), 1 + 0.5 * f * f * (3 * f - 5), 0.5 * f * (1 + f * (4 - 3 * f)), 0.5 * f * f * (f - 1)]
+def cubic(f: Fraction) -> list[Fraction]:
+    """Catmull-Rom interpolation, arguments as for `linear`.
+
+    It reproduces parabolas, so that only the later linear interpolation blurs.
+    """
+    return [
+        0.5 * f * (-1 + f * (2 - f)),
+        1 + 0.5 * f * f * (3 * f - 5),
+        0.5 * f * (1 + f * (4 - 3 * f)),
+        0.5 * f * f * (f - 1),
+    ]
 
 
-def shift_up(planes, f_b, f_c, weights):
-    """Resample planes (..., b, c), 0 outside, at points `fraction` above each cell, from BEFORE of them before the first.
+def shift_up(planes: np.ndarray, f_b: Fraction, f_c: Fraction, weights: Weights) -> np.ndarray:
+    """Resample planes (..., b, c), 0 outside, at points a fraction beyond each cell.
 
-    b and c grow by MORE. weights: `linear` or `cubic`.
+    f_b, f_c: fractions along b and c, which grow by MORE, from BEFORE cells before the first. weights: `linear` or
+    `cubic`.
     """
     for axis, fraction in ((-2, f_b), (-1, f_c)):
         count = planes.shape[axis] + MORE
@@ -36,8 +50,8 @@ def shift_up(planes, f_b, f_c, weights):
     return planes
 
 
-def _shift_back(columns, f_b, f_c):
-    """Depths at the cells from columns placed as by `shift_up`."""
+def _shift_back(columns: np.ndarray, f_b: Fraction, f_c: Fraction) -> np.ndarray:
+    """Depths at the cells, from columns placed as by `shift_up`."""
     first, end = BEFORE, len(columns) - MORE + BEFORE
     b = columns[first:end] * (1 - f_b) + columns[first - 1 : end - 1] * f_b
     end = columns.shape[1] - MORE + BEFORE
@@ -47,9 +61,9 @@ def _shift_back(columns, f_b, f_c):
 def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0) -> np.ndarray:
     """Optical depth from each cell centre towards the sun, for extinction = density.
 
-    density: float32 (nx, ny, nz), 0 outside. index_direction: (3,) the sun's direction in
-    index units, d(index)/d(length); length is what `step_length` scales: world units for a
-    direction that maps world to index. Returns float32 (nx, ny, nz).
+    density: float32 (nx, ny, nz), 0 outside. index_direction: (3,) towards the sun in index units, d(index)/d(length).
+    step_length: factor of that length; 1 for a direction that maps world units to indices. Returns float32 (nx, ny,
+    nz).
     """
     main = int(np.abs(index_direction).argmax())
     depth = np.empty_like(density, dtype=np.float32)
@@ -59,23 +73,25 @@ def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_len
     return depth
 
 
-def sweep(density, index_direction, step_length: float = 1.0, weights=linear):
+def sweep(
+    density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0, weights: Weights = linear
+) -> Iterator[tuple[int, np.ndarray, np.float32, np.float32]]:
     """Yield for each slice across the sun's main axis: its index, optical depths and two fractions.
 
-    Arguments as for `sun_optical_depth`. The depths, float32 (b + MORE, c + MORE), are those from the slice to the sun,
-    at places that lie by the fractions beyond b - BEFORE and c - BEFORE: a column keeps to its own ray, whatever the
-    slice. weights: of `shift_up`; with `cubic`, depths beside sharp edges may fall a little below 0. The array is used
-    again for the next slice.
+    Arguments as for `sun_optical_depth`. The depths, float32 (b + MORE, c + MORE), are those from the slice to the sun
+    at points that lie by the fractions beyond b - BEFORE and c - BEFORE: every column follows one ray through all
+    slices. weights: of `shift_up`; with `cubic`, depths beside sharp edges may fall slightly below 0. The array is
+    reused for the next slice.
     """
     shear = Shear(density.shape, index_direction)
     slices = np.moveaxis(density, shear.main, 0)
     nb, nc = slices.shape[1:]
-    # Half a slice's way: each slice gives to the points before and after it.
+    # Half the length through a slice: each slice adds to the points before and after it.
     half_step = np.float32(shear.half_step * step_length)
     columns = np.zeros(shear.size, np.float32)
     for index in shear.towards_sun(0, len(slices)):
         (whole_b, whole_c), (f_b, f_c) = shear.shift(index)
-        # Column p reads the slice at p + slope * k, so cell 0 reaches columns from -whole - BEFORE.
+        # Column p meets the slice at p + slope * k, so cell 0 touches columns from -whole - BEFORE.
         start_b, start_c = -whole_b - BEFORE - shear.first[0], -whole_c - BEFORE - shear.first[1]
         window = columns[start_b : start_b + nb + MORE, start_c : start_c + nc + MORE]
         half_slice = shift_up(slices[index], f_b, f_c, weights)

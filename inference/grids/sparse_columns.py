@@ -1,31 +1,31 @@
-"""Optical depths towards one sun, kept only where a sparse grid holds something.
+"""Optical depths towards one sun, stored only where a sparse grid holds density.
 
-Columns along the sun's rays are kept in tiles of 8 x 8, slice by slice, in rows of blocks across the sun's main axis.
-Where a row's blocks leave a tile alone, its depths are the same on all the row's slices, and on those of the next such
-row: they are kept once.
+Columns along the sun's rays are stored in tiles of 8 x 8, slice by slice, in rows of blocks across the sun's main axis.
+Where the blocks of a row leave a tile unchanged, its depths are equal on all slices of the row and on those of
+following rows that leave it unchanged, and are stored once.
 """
 
 import numpy as np
 
 from ..plan.sun_columns import MORE, TilePlan, reached
 from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.sparse_grid import EDGE, SparseGrid
 from .optical_depth_sweep import cubic, shift_up
-
-EDGE = 8
 
 
 class SparseColumns:
-    """Of one SparseGrid; as DenseColumns.
+    """Optical depths of one SparseGrid, with the interface of DenseColumns.
 
-    tiles: float32 (T, 8, 8), depths; tile 0 is 0. table: int32 (rows of blocks, tiles, tiles): twice the number of
-    the tile that holds the row's first slice, and 1 more where each slice has a tile of its own, in their order.
+    tiles: float32 (T, 8, 8), depths; tile 0 is 0. table: int32 (rows of blocks, tiles, tiles): twice the number of the
+    tile that stores the row's first slice, plus 1 where each slice has a tile of its own, in their order. Raises
+    Cancelled.
     """
 
-    def __init__(self, grid, direction: np.ndarray, cancel: CancelToken = NEVER):
+    def __init__(self, grid: SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER):
         plan = TilePlan(grid, direction)
         shear, slabs = plan.shear, plan.slabs
         self.first = int(grid.first[shear.main]) - 1
-        # From places in the padded grid, where voxel 0 lies at 1, over places in the blocks.
+        # Columns from positions in the padded grid, where voxel 0 is at 1, via positions in the blocks.
         k = np.array([shear.number(index) for index in range(EDGE * len(slabs))])
         starts = [grid.first[axis] - 1 - shear.first[n] - shear.slopes[n] * k for n, axis in enumerate(shear.others)]
         self.offsets = np.stack(starts, axis=1).astype(np.float32)
@@ -36,7 +36,7 @@ class SparseColumns:
         free = 1
         for slab, touched, left in plan.rows():
             cancel.check()
-            # What the last row changed and this does not stays as it is now.
+            # Tiles that the last row changed and this row does not keep their present depths.
             ended, count = int(left.sum()), int(touched.sum())
             self.tiles[free:free + ended] = np.maximum(columns[left], 0.0)
             latest[left] = 2 * np.arange(free, free + ended)
@@ -49,19 +49,19 @@ class SparseColumns:
             blocks = np.moveaxis(grid.values[slabs[slab][b, c]], shear.main + 1, 1)
             for index in shear.towards_sun(EDGE * slab, EDGE * (slab + 1)) if count else ():
                 (tile_b, in_b, f_b), (tile_c, in_c, f_c) = plan.place(index)
-                spread = np.zeros((len(b), EDGE * reached(in_b), EDGE * reached(in_c)), np.float32)
-                half_slice = spread[:, in_b:in_b + EDGE + MORE, in_c:in_c + EDGE + MORE]
+                resampled = np.zeros((len(b), EDGE * reached(in_b), EDGE * reached(in_c)), np.float32)
+                half_slice = resampled[:, in_b:in_b + EDGE + MORE, in_c:in_c + EDGE + MORE]
                 half_slice[:] = shift_up(blocks[:, index % EDGE], f_b, f_c, cubic)
                 half_slice *= np.float32(shear.half_step)
-                _add(columns, spread, b + tile_b, c + tile_c)
+                _add(columns, resampled, b + tile_b, c + tile_c)
                 own[:, index % EDGE] = np.maximum(columns[touched], 0.0)
-                _add(columns, spread, b + tile_b, c + tile_c)
+                _add(columns, resampled, b + tile_b, c + tile_c)
 
     def slices(self, number: np.ndarray) -> np.ndarray:
-        """Where slices of the padded grid, int (N,), are kept."""
+        """Where slices of the padded grid, int (N,), are stored."""
         return np.clip(number + self.first, 0, len(self.offsets) - 1)
 
-    def corners(self, number, b, c):
+    def corners(self, number: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[np.ndarray]:
         """Depths (N,) of columns (b, c), (b, c + 1), (b + 1, c) and (b + 1, c + 1) on slices from `slices`."""
         table, tiles = self.table.reshape(-1), self.tiles.reshape(-1)
         _, tiles_b, tiles_c = self.table.shape
@@ -78,9 +78,9 @@ class SparseColumns:
         return found
 
 
-def _add(columns, spread, b, c) -> None:
-    """Add (n, 8 i, 8 j) to i by j tiles each, the first of them (b, c)."""
-    parts = spread.reshape(len(spread), -1, EDGE, spread.shape[2] // EDGE, EDGE)
+def _add(columns: np.ndarray, values: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    """Add (n, 8 i, 8 j) to i by j tiles each, whose first is (b, c)."""
+    parts = values.reshape(len(values), -1, EDGE, values.shape[2] // EDGE, EDGE)
     for i in range(parts.shape[1]):
         for j in range(parts.shape[3]):
             columns[b + i, c + j] += parts[:, i, :, j]

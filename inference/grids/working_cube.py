@@ -1,9 +1,10 @@
-"""The working frame: the smallest cube around a volume's active bounds, edge length 1.
+"""The working cube: the smallest cube around the active part of a volume, edge length 1.
 
-Positions in it lie in [-1/2, 1/2]^3; the optical density of the medium is
-sigma_hat = sigma_t * edge, dimensionless.
+Positions in its frame lie in [-1/2, 1/2]^3. Networks see the medium's optical thickness as sigma_hat = sigma_t * edge,
+extinction per unit density times the edge of the cube, dimensionless.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +17,11 @@ from .bounds import active_bounds
 from .dense_grid import DenseGrid
 from .occupancy import Occupancy
 
-# Columns of a transform count as perpendicular below this cosine.
+# Axes of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
-# Voxels of an axis that are averaged at a time, and planes of voxels between two questions whether to stop.
+# Voxels of an axis that are averaged at a time, and planes of voxels between two polls of cancellation.
 SLAB, PLANES = 16, 4
-# Rows of cells of a plane that are resampled between two such questions.
+# Rows of cells of a plane that are resampled between two polls of cancellation.
 ROWS = 64
 
 
@@ -28,8 +29,7 @@ ROWS = 64
 class Cube:
     """Where the working cube lies in the world.
 
-    rotation: float64 (3, 3), columns are the cube's axes in the world.
-    centre: float64 (3,), world. edge: float, world units.
+    rotation: float64 (3, 3), columns are the cube's axes in the world. centre: float64 (3,), world. edge: world units.
     low, high: int (3,), first and one past the last active voxel on each axis.
     """
 
@@ -49,10 +49,10 @@ class Cube:
 
 
 def fit_cube(volume: Volume) -> Cube:
-    """Smallest cube around the support of the active voxels' trilinear interpolation.
+    """Smallest cube around the support of the active voxels' trilinear interpolant.
 
-    The cube follows the grid's axes where these are perpendicular in the world, and the
-    world's axes where the transform shears.
+    The cube follows the axes of the grid if these are perpendicular in the world, and those of the world if the
+    transform shears. Raises SceneError if the density is 0 everywhere.
     """
     low, high = active_bounds(volume.density)
     axes = volume.world_from_index[:3, :3]
@@ -62,7 +62,7 @@ def fit_cube(volume: Volume) -> Cube:
         rotation = np.eye(3)
     elif np.linalg.det(rotation) < 0.0:
         rotation[:, 0] *= -1.0
-    # A voxel's influence ends one voxel beyond its centre.
+    # The influence of a voxel ends one voxel beyond its centre.
     corners = np.array(np.meshgrid(*zip(low - 1.0, high * 1.0), indexing="ij")).reshape(3, -1)
     world = axes @ corners + volume.world_from_index[:3, 3:]
     local = rotation.T @ world
@@ -71,14 +71,14 @@ def fit_cube(volume: Volume) -> Cube:
     return Cube(rotation, rotation @ middle, edge, low, high)
 
 
-def _hat_integral(x):
+def _hat_integral(x: np.ndarray) -> np.ndarray:
     """Integral of the unit hat function from -infinity to x."""
     x = np.clip(x, -1.0, 1.0)
     return np.where(x < 0.0, 0.5 * (1.0 + x) ** 2, 1.0 - 0.5 * (1.0 - x) ** 2)
 
 
 def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
-    """(cells, voxels): mean over each cell of linear interpolation between voxel centres."""
+    """(cells, voxels): weights of the mean over each cell of the linear interpolant between voxel centres."""
     distance = edges[:, None] - np.arange(voxels)[None]
     integral = _hat_integral(distance)
     width = np.diff(edges)[:, None]
@@ -88,8 +88,8 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
 def level0_density(volume: Volume, cube: Cube, cancel: CancelToken = NEVER) -> np.ndarray:
     """Mean density in each cell of the cube: float32 (256, 256, 256).
 
-    Exact means of the trilinear interpolant where grid and cube share axes; otherwise
-    (shear) the interpolant at 2x2x2 points a cell.
+    Exact means of the trilinear interpolant where grid and cube share their axes; for sheared transforms the mean of
+    2 x 2 x 2 points per cell. Raises Cancelled.
     """
     index_from_world = np.linalg.inv(volume.world_from_index)
     index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
@@ -107,8 +107,8 @@ def level0_density(volume: Volume, cube: Cube, cancel: CancelToken = NEVER) -> n
     return np.maximum(cells, 0.0)
 
 
-def _slabs(density, cube):
-    """Yield boxes of voxels that hold all that is not 0, and of each its first voxel (3,)."""
+def _slabs(density: np.ndarray | SparseGrid, cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield boxes of voxels that cover every value other than 0, with the first voxel (3,) of each."""
     if isinstance(density, SparseGrid):
         for low, slab in density.crop(cube.low, cube.high).slabs():
             yield low + cube.low, slab
@@ -118,7 +118,7 @@ def _slabs(density, cube):
         yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + PLANES, cube.high[0])), *inside[1:])]
 
 
-def _weighted(weights, values, axis: int) -> np.ndarray:
+def _weighted(weights: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
     """Sums along one axis of values (x, y, z) with weights (cells, voxels)."""
     shape = list(values.shape)
     shape[axis] = len(weights)
@@ -127,8 +127,8 @@ def _weighted(weights, values, axis: int) -> np.ndarray:
     return sums
 
 
-def _add_weighted(sums, weights, values, axis: int) -> None:
-    """Add sums along one axis of values (x, y, z) with weights (cells, voxels), most of which are 0."""
+def _add_weighted(sums: np.ndarray, weights: np.ndarray, values: np.ndarray, axis: int) -> None:
+    """Add to `sums` the sums along one axis of values (x, y, z) with weights (cells, voxels), most of which are 0."""
     for start in range(0, values.shape[axis], SLAB):
         few = (slice(None),) * axis + (slice(start, start + SLAB),)
         part = weights[:, few[-1]]
@@ -136,7 +136,7 @@ def _add_weighted(sums, weights, values, axis: int) -> None:
         if len(met):
             cells = slice(met[0], met[-1] + 1)
             into, some, part = sums[(*few[:-1], cells)], values[few], part[cells]
-            # A small product a plane: `products.py` tells why.
+            # One small product per plane: see `small_matmul`.
             if axis == 2:
                 into += np.matmul(some, part.T)
             elif axis == 1:
@@ -145,7 +145,9 @@ def _add_weighted(sums, weights, values, axis: int) -> None:
                 into += np.matmul(part, some.transpose(1, 0, 2)).transpose(1, 0, 2)
 
 
-def _resample_sheared(density, index_from_cube, origin, cancel):
+def _resample_sheared(
+    density: np.ndarray | SparseGrid, index_from_cube: np.ndarray, origin: np.ndarray, cancel: CancelToken
+) -> np.ndarray:
     grid = density if isinstance(density, SparseGrid) else DenseGrid(density)
     occupancy = Occupancy(grid.cells(), grid.CELL, grid.cells_first)
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
@@ -153,7 +155,8 @@ def _resample_sheared(density, index_from_cube, origin, cancel):
     for i, j in np.ndindex(LEVEL0_CELLS, LEVEL0_CELLS // ROWS):
         cancel.check()
         rows = slice(j * ROWS, (j + 1) * ROWS)
-        points = np.stack(np.meshgrid(inner[2 * i:2 * i + 2], inner[2 * rows.start:2 * rows.stop], inner, indexing="ij"))
+        axes = inner[2 * i:2 * i + 2], inner[2 * rows.start:2 * rows.stop], inner
+        points = np.stack(np.meshgrid(*axes, indexing="ij"))
         index = (index_from_cube @ points.reshape(3, -1) + origin[:, None]).astype(np.float32)
         near, fine = np.flatnonzero(occupancy.near(index)), np.zeros(index.shape[1], np.float32)
         fine[near] = grid.sample(index[:, near])

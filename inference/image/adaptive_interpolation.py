@@ -1,9 +1,9 @@
-"""Pixels that get their multiple scattering from their neighbours: it is smooth across the image.
+"""Interpolation of multiple scattering between pixels, where it is smooth across the image.
 
-The image is cut into squares. The network looks at their corners and middles first. Where a square's corners say of
-its middle what the network says, the pixels between are interpolated: not their light, but its mean over the ray's
-opacity, which is known of every pixel and keeps edges as sharp as they are. Elsewhere the same is tried with smaller squares,
-and what is left the network looks at pixel by pixel.
+The image is divided into squares, and the network is evaluated at their corners and centres first. Where the corners of
+a square predict its centre, the pixels in between are interpolated: not their radiance but its mean over the ray's
+opacity, which is known in every pixel and preserves edges. Elsewhere the same is tried with smaller squares, and what
+remains is evaluated pixel by pixel.
 """
 
 import copy
@@ -13,22 +13,23 @@ import numpy as np
 
 from ..plan.resolution import BAND
 
-# Pixels from a square's corner to the next, and by which share of the light there, over the root of the number of depth
-# samples, a square's middle may differ from what its corners say. The nearer the pixels that speak for one, the less is
-# lost where they differ.
+# Edge of a square in pixels, and the difference of its centre to what its corners predict that is tolerated, as a
+# fraction of the light there over the root of the number of depth samples. In smaller squares a difference concerns
+# fewer pixels.
 LEVELS = ((4, 0.03), (2, 0.07))
-# So many times the depth samples' own error comes on top, up to so many times that share: it is nothing that neighbours
-# could know.
-NOISE, NOISE_MOST = 0.7, 2.0
-# For the same reason a middle's difference counts by no more than this as the error of the pixels around it.
-SURPRISE = 0.5
-# Where the diffused light along pixels' rays is known, it may stray from what is interpolated so many times as far.
-HINT = 3.0
+# The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
+# neighbours cannot predict noise.
+NOISE, MAX_NOISE = 0.7, 2.0
+# Fraction of the difference of a centre that counts as the error of the pixels around it, for the same reason.
+CENTRE_ERROR = 0.5
+# The scattered light ahead along the rays, where it is known, may deviate from its interpolation by so many times as
+# much.
+AHEAD_TOLERANCE = 3.0
 
 
 @functools.cache
 def _weights(stride: int) -> np.ndarray:
-    """(places, 5) weights of corners and middle at a square's places: bilinear, with a pyramid over the middle."""
+    """(places, 5) weights of corners and centre at the pixels of a square: bilinear, with a pyramid over the centre."""
     down, right = (axis.ravel() / stride for axis in np.mgrid[0 : stride + 1, 0 : stride + 1])
     pyramid = np.minimum(1.0 - np.abs(2.0 * down - 1.0), 1.0 - np.abs(2.0 * right - 1.0))
     corners = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right], axis=1)
@@ -36,12 +37,12 @@ def _weights(stride: int) -> np.ndarray:
 
 
 class Squares:
-    """The squares of one size that lie wholly in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
+    """The squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
 
-    pixels: int (S, places) of each square, known: (S, 5), its corners and its middle.
+    pixels: int (S, places), of each square. known: int (S, 5), its corners and its centre.
     """
 
-    def __init__(self, window, stride: int):
+    def __init__(self, window: tuple[int, int, int, int], stride: int):
         x0, y0, x1, y1 = window
         width = x1 - x0
         columns = np.arange(-(-x0 // stride) * stride, x1 - stride, stride)
@@ -49,81 +50,84 @@ class Squares:
         rows = rows[(rows % BAND % stride == 0) & (rows % BAND + stride < BAND)]
         first = ((rows - y0)[:, None] * width + (columns - x0)).reshape(-1, 1)
         within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
-        middle = within[stride // 2, stride // 2]
+        centre = within[stride // 2, stride // 2]
         self.pixels, self.size, self.weights = first + within.ravel(), width * (y1 - y0), _weights(stride)
-        self.known = first + np.append(within[::stride, ::stride], middle)
+        self.known = first + np.append(within[::stride, ::stride], centre)
 
-    def apart_from(self, settled: np.ndarray) -> "Squares":
-        """Those squares of whose corners and middles none is settled, (P,)."""
-        some, chosen = copy.copy(self), ~settled[self.known].any(axis=1)
+    def without(self, excluded: np.ndarray) -> "Squares":
+        """The squares none of whose corners and centres is in a mask (P,)."""
+        some, chosen = copy.copy(self), ~excluded[self.known].any(axis=1)
         some.pixels, some.known = self.pixels[chosen], self.known[chosen]
         return some
 
-    def first_look(self) -> np.ndarray:
-        """bool (P,): corners and middles."""
-        look = np.zeros(self.size, bool)
-        look[self.known] = True
-        return look
+    def known_pixels(self) -> np.ndarray:
+        """bool (P,): corners and centres."""
+        known = np.zeros(self.size, bool)
+        known[self.known] = True
+        return known
 
-    def middles(self, values: np.ndarray) -> np.ndarray:
-        """(S,) of values (P,)."""
+    def centres(self, values: np.ndarray) -> np.ndarray:
+        """(S,), values (P,) at the centres."""
         return values[self.known[:, 4]]
 
-    def surprise(self, values: np.ndarray) -> np.ndarray:
-        """(S,), how far each square's middle is from the mean of its corners; values (P,)."""
+    def centre_error(self, values: np.ndarray) -> np.ndarray:
+        """(S,), difference between the centre of each square and the mean of its corners; values: (P,)."""
         known = values[self.known]
         return np.abs(known[:, 4] - known[:, :4].mean(axis=1))
 
-    def straying(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-        """(S,), how far values (P,) stray at most from what is interpolated, times opacity (P,), relative to their mean."""
+    def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
+        """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean."""
         known = values[self.known].T
-        most, total = np.zeros((2, len(self.known)), np.float32)
+        largest, total = np.zeros((2, len(self.known)), np.float32)
         for place, weights in enumerate(self.weights):
             at = self.pixels[:, place]
             off = np.abs(values[at] - sum(weight * column for weight, column in zip(weights, known)))
-            np.maximum(most, off * opacity[at], out=most)
+            np.maximum(largest, off * opacity[at], out=largest)
             total += values[at] * opacity[at]
-        return most / np.maximum(total / len(self.weights), np.float32(1e-30))
+        return largest / np.maximum(total / len(self.weights), np.float32(1e-30))
 
-    def whole(self, chosen: np.ndarray) -> np.ndarray:
-        """bool (S,): whether corners and middle are all chosen, (P,)."""
+    def all_known(self, chosen: np.ndarray) -> np.ndarray:
+        """bool (S,): whether corners and centre are all in a mask (P,)."""
         return chosen[self.known].all(axis=1)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
-        """bool (S,): whether any pixel of each square is chosen, (P,)."""
+        """bool (S,): whether any pixel of each square is in a mask (P,)."""
         return chosen[self.pixels].any(axis=1)
 
-    def between(self, shared: np.ndarray) -> np.ndarray:
-        """bool (P,): pixels of some squares, (S,), that are no other square's and neither corner nor middle."""
+    def interior(self, smooth: np.ndarray) -> np.ndarray:
+        """bool (P,): pixels of some squares (S,), except those of other squares and known pixels."""
         found = np.zeros(self.size, bool)
-        found[self.pixels[shared]] = True
-        found[self.pixels[~shared]] = False
+        found[self.pixels[smooth]] = True
+        found[self.pixels[~smooth]] = False
         found[self.known] = False
         return found
 
-    def fill(self, values: np.ndarray, shared: np.ndarray, pixels: np.ndarray):
-        """Interpolate values (P,) in some squares, (S,), at pixels chosen by `between`, in place."""
-        known = values[self.known[shared]]
+    def fill(self, values: np.ndarray, smooth: np.ndarray, pixels: np.ndarray) -> None:
+        """Interpolate values (P,) in some squares (S,), in place, at the pixels that `interior` gives, bool (P,)."""
+        known = values[self.known[smooth]]
         for place, weights in enumerate(self.weights):
-            at = self.pixels[shared, place]
+            at = self.pixels[smooth, place]
             wanted = pixels[at]
-            # Summed one after another: the same whatever other squares there are.
+            # Added one after another: the same result whatever other squares there are.
             values[at[wanted]] = sum(weight * column for weight, column in zip(weights, known[wanted].T))
 
 
-def agreeing(squares, mean, error, opacity, once, ahead, difference: float):
-    """bool (S,), the squares in which pixels may share, and how far their middles are from the mean of their corners, (S,).
+def interpolable(
+    squares: Squares, mean: np.ndarray, error: np.ndarray, opacity: np.ndarray, single: np.ndarray,
+    ahead: np.ndarray | None, difference: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which squares may be interpolated, bool (S,), and the differences (S,) between their centres and corners.
 
-    difference: by which share of the light a middle may differ. mean: (P,) multiple scattering over opacity, where it is
-    known, and error: (P,) its standard error; opacity: (P,); once: (P,) light scattered once; ahead: (P,) mean over
-    opacity of the diffused light along a pixel's ray, or None.
+    mean: (P,), multiple scattering over opacity in known pixels. error: (P,), its standard error. opacity: (P,).
+    single: (P,), single scattering. ahead: (P,), mean over opacity of the scattered light ahead along a pixel's ray, or
+    None. difference: tolerated error of a centre, as a fraction of the light there.
     """
-    most = np.float32(difference)
-    surprise = squares.surprise(mean)
-    most_there = most * squares.middles(once + mean * opacity)
-    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=1)) * squares.middles(opacity)
-    allowed = most_there + np.minimum(noise, NOISE_MOST * most_there)
-    shared = squares.whole(opacity > 0.0) & (surprise * squares.middles(opacity) < allowed)
+    fraction = np.float32(difference)
+    centre_error = squares.centre_error(mean)
+    tolerance = fraction * squares.centres(single + mean * opacity)
+    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=1)) * squares.centres(opacity)
+    allowed = tolerance + np.minimum(noise, MAX_NOISE * tolerance)
+    smooth = squares.all_known(opacity > 0.0) & (centre_error * squares.centres(opacity) < allowed)
     if ahead is not None:
-        shared &= squares.straying(ahead, opacity) < HINT * most
-    return shared, surprise
+        smooth &= squares.deviation(ahead, opacity) < AHEAD_TOLERANCE * fraction
+    return smooth, centre_error

@@ -1,36 +1,40 @@
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..grids.bound_medium import BoundMedium
+from ..grids.grid import Grid
 from ..marching.depth_samples import DepthSamples
 from ..marching.emission import emitted_radiance
 from ..marching.ray_features import RayFeatures
-from ..marching.ray_march import MarchOptions, march
+from ..marching.ray_march import MarchOptions, RaySegment, march
 from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.small_matmul import product
-from ..occluders.depth_buffer import PLACES, split_rays_at_surfaces
+from ..occluders.depth_buffer import SAMPLES, DepthBuffer, split_rays_at_surfaces
 from ..plan.plan import Plan
+from ..runtime.cancellation import CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays, window_around
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .framebuffer import add_at
+from .framebuffer import Framebuffer, add_at
 
-# Steps per task: enough to amortise the overhead of numpy calls, few enough to fit in a processor's cache.
+# Steps per task: amortises NumPy call overhead, fits in cache.
 STEPS_PER_TASK = 200_000
-# Steps of one ray beyond which a task's memory would no longer be small.
-MOST_STEPS = 1 << 18
-# Pixels along each axis of which one stands for all when the work ahead is estimated.
+# Steps of one ray above which a task would need too much memory.
+MAX_STEPS = 1 << 18
+# Estimates of the work ahead march one pixel in PILOT x PILOT.
 PILOT = 12
 
 
 def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
-    """(N,) offsets in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
+    """Offsets (N,) in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
 
-    Neighbouring pixels get offsets far apart, so that what error is left has no
-    low frequencies. Depends on the pixel's place in the whole image alone.
+    Neighbouring pixels get offsets far apart, so that the remaining error has no low frequencies. Depends only on the
+    pixel's place in the whole image.
     """
     x0, y0, x1, y1 = camera.window
     columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
@@ -43,8 +47,8 @@ def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
 class _TileRays:
     """Camera rays that are marched: R of them.
 
-    batch: RayBatch. pixel: int (R,), ascending, of the tile. offsets: (R,) in [0, 1), of lookups. share: (R,) of the pixel
-    that each ray stands for. free: (R,) of the ray, where no surface ends it. missed: rays that meet no volume.
+    batch: RayBatch. pixel: int (R,), of the tile, ascending. offsets: (R,) in [0, 1), jitter of lookups. share: (R,),
+    fraction of the pixel that each ray stands for. free: (R,), fraction of the ray that no surface ends.
     """
 
     batch: RayBatch
@@ -59,8 +63,8 @@ def march_tile(
 ) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
-    Returns the depth samples of all its rays, or None where no ray meets a volume. Raises Cancelled, and SceneError where
-    a ray would take too many steps.
+    Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
+    rays that would take too many steps.
     """
     report, settings = context.report, context.settings
     rays = _tile_rays(context, scene, channel_pass, tile)
@@ -69,39 +73,42 @@ def march_tile(
     counts = step_counts(channel_pass.media, rays.batch)
     report.count("steps", counts.sum())
     longest = counts.max()
-    if longest > MOST_STEPS:
+    if longest > MAX_STEPS:
         raise SceneError(
-            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
-            "another; render volumes of so different sizes in view layers of their own"
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
+            "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
     shade = _Shading(scene, channel_pass, tile.camera)
     options = _march_options(context, scene, channel_pass)
 
-    def task(some):
+    def task(some: np.ndarray) -> _MarchedRays:
         batch = rays.batch.take(some)
         segment = march(channel_pass.media, batch, options)
         emission = emitted_radiance(channel_pass.media, batch, channel_pass.channels.indices, settings.leave_out)
-        return some, segment, shade.single(segment, batch, rays.pixel[some], rays.free[some]), emission
+        single = shade.single(segment, batch, rays.pixel[some], rays.free[some])
+        return _MarchedRays(some, segment, single, emission)
 
     parts, features = [], []
     context.progress.message("single scattering")
     with report.stage("march"), context.progress.stage("march"):
-        for some, segment, single, emission in context.tasks.map(
-                task, [hit[start : start + size] for start in range(0, len(hit), size)]):
+        batches = [hit[start : start + size] for start in range(0, len(hit), size)]
+        for marched in context.tasks.map(task, batches):
+            some, segment = marched.rays, marched.segment
             report.count("steps evaluated", segment.steps_evaluated)
             report.count("rays that meet density", np.count_nonzero(segment.alpha))
-            _add(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment, single, emission)
+            _add(tile.framebuffer, scene, channel_pass, rays, marched)
             ray = some[segment.sample_ray].astype(np.int32)
-            parts.append((ray, segment.sample_distance, segment.sample_weight * rays.share[ray], segment.sample_fraction))
-            features.append(segment.sample_features)
+            weight = segment.sample_weight * rays.share[ray]
+            parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
+            if segment.sample_features is not None:
+                features.append(segment.sample_features.values)
             context.progress.advance("march", segment.steps_evaluated)
-    columns = (np.concatenate(column) for column in zip(*parts))
-    gathered = None
-    if channel_pass.fluence is not None:
-        gathered = RayFeatures(np.concatenate([part.values for part in features]))
-    samples = DepthSamples(rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, *columns, gathered)
+    ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
+    gathered = RayFeatures(np.concatenate(features)) if features else None
+    samples = DepthSamples(
+        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered)
     report.count("points", len(samples.ray))
     return samples
 
@@ -109,18 +116,21 @@ def march_tile(
 def estimate_march(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
 ) -> tuple[float, float]:
-    """About how many steps are evaluated on a camera's rays, and how many depth samples they get, from one pixel in
-    PILOT x PILOT."""
+    """Approximate number of steps evaluated on a camera's rays, and of their depth samples.
+
+    Marches one pixel in PILOT x PILOT. Raises Cancelled.
+    """
     x0, y0, x1, y1 = camera.window
     width, height = max((x1 - x0) // PILOT, 1), max((y1 - y0) // PILOT, 1)
     sparse = np.array([(x1 - x0) / width, (y1 - y0) / height])
-    pilot = replace(camera, resolution=tuple(np.maximum(np.round(camera.resolution / sparse), 1).astype(int)), region=None)
+    resolution = np.maximum(np.round(camera.resolution / sparse), 1).astype(int)
+    pilot = replace(camera, resolution=tuple(resolution), region=None)
     left, top = (np.array([x0, y0]) / sparse).astype(int)
     right, bottom = min(left + width, pilot.resolution[0]), min(top + height, pilot.resolution[1])
     if left >= right or top >= bottom:
         return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, near, far)
+    near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
     options, steps, samples = _march_options(context, scene, channel_pass), 0, 0
@@ -133,18 +143,37 @@ def estimate_march(
 
 
 def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
+    """What is gathered along the rays of a channel pass."""
     return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
                         scene.plan.groups, context.settings.leave_out)
 
 
-def _rays_per_task(scene: PreparedScene, counts) -> int:
-    """Rays that are marched at a time; counts: (R,) steps of each."""
+def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
+    """Number of rays that are marched together; counts: int (R,), steps of each ray."""
     evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
     return int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
 
 
-def _add(framebuffer, scene, channel_pass, pixel, weight, segment, single, emission):
-    """Add what a batch of rays saw; weight: (R,) of each ray in its pixel."""
+@dataclass(frozen=True)
+class _MarchedRays:
+    """What a batch of R rays gathered.
+
+    rays: int (R,), numbers of the tile's rays. single: (R, V, L), for albedo 1 and irradiance 1. emission: (R, C) or
+    None.
+    """
+
+    rays: np.ndarray
+    segment: RaySegment
+    single: np.ndarray
+    emission: np.ndarray | None
+
+
+def _add(
+    framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, rays: _TileRays, marched: _MarchedRays
+) -> None:
+    """Add what a batch of rays gathered to the tile."""
+    pixel, weight = rays.pixel[marched.rays], rays.share[marched.rays]
+    segment, single, emission = marched.segment, marched.single, marched.emission
     indices = channel_pass.channels.indices
     if emission is not None:
         for number, c in enumerate(indices):
@@ -168,8 +197,8 @@ class _Shading:
         self.extended = [l for l, sun in enumerate(suns) if sun.spread is not None]
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
 
-    def single(self, segment, batch: RayBatch, pixel, free) -> np.ndarray:
-        """(R, V, L): single scattering of a batch's rays by volume and sun, for albedo 1 and irradiance 1."""
+    def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Single scattering (R, V, L) of a batch's rays by volume and sun, for albedo 1 and irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
         if self.extended_lights is None:
@@ -177,7 +206,7 @@ class _Shading:
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
         phase[..., self.extended], ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
-        # Along the ray, wherever it scatters, light meets all that the ray does.
+        # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
         straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
         single = segment.single * phase
@@ -185,24 +214,27 @@ class _Shading:
         return single
 
 
-def _tile_rays(context, scene, channel_pass, tile) -> _TileRays | None:
-    """The camera rays that meet a volume, or None where none does."""
+def _tile_rays(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
+) -> _TileRays | None:
+    """The camera rays that meet a volume, or None if there are none."""
     report, settings = context.report, context.settings
-    # Rays through pixels that lie away from every volume are not even made.
-    around, pixel = _around(tile.camera, scene.grids, "missed_pixels" in settings.leave_out)
+    # No rays are made for pixels away from every volume.
+    around, pixel = _crop_to_volumes(tile.camera, scene.grids, "missed_pixels" in settings.leave_out)
     report.count("camera rays", len(pixel))
     report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(pixel))
     if not len(pixel):
         return None
-    origins, directions, clip_near, clip_far = camera_rays(around)
+    origins, directions, *clip = camera_rays(around)
     offsets = lookup_offsets(around, settings.seed)
-    near, far, warnings = _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip_near, clip_far)
+    near, far, warnings = _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
     report.warnings += [warning for warning in warnings if warning not in report.warnings]
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
-            kept, far, share, free = _cut(scene.depth_buffer, around.window, near, far, context.cancel)
-        pixel, origins, directions, offsets, near = (values[kept] for values in (pixel, origins, directions, offsets, near))
+            split, far, share, free = _split_at_surfaces(scene.depth_buffer, around.window, near, far, context.cancel)
+        pixel, origins, directions, offsets, near = (
+            values[split] for values in (pixel, origins, directions, offsets, near))
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
@@ -212,40 +244,51 @@ def _tile_rays(context, scene, channel_pass, tile) -> _TileRays | None:
                      free[hit])
 
 
-def _around(camera, grids, no_more: bool):
-    """The camera with the pixels around all grids as its window, and if wanted no more, and their numbers (P,) in its own."""
+def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple[Camera, np.ndarray]:
+    """The camera with the pixels around all grids as its region, and their numbers (P,) in its own window.
+
+    crop: without, all pixels.
+    """
     x0, y0, x1, y1 = camera.window
-    if not no_more:
+    if not crop:
         return camera, np.arange((x1 - x0) * (y1 - y0))
     left, top, right, bottom = window_around(camera, np.concatenate([grid.corners() for grid in grids]))
     pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
     return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()
 
 
-def _ray_intervals(plan: Plan, media, origins, directions, clip_near, clip_far):
-    """Distances (P,) between which each ray meets any medium that attenuates or emits, near > far on a miss, and warnings.
+def _ray_intervals(
+    plan: Plan, media: Sequence[BoundMedium], origins: np.ndarray, directions: np.ndarray,
+    clip: Sequence[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
 
-    What begins between the camera and its clip start is warned of.
+    near > far on a miss. clip: distances (P,) to the near and the far clipping plane. Volumes that the near plane cuts
+    cause a warning.
     """
+    clip_near, clip_far = clip
     near, far, warnings = np.full(len(origins), np.inf), np.full(len(origins), -np.inf), []
     for (volume, _), medium in zip(plan.volumes, media):
         if medium.matters:
             enter, leave = medium.grid.interval(origins, directions)
             if np.any((enter > 0.0) & (enter < clip_near) & (leave > clip_near)):
-                warnings.append(f"{volume.name}: begins before the camera's clip start and is shown from there on; Cycles "
-                                "would show nothing of it where it does")
+                warnings.append(f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
+                                "Cycles would not render it there at all")
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            meets = enter < leave
-            near[meets] = np.minimum(near[meets], enter[meets])
-            far[meets] = np.maximum(far[meets], leave[meets])
+            hits = enter < leave
+            near[hits] = np.minimum(near[hits], enter[hits])
+            far[hits] = np.maximum(far[hits], leave[hits])
     return near, far, warnings
 
 
-def _cut(depth_buffer, window, near, far, cancel):
+def _split_at_surfaces(
+    depth_buffer: DepthBuffer, window: tuple[int, int, int, int], near: np.ndarray, far: np.ndarray,
+    cancel: CancelToken,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rays that end at surfaces, as `split_rays_at_surfaces`."""
     x0, y0, x1, y1 = window
     rows, columns = np.divmod(np.flatnonzero(near < far), x1 - x0)
-    distances = np.full((y1 - y0, x1 - x0, PLACES**2), np.inf)
+    distances = np.full((y1 - y0, x1 - x0, SAMPLES**2), np.inf)
     if len(rows):
         # Only around the pixels that show a volume.
         left, top, right, bottom = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1

@@ -6,10 +6,12 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..marching.extended_lights import ExtendedLights
+from ..network.interfaces import System
 from ..occluders.depth_buffer import DepthBuffer
 from ..occluders.occluders import Occluders
 from ..plan.plan import Channels, Plan
 from ..render_cache import RenderCache, ScatteringGroup
+from ..runtime.cancellation import CancelToken
 from ..runtime.progress import Progress
 from ..runtime.report import Report
 from ..runtime.tasks import Tasks
@@ -30,18 +32,18 @@ class RenderContext:
     report: Report
 
     @property
-    def cancel(self):
-        """The CancelToken."""
+    def cancel(self) -> CancelToken:
+        """Tells whether the caller wants the render to stop."""
         return self.tasks.cancel
 
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """The planned scene with everything that does not depend on the colour channel.
+    """The planned scene, with everything that does not depend on the colour channel.
 
-    grids: of V volumes; sun_depths: (V, L), of each towards each of the plan's suns. depth_buffer: of surfaces that cover
-    volumes, or None. extended_lights: of the suns that have a spread, or None. groups: (G,) ScatteringGroups, None where
-    nothing is predicted. network: or None.
+    grids: of V volumes. sun_depths: (V, L), of each volume towards each sun of the plan. depth_buffer: of surfaces that
+    cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
+    None where nothing is predicted. network: None if nothing is predicted at all.
     """
 
     plan: Plan
@@ -51,10 +53,15 @@ class PreparedScene:
     depth_buffer: DepthBuffer | None
     extended_lights: ExtendedLights | None
     groups: list[ScatteringGroup | None]
-    network: object = None
+    network: System | None = None
+
+    def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
+        """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
+        return [(g, group) for g, group in enumerate(self.groups)
+                if group is not None and self.plan.predicts(g, channels)]
 
     def media(self, channels: Channels) -> list[BoundMedium]:
-        """The volumes as rays see them in some colour channels."""
+        """The volumes bound to their grids and to their extinction in some colour channels."""
         return [BoundMedium(grid, medium, float(sigma_t), depths) for grid, (_, medium), sigma_t, depths
                 in zip(self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths)]
 
@@ -63,8 +70,8 @@ class PreparedScene:
 class ChannelPass:
     """Colour channels that are rendered together.
 
-    media: of each volume, with its extinction in these channels. fluence: of each group, None where nothing is predicted in
-    it; None altogether for networks that need no ray features.
+    media: of each volume, with its extinction in these channels. fluence: of each group, None for groups without
+    prediction; None altogether for networks that need no ray features.
     """
 
     channels: Channels
@@ -81,7 +88,7 @@ class Tile:
 
 
 def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> list[Tile]:
-    """The plan's tiles, each a part of the framebuffer's memory."""
+    """The plan's tiles, each sharing memory with the framebuffer."""
     x0, y0, x1, _ = camera.window
     width = x1 - x0
     return [Tile(replace(camera, region=(x0, top, x1, bottom)),

@@ -1,4 +1,4 @@
-"""The images that a render fills."""
+"""The images that a render accumulates."""
 
 from dataclasses import dataclass, fields
 
@@ -7,9 +7,10 @@ import numpy as np
 
 @dataclass
 class Framebuffer:
-    """Of P pixels, row after row: single, multiple and emission float32 (P, 3), alpha, depth and uncertainty float32 (P,).
+    """Images of P pixels, row by row.
 
-    As in `layer.Layer`, but for depth, which is the sum of distances times opacity.
+    single, multiple, emission: float32 (P, 3). alpha, depth, uncertainty: float32 (P,). As in `layer.Layer`, except
+    that depth is the sum of distance times opacity.
     """
 
     single: np.ndarray
@@ -21,14 +22,15 @@ class Framebuffer:
 
     @classmethod
     def black(cls, pixels: int) -> "Framebuffer":
+        """A framebuffer of zeros."""
         return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((3, pixels), np.float32))
 
     def part(self, pixels: slice) -> "Framebuffer":
-        """The same memory, of some pixels only."""
+        """Some of the pixels, sharing memory."""
         return Framebuffer(*(getattr(self, field.name)[pixels] for field in fields(self)))
 
 
-def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray):
-    """Add values (N,), N > 0, to an image (P,) at pixels (N,), int, ascending; what falls on one pixel adds up."""
+def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray) -> None:
+    """Add values (N,), N > 0, to an image (P,) at pixels int (N,), ascending; values of equal pixels accumulate."""
     added = np.bincount(pixel - pixel[0], values)
     image[pixel[0] : pixel[0] + len(added)] += added

@@ -11,17 +11,17 @@ from .framebuffer import Framebuffer
 
 @dataclass
 class Layer:
-    """What a render returns, rows from the top.
+    """The image layer that a render returns, rows from the top.
 
-    rgb: float32 (H, W, 3) linear radiance, premultiplied by alpha.
+    rgb: float32 (H, W, 3), linear radiance, premultiplied by alpha.
     alpha: float32 (H, W), 1 - transmittance of the camera ray.
-    depth: float32 (H, W) mean distance along the ray at which light scatters, world units; infinity where alpha is 0.
-    single, multiple, emission: float32 (H, W, 3), single scattering, multiple scattering, and what volumes emit and do not
-        scatter; rgb is their sum.
-    uncertainty: float32 (H, W) standard error of `multiple` from the choice of depths and from interpolation between
-        pixels, as a mean over the channels; the network's own error is not in it. With one depth sample nothing tells
-        it, and it is at least as large as `multiple`.
-    report: what was planned, left out and measured.
+    depth: float32 (H, W), mean distance along the ray at which light scatters, world units; infinity where alpha is 0.
+    single, multiple, emission: float32 (H, W, 3), single scattering, multiple scattering, and emission that is not
+        scattered; rgb is their sum.
+    uncertainty: float32 (H, W), standard error of `multiple` due to depth sampling and interpolation between pixels,
+        mean over the channels. The network's own error is not included. With one depth sample it is at least as large
+        as `multiple`.
+    report: what was planned, skipped and measured; None for a tile.
     """
 
     rgb: np.ndarray
@@ -34,7 +34,7 @@ class Layer:
     report: Report | None = None
 
 
-def compose_layer(framebuffer: Framebuffer, shape, report: Report | None = None) -> Layer:
+def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:
     """The Layer of a framebuffer's pixels; shape: (H, W)."""
     single, multiple, emission = (
         colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission))
@@ -53,7 +53,7 @@ def compose_layer(framebuffer: Framebuffer, shape, report: Report | None = None)
 
 
 def empty_layer(camera: Camera) -> Layer:
-    """What a camera sees where nothing is."""
+    """The layer of a camera that sees no volume."""
     x0, y0, x1, y1 = camera.window
     framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
     return compose_layer(framebuffer, (y1 - y0, x1 - x0), Report(seconds={"total": 0.0}))

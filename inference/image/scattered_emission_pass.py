@@ -1,4 +1,4 @@
-"""Adds what volumes scatter of the light that they emit."""
+"""Adds the light that volumes emit and scatter."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from ..marching.depth_samples import DepthSamples
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 
-# Depth samples at which scattered emission is evaluated at a time.
+# Depth samples that are evaluated at a time.
 POINTS_PER_BATCH = 1 << 16
 
 
 def add_scattered_emission(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples
 ) -> None:
-    """Add what the volumes scatter of light that they emit to the tile's multiple scattering."""
+    """Add the light that volumes emit and scatter to the tile's multiple scattering. Raises Cancelled."""
     plan, report = scene.plan, context.report
     for g, group in enumerate(plan.groups):
         if not plan.scattered_emission[g]:

@@ -17,7 +17,9 @@ class WorkEstimate:
 
     def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
         self._context, self._scene, self._tiles = context, scene, tiles
-        self._steps, self._samples = {}, {}
+        # By the window of each tile.
+        self._steps: dict[tuple[int, int, int, int], float] = {}
+        self._samples: dict[tuple[int, int, int, int], float] = {}
         self._all_steps, self._all_samples, self._steps_marched, self._samples_predicted = 0.0, 0.0, 0.0, 0.0
         plan, progress = scene.plan, context.progress
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))

@@ -1,10 +1,12 @@
-"""Light from a part of the sphere, for which one direction stands.
+"""Lights with an angular extent, which one direction represents.
 
-A phase function may be far narrower than that part. Its mean over the part's light takes the place of its value at the one
-direction, so that light scatters forward wherever it comes from. What hardly turns, which may be most of it, comes along the
-camera ray itself, behind all that the ray meets; the rest is shadowed as the one direction is. The means are smooth across
-an image: they are taken at places all over it, and interpolated between.
+A phase function may be much narrower than the angular extent of the light. Its mean over the light takes the place of
+its value at the one direction, so that light scatters forward wherever it comes from. Light that is hardly deflected,
+often most of it, comes along the camera ray itself, from behind everything that the ray crosses; the rest is shadowed
+like the one direction. The means vary smoothly across the image: they are tabulated at knots and interpolated.
 """
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,41 +14,49 @@ from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, widest_angle
+from ..scene.description import Sun
 from ..scene.phase_function import henyey_greenstein
 
-# Angle from place to place, and places along an image's longer edge at most.
-SPACING, MOST = np.radians(2.0), 96
-# Light that turns by no more than this counts, the more the less it turns, as coming along the camera ray; radians.
-AHEAD = np.radians(32.0)
-# How often light that counts as multiple scattering has been scattered, of light in clouds and smoke that fits best; the
-# anisotropy after that below which it matters little where light comes from.
-ORDER, LEAST = 4, 0.02
-# Values of a phase function that are made at a time.
+# Angle between knots in radians, and maximal number of knots along the longer edge of the image.
+KNOT_SPACING, MAX_KNOTS = np.radians(2.0), 96
+# Light deflected by less than this angle in radians counts as coming along the camera ray, the more the less it is
+# deflected.
+FORWARD_ANGLE = np.radians(32.0)
+# Scattering order that represents multiple scattering, fitted for clouds and smoke; and the anisotropy after that many
+# scatterings below which the direction of the light hardly matters.
+ORDER, MIN_ANISOTROPY = 4, 0.02
+# Values of a phase function that are evaluated at a time.
 VALUES_PER_BATCH = 1 << 20
 
 
 class ExtendedLights:
-    """Mean phase functions of suns across a camera's image.
+    """Mean phase functions of suns with an angular extent, across a camera's image.
 
-    suns: L of them, each with its `spread`; phases: V functions of the cosine between the directions before and after
-    scattering; see_ahead: whether it is known of each ray what keeps light from ahead. A part of the
-    image has the places of the whole.
+    suns: L of them, each with its `spread`. phases: V functions of the cosine between the directions before and after
+    scattering. split_forward: whether the forward part is returned separately, because what shadows light along each
+    ray is known. A region of the image has the knots of the whole. Raises Cancelled.
     """
 
-    def __init__(self, camera: Camera, suns, phases, see_ahead: bool = True, cancel: CancelToken = NEVER):
+    def __init__(
+        self, camera: Camera, suns: Sequence[Sun], phases: Sequence[Callable[[np.ndarray], np.ndarray]],
+        split_forward: bool = True, cancel: CancelToken = NEVER,
+    ):
         width, height = camera.resolution
-        self.step = max(width, height) / np.clip(np.ceil(widest_angle(camera) / SPACING), 1, MOST)
+        self.step = max(width, height) / np.clip(np.ceil(widest_angle(camera) / KNOT_SPACING), 1, MAX_KNOTS)
         self.count = [int(np.ceil(size / self.step)) + 1 for size in (height, width)]
         rows, columns = (self.step * np.arange(count) for count in self.count)
         x, y = (values.ravel() for values in np.meshgrid(columns, rows))
         _, directions, _ = image_rays(camera, x, y)
-        table = [[_means(directions, sun, phase, see_ahead, cancel) for sun in suns] for phase in phases]
+        table = np.array(
+            [[_means(directions, sun, phase, split_forward, cancel) for sun in suns] for phase in phases])
         #: float64 (rows, columns, V, L, 2)
         self.table = np.moveaxis(table, 2, 0).reshape(*self.count, len(phases), len(suns), 2)
 
-    def phase(self, x, y):
-        """(N, V, L) at places (N,) of the image, in pixels from its upper left corner: from the suns' directions, and from
-        ahead; together they are the mean of the phase function.
+    def phase(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Mean phase functions (2, N, V, L) at points (N,) of the image, in pixels from its upper left corner.
+
+        First of the light from the suns' directions, then of the light from ahead; they sum to the mean of the phase
+        function.
         """
         cells, parts = [], []
         for place, count in zip((y, x), self.count):
@@ -57,36 +67,47 @@ class ExtendedLights:
         return np.moveaxis((1.0 - u) * above + u * below, -1, 0)
 
 
-def turned(camera: Camera, pixel, directions, sun, anisotropy: float) -> np.ndarray:
-    """Unit directions (N, 3) of camera rays, turned in their planes with the sun to where a phase function has its mean over
-    the sun's light: Henyey and Greenstein's of light scattered ORDER times, whose anisotropy is that power.
+def equivalent_directions(
+    camera: Camera, pixel: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
+) -> np.ndarray:
+    """Camera rays, rotated such that the phase function at one direction of light takes its mean over the sun's extent.
 
-    Of a network that knows one direction of light this makes about the mean over all that the sun stands for.
-    pixel: int (N,) of the camera's window.
+    A network that knows a single direction of light then predicts approximately the mean over the extent. The phase
+    function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power.
+
+    pixel: int (N,) of the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the
+    plane of ray and sun.
     """
     g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
-    if abs(g) < LEAST:
+    if abs(g) < MIN_ANISOTROPY:
         return directions
     x0, y0, x1, _ = camera.window
     row, column = np.divmod(pixel, x1 - x0)
-    spread = ExtendedLights(camera, [sun], [lambda cosine: henyey_greenstein(cosine, g)], see_ahead=False)
-    mean = spread.phase(column + x0 + 0.5, row + y0 + 0.5)[0][:, 0, 0]
-    # Henyey and Greenstein's phase function, solved for the cosine.
+    lights = ExtendedLights(camera, [sun], [lambda cosine: henyey_greenstein(cosine, g)], split_forward=False)
+    mean = lights.phase(column + x0 + 0.5, row + y0 + 0.5)[0][:, 0, 0]
+    # Invert the Henyey-Greenstein phase function for the cosine.
     cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)
     across = directions - (directions @ sun.direction)[:, None] * sun.direction
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
     return cosine[:, None] * sun.direction + np.sqrt(1.0 - cosine**2)[:, None] * across
 
 
-def _means(directions, sun, phase, see_ahead, cancel) -> np.ndarray:
-    """(P, 2): at unit directions (P, 3) the mean of a phase function over the sun's light, without and of what is ahead."""
-    towards, shares = sun.spread
-    rows = max(VALUES_PER_BATCH // len(shares), 1)
+def _means(
+    directions: np.ndarray, sun: Sun, phase: Callable[[np.ndarray], np.ndarray], split_forward: bool,
+    cancel: CancelToken,
+) -> np.ndarray:
+    """Means (P, 2) of a phase function over the sun's extent: without the light from ahead, and of that light.
+
+    directions: unit (P, 3) of the camera rays.
+    """
+    assert sun.spread is not None
+    towards, weights = sun.spread
+    rows = max(VALUES_PER_BATCH // len(weights), 1)
     means = []
     for start in range(0, len(directions), rows):
         cancel.check()
         cosine = product(directions[start : start + rows], towards.T)
         values = phase(cosine)
-        ahead = np.clip((cosine - np.cos(AHEAD)) / (1.0 - np.cos(AHEAD)), 0.0, 1.0) * see_ahead
-        means.append(np.stack([product(values * part, shares) for part in (1.0 - ahead, ahead)], axis=1))
+        ahead = np.clip((cosine - np.cos(FORWARD_ANGLE)) / (1.0 - np.cos(FORWARD_ANGLE)), 0.0, 1.0) * split_forward
+        means.append(np.stack([product(values * part, weights) for part in (1.0 - ahead, ahead)], axis=1))
     return np.concatenate(means)

@@ -1,73 +1,107 @@
-"""What a user could choose instead of a network: single scattering alone, and the multi-octave approximation.
+"""Alternatives to a network: single scattering alone, and the multi-octave approximation.
 
-Both are networks as `network.py` describes them, under names that no list of networks shows.
+Both are a `System`, under names that no list of networks shows.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..features.descriptors import angle_to_sun
+from ..grids.working_cube import Cube
 from ..runtime.cancellation import NEVER, CancelToken
-from ..runtime.tasks import SERIAL
+from ..runtime.tasks import SERIAL, AnyTasks
+from ..scene.description import Volume
 from ..scene.phase_function import henyey_greenstein
 from .conditions import Conditions
+from .interfaces import PreparedPrediction
 from .network import register_system
 
 SINGLE, OCTAVES = "single-scattering", "multi-octave"
-# Wrenninge, Kulla, Lundqvist: "Oz: The Great and Volumetric", 2013: attenuation, contribution and
-# eccentricity of each octave are these times the last one's. The first octave is single scattering.
+# Wrenninge, Kulla, Lundqvist: "Oz: The Great and Volumetric", 2013: attenuation, contribution and eccentricity of each
+# octave are these factors times those of the last. The first octave is single scattering.
 OCTAVE_COUNT = 8
 ATTENUATION = CONTRIBUTION = ECCENTRICITY = 0.5
 
 
-class _Baseline:
-    """A system without weights, for any medium; for one volume its own predictor, and prepared for one sun, too."""
+@dataclass(frozen=True)
+class Baseline:
+    """A System without weights, for any medium. name: SINGLE or OCTAVES."""
 
+    name: str
     checksum = ""
     anisotropy_range = (-1.0, 1.0)
     sigma_hat_range = (0.0, np.inf)
     albedo_range = (0.0, 1.0)
+
+    @property
+    def needs_ray_features(self) -> bool:
+        """Whether it reads the optical depth towards the sun."""
+        return self.name == OCTAVES
+
+    def predictor(
+        self, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER
+    ) -> "BaselinePredictor":
+        """What predicts in one volume; reads nothing of it."""
+        return BaselinePredictor(self.name, anisotropy)
+
+
+@dataclass(frozen=True)
+class BaselinePredictor:
+    """The `FluencePredictor` of a baseline. name: of the baseline."""
+
+    name: str
+    anisotropy: float
     respects_surfaces = False
+
+    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
+        """What predicts for one sun."""
+        return MultiOctave(self.anisotropy, conditions.sun) if self.name == OCTAVES else SingleScattering()
+
+    def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> None:
+        """None: baselines need no scattered light."""
+
+
+class SingleScattering:
+    """No multiple scattering; a `PreparedPrediction`."""
+
     lattice_cells = 0
 
-    def __init__(self, anisotropy: float = 0.0, sun=None):
-        self.anisotropy, self.sun = anisotropy, sun
-
-    def predictor(self, volume, cube, anisotropy: float, cancel: CancelToken = NEVER):
-        return type(self)(anisotropy)
-
-    def prepare(self, conditions: Conditions, tasks=SERIAL):
-        return type(self)(self.anisotropy, conditions.sun)
-
-    def fluence(self, suns, tasks=SERIAL):
-        """None: baselines look nothing up."""
-
-
-class SingleScattering(_Baseline):
-    """No multiple scattering at all."""
-
-    name, needs_ray_features = SINGLE, False
-
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
+    def predict(
+        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
         """float32 (A, N) of zeros."""
         return np.zeros((len(albedos), len(positions)), np.float32)
 
 
-class MultiOctave(_Baseline):
-    """Single scattering again and again, each octave fainter, less attenuated and less directed."""
+@dataclass(frozen=True)
+class MultiOctave:
+    """Octaves of single scattering, each fainter, less attenuated and less directed; a `PreparedPrediction`.
 
-    name, needs_ray_features = OCTAVES, True
+    anisotropy: of the medium. sun: (3,) in the cube's frame.
+    """
 
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
-        """float32 (A, N): octaves from the second on; ray_features[:, 0] is the optical depth towards the sun."""
-        cosine = np.cos(angle_to_sun(omega, self.sun))
+    anisotropy: float
+    sun: np.ndarray
+    lattice_cells = 0
+
+    def predict(
+        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""
+        if ray_features is None:
+            raise ValueError("the multi-octave approximation needs ray features")
+        cosine, tau_sun = np.cos(angle_to_sun(omega, self.sun)), ray_features[:, 0]
         total = np.zeros(len(positions), np.float32)
         for octave in range(1, OCTAVE_COUNT):
             phase = henyey_greenstein(cosine, self.anisotropy * ECCENTRICITY**octave)
-            total += CONTRIBUTION**octave * phase * np.exp(-(ATTENUATION**octave) * ray_features[:, 0])
+            total += CONTRIBUTION**octave * phase * np.exp(-(ATTENUATION**octave) * tau_sun)
         return np.repeat(total[None], len(albedos), axis=0)
 
 
 def register_baselines() -> None:
-    """Let Settings.model name them."""
-    for system in (SingleScattering, MultiOctave):
-        register_system(system.name, system, listed=False)
+    """Let Settings.model name the baselines."""
+    register_system(SINGLE, lambda: Baseline(SINGLE), listed=False)
+    register_system(OCTAVES, lambda: Baseline(OCTAVES), listed=False)

@@ -1,4 +1,4 @@
-"""The conditions under which a volume's multiple scattering is predicted."""
+"""The conditions under which the multiple scattering of a volume is predicted."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,9 @@ class Conditions:
     """One optical thickness and one sun, in the frame of a volume's working cube.
 
     sigma_hat: extinction per unit density times the cube's edge. sun: (3,) unit vector towards it. bounds: lowest and
-    highest (3,) of the points to predict at. shadow_map: of the sun in the cube's frame, or None. triangles: (T, 3, 3) of
-    black surfaces in the cube's frame, or None. occluders: `Occluders.key` of what shadow_map and triangles stand for.
+    highest (3,) of the points to predict at. shadow_map: of the sun, in the cube's frame, or None. triangles: (T, 3, 3)
+    of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of those that shadow_map and triangles
+    stand for.
     """
 
     sigma_hat: float
@@ -24,7 +25,7 @@ class Conditions:
     occluders: bytes = b""
 
     @property
-    def bounds_key(self) -> tuple:
-        """Equal where lattices of the density are."""
+    def bounds_key(self) -> tuple[float, ...]:
+        """Equal for conditions with equal lattices of the density."""
         low, high = self.bounds
         return (self.sigma_hat, *low, *high)

@@ -1,7 +1,6 @@
-"""Networks by name: their files, checksums and calls.
+"""Networks by name: their weights files, checksums and inference.
 
-What stands in for a network (`register_system`) has the attributes of Network that are listed there, and a method
-`predictor`, whose result prepares predictions as StencilPredictor does.
+Systems registered with `register_system` take the place of a network; `interfaces.System` says what they provide.
 """
 
 import base64
@@ -9,28 +8,35 @@ import contextlib
 import hashlib
 import json
 import pathlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from ..grids.working_cube import Cube
 from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Volume
 from ..scene.errors import SceneError
+from .interfaces import Predictor, System
 from .lattice_predictor import LatticePredictor
 from .provider import open_session
 from .stencil_predictor import RayPredictor, StencilPredictor
 
 WEIGHTS = pathlib.Path(__file__).parent.parent / "weights"
 # What reads a volume for a network, by the kind that its weights file states.
-KINDS = {"stencil": StencilPredictor, "ray": RayPredictor, "lattice": LatticePredictor}
+KINDS: dict[str, type[StencilPredictor] | type[LatticePredictor]] = {
+    "stencil": StencilPredictor, "ray": RayPredictor, "lattice": LatticePredictor}
 
-# Points that any processor's vectors hold a whole number of times.
-WHOLE = 16
+# Points per call are padded to a multiple of this, which is a multiple of the vector width of any processor.
+POINT_MULTIPLE = 16
 
-_systems, _unlisted = {}, set()
+_systems: dict[str, Callable[[], System]] = {}
+_unlisted: set[str] = set()
 
 
-def register_system(name: str, factory, listed: bool = True):
-    """Let Settings.model name a system that has no weights file; factory() makes it.
+def register_system(name: str, factory: Callable[[], System], listed: bool = True) -> None:
+    """Let Settings.model name a system without a weights file; factory() makes it.
 
     listed: whether `available_models` names it.
     """
@@ -39,29 +45,29 @@ def register_system(name: str, factory, listed: bool = True):
         _unlisted.add(name)
 
 
-def available_models():
-    """Names that Settings.model accepts, but for those that are not listed."""
+def available_models() -> list[str]:
+    """Names that Settings.model accepts, except for systems that are not listed."""
     return sorted({path.stem for path in WEIGHTS.glob("*.onnx")} | set(_systems) - _unlisted)
 
 
 @dataclass
 class Network:
-    """A loaded network with the points around x that it was trained with.
+    """A loaded network with the points around x that it was trained with; a `System`.
 
-    kind: of KINDS. points: its stencil or lattice, from the weights file. configuration: how it was
-    trained. checksum: sha256 of the file. provider: of onnxruntime, that runs it; warnings: where it is not the wanted one.
-    alone: held while it runs, where a provider takes one call at a time.
+    session: of onnxruntime. kind: of KINDS. points: the network's stencil or lattice, from the weights file.
+    configuration: of the training. checksum: SHA-256 of the file. provider: execution provider that runs it. warnings:
+    why that is not the one asked for. lock: held while it runs, for providers that do not support concurrent calls.
     """
 
-    session: object
-    kind: type
-    points: object
-    configuration: dict
+    session: Any
+    kind: type[StencilPredictor] | type[LatticePredictor]
+    points: Any
+    configuration: dict[str, Any]
     checksum: str
     name: str
     provider: str = "CPU"
     warnings: list[str] = field(default_factory=list)
-    alone: object = field(default_factory=contextlib.nullcontext)
+    lock: contextlib.AbstractContextManager[Any] = field(default_factory=contextlib.nullcontext)
 
     @property
     def needs_ray_features(self) -> bool:
@@ -69,58 +75,62 @@ class Network:
         return self.kind.needs_ray_features
 
     @property
-    def anisotropy_range(self):
-        """(lowest, highest) mean cosine seen in training."""
-        return tuple(self.configuration["anisotropy_range"])
+    def anisotropy_range(self) -> tuple[float, float]:
+        """(lowest, highest) mean cosine in the training data."""
+        low, high = self.configuration["anisotropy_range"]
+        return low, high
 
     @property
-    def sigma_hat_range(self):
-        """(lowest, highest) optical density of the cube seen in training."""
-        return tuple(self.configuration["sigma_hat_range"])
+    def sigma_hat_range(self) -> tuple[float, float]:
+        """(lowest, highest) optical thickness of the working cube in the training data."""
+        low, high = self.configuration["sigma_hat_range"]
+        return low, high
 
     @property
-    def albedo_range(self):
-        """(lowest, highest) albedo seen in training."""
-        return tuple(self.configuration.get("albedo_range", (0.0, 1.0)))
+    def albedo_range(self) -> tuple[float, float]:
+        """(lowest, highest) albedo in the training data."""
+        low, high = self.configuration.get("albedo_range", (0.0, 1.0))
+        return low, high
 
-    def predictor(self, volume, cube, anisotropy: float, cancel: CancelToken = NEVER):
+    def predictor(self, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER) -> Predictor:
         """What reads one volume for this network. Raises Cancelled."""
         return self.kind(self, volume, cube, anisotropy, cancel)
 
-    def run(self, **inputs) -> np.ndarray:
+    def run(self, **inputs: np.ndarray) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
 
-        inputs: arrays by name; int32 as they are, others converted to float32; albedo (A,) among them, and `gamma`, or
-        where points share them `view`, (N,). On the processor it runs on the calling
-        thread alone, so results do not depend on how many threads call, nor on which other points they come with.
+        inputs: arrays by name, converted to the types of the network's inputs; among them albedo (A,), and gamma (N,),
+        or view (N,) where points share their gamma. The processor runs it on the calling thread lock, so that the
+        result depends neither on the number of calling threads nor on the other points of a call.
         """
         count = len(inputs["view" if "view" in inputs else "gamma"])
         for model_input in self.session.get_inputs():
             value = inputs[model_input.name]
             value = np.asarray(value, np.int32 if "int32" in model_input.type else np.float32)
-            # What is left over at the end of a vector is rounded otherwise than what fills one.
+            # The remainder of a vector is rounded differently from a full vector.
             for axis in (axis for axis, size in enumerate(model_input.shape) if size in ("N", "V")):
-                more = value.take(np.zeros(-value.shape[axis] % WHOLE, int), axis)
+                more = value.take(np.zeros(-value.shape[axis] % POINT_MULTIPLE, int), axis)
                 value = np.concatenate([value, more], axis) if more.size else value
             inputs[model_input.name] = value
-        with self.alone:
+        with self.lock:
             return self.session.run(["radiance"], inputs)[0][:, :count]
 
 
-def load_network(name: str, provider: str = "CPU"):
+def load_network(name: str, provider: str = "CPU") -> System:
     """A registered system, or the network in inference/weights/NAME.onnx.
 
-    provider: of `provider.PROVIDERS`, for networks; where it cannot be had the processor runs them, and a warning says so.
+    provider: of `provider.PROVIDERS`, for networks; if it is unavailable the processor runs the network, and a warning
+    says so.
 
-    Raises SceneError where the name is unknown, the file is damaged or not the one that its checksum
-    promises, its points do not belong to it, it refers to other files, or onnxruntime is missing.
+    Raises SceneError if the name is unknown, if the file is damaged, does not match its checksum, does not match its
+    points or refers to other files, and if onnxruntime is missing.
     """
     if name in _systems:
         return _systems[name]()
     available = ", ".join(available_models()) or "none"
     if name == "reference":
         raise SceneError(
-            "the path-traced reference is no part of the extension: in the project's repository import "
+            "the path-traced reference is not part of the extension: in the project's repository import "
             f"training.reference first; available here: {available}"
         )
     if name not in available_models():
@@ -135,13 +145,13 @@ def load_network(name: str, provider: str = "CPU"):
         configuration = json.loads(metadata["configuration"])
         promised = metadata["points_sha256"]
         network = Network(session, KINDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name,
-                          opened.provider, opened.warnings, opened.alone)
+                          opened.provider, opened.warnings, opened.lock)
         for low, high in (network.anisotropy_range, network.sigma_hat_range, network.albedo_range):
             if not low <= high:
                 raise ValueError(f"its range from {low} to {high} is empty")
     except SceneError:
         raise
-    except Exception as error:  # onnxruntime raises types of its own, all meaning an unusable file
+    except Exception as error:  # onnxruntime raises types of its own, all of which mean an unusable file
         raise SceneError(f"the weights of {name!r} cannot be read ({error}); reinstall the extension") from error
     if points.digest != promised:
         raise SceneError(f"the weights of {name!r} and their {kind} do not belong together; reinstall the extension")
@@ -149,7 +159,7 @@ def load_network(name: str, provider: str = "CPU"):
 
 
 def _read_weights(name: str) -> bytes:
-    """A weights file that is what its checksum, NAME.sha256 beside it, promises. Raises SceneError where not."""
+    """Content of a weights file that matches the checksum in NAME.sha256 beside it. Raises SceneError otherwise."""
     try:
         content = (WEIGHTS / f"{name}.onnx").read_bytes()
         promised = (WEIGHTS / f"{name}.sha256").read_text().split()[0]
@@ -157,9 +167,9 @@ def _read_weights(name: str) -> bytes:
         raise SceneError(f"the weights of {name!r} or their checksum cannot be read ({error}); "
                          "reinstall the extension") from None
     if hashlib.sha256(content).hexdigest() != promised:
-        raise SceneError(f"the weights of {name!r} cannot be read: they are not what their checksum promises; "
+        raise SceneError(f"the weights of {name!r} cannot be read: they do not match their checksum; "
                          "reinstall the extension")
-    # The key under which ONNX names a file that holds a tensor's values.
+    # The key under which ONNX names a file with the values of a tensor.
     if b"location" in content:
         raise SceneError(f"the weights of {name!r} lie partly outside their file, which is refused")
     return content

@@ -1,65 +1,78 @@
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
-from ..grids.working_cube import fit_cube
+from ..grids.working_cube import Cube, fit_cube
 from ..marching.ray_march import ray_features_at
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos, in_range
 from ..runtime.cancellation import NEVER, CancelToken
-from ..runtime.tasks import SERIAL
-from ..scene.description import Medium, Volume
+from ..runtime.tasks import SERIAL, AnyTasks
+from ..scene.description import Medium, Sun, Volume
 from ..scene.phase_function import henyey_greenstein
 from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
+from .interfaces import PreparedPrediction, System
 from .network import load_network
 
 # Points per network call.
 POINTS_PER_TASK = 2048
-# Deep in a conservative half-space, a beam of irradiance 1 that meets it head-on makes this fluence:
-# sqrt(3) H(1), with Chandrasekhar's H-function. No cloud holds more of one sun's light.
-FLUENCE_MOST = 5.04
+# Fluence of a beam of irradiance 1 that meets a conservative half-space head-on, deep inside: sqrt(3) H(1), with
+# Chandrasekhar's H-function. No cloud holds more of one sun's light.
+MAX_FLUENCE = 5.04
+
+# Lowest and highest coordinates (3,).
+Bounds = tuple[np.ndarray, np.ndarray]
 
 
 class VolumePredictor:
     """A network with what it reads of one volume, for any extinction and sun.
 
-    network: as `load_network` gives it. anisotropy: the medium's; outside the network's range the nearest value is used.
+    network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
     Safe on several threads. Raises Cancelled.
 
-    Outside the range of optical thickness that the network was trained for, the prediction is that at the range's end:
-    scaled down in proportion below it, where multiple scattering is linear in density, and held above it. No prediction
-    exceeds what the largest fluence that one sun can make would give if all of it arrived where the phase function is
-    largest.
+    Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
+    range: scaled down in proportion below it, where multiple scattering is linear in density, and constant above it. No
+    prediction exceeds the radiance if the largest fluence that one sun can produce arrived entirely where the phase
+    function peaks.
     """
 
-    def __init__(self, network, volume: Volume, anisotropy: float, cancel: CancelToken = NEVER):
+    def __init__(self, network: System, volume: Volume, anisotropy: float, cancel: CancelToken = NEVER):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = fit_cube(volume), anisotropy
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
         self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
-        self._lock, self._last = threading.Lock(), (None, None)
+        self._lock = threading.Lock()
+        self._last: tuple[tuple[Any, ...], PreparedPredictor] | None = None
 
-    def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
-        """What the network does not know of a medium or of surfaces; name: of the volume, for messages."""
+    def warnings(
+        self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS
+    ) -> list[str]:
+        """Properties of a medium and of occluders that the network does not support.
+
+        name: of the volume, for the messages.
+        """
         found, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:
-            found.append(f"{name}: the network {network.name} does not know of surfaces")
+            found.append(f"{name}: the network {network.name} does not account for surfaces")
         if self.anisotropy != medium.anisotropy:
             found.append(f"{name}: anisotropy {medium.anisotropy:g} is outside the network's range; "
                          f"multiple scattering uses {self.anisotropy:g}")
         for albedo, _ in distinct_albedos(medium, [0, 1, 2]):
             used = float(np.clip(albedo, *network.albedo_range))
             if used != albedo:
-                found.append(f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}")
+                found.append(f"{name}: albedo {albedo:g} is outside the network's range; "
+                             f"multiple scattering uses {used:g}")
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
-            found.append(f"{name}: optical density {peak:.3g} is beyond the network's range of {most:g}; "
+            found.append(f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
                          "multiple scattering is less accurate")
         return found
 
@@ -67,12 +80,12 @@ class VolumePredictor:
         """Optical thickness of the working cube at the largest density."""
         return sigma_t * self.cube.edge * float(self.volume.density.max())
 
-    def bounds(self, positions: np.ndarray):
-        """Lowest and highest coordinates (3,) in the cube's frame of world positions (N, 3)."""
+    def bounds(self, positions: np.ndarray) -> Bounds:
+        """Lowest and highest coordinates (3,), in the cube's frame, of world positions (N, 3)."""
         points = self.cube.positions(positions)
         return points.min(axis=0), points.max(axis=0)
 
-    def extent(self):
+    def extent(self) -> Bounds:
         """As `bounds`, of all points at which the density is above 0."""
         ends = zip(self.cube.low - 1.0, self.cube.high * 1.0)
         corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
@@ -80,27 +93,31 @@ class VolumePredictor:
         return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
 
     def prepare(
-        self, sigma_t: float, direction, bounds, occluders: Occluders = NO_OCCLUDERS, tasks=SERIAL
+        self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders = NO_OCCLUDERS,
+        tasks: AnyTasks = SERIAL,
     ) -> "PreparedPredictor":
         """What predicts for one extinction and sun.
 
-        direction: (3,) in the world. bounds: of the points to predict at, as `bounds` gives them. Raises Cancelled.
+        direction: (3,) in the world. bounds: of the points to predict at, from `bounds`. Raises Cancelled.
         """
         key = (sigma_t, *direction, *bounds[0], *bounds[1], occluders.key)
         with tasks.cancel.locked(self._lock):
-            if self._last[0] == key:
+            if self._last is not None and self._last[0] == key:
                 return self._last[1]
-            # The former one is given back before there is a new one.
-            self._last = None, None
+            # Released before preparing a new one.
+            self._last = None
             prepared = self._predictor.prepare(self._conditions(sigma_t, direction, bounds, occluders), tasks)
             peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
             found = PreparedPredictor(
-                prepared, self.cube, self.network.albedo_range, self._used(sigma_t), np.float32(FLUENCE_MOST * peak))
+                prepared, self.cube, self.network.albedo_range, self._used(sigma_t), np.float32(MAX_FLUENCE * peak))
             self._last = key, found
             return found
 
-    def fluence(self, sigma_t: float, directions, occluders: Occluders = NO_OCCLUDERS, tasks=SERIAL) -> ScatteredFluence:
-        """Scattered light for camera rays to look up, of all suns; directions: (3,) each, in the world.
+    def fluence(
+        self, sigma_t: float, directions: Sequence[np.ndarray], occluders: Occluders = NO_OCCLUDERS,
+        tasks: AnyTasks = SERIAL,
+    ) -> ScatteredFluence | None:
+        """Scattered light of suns for lookups along camera rays; directions: (3,) each, in the world.
 
         Only for networks that need ray features. Raises Cancelled.
         """
@@ -108,63 +125,70 @@ class VolumePredictor:
         return self._predictor.fluence(
             [self._conditions(sigma_t, direction, anywhere, occluders) for direction in directions], tasks)
 
-    def _conditions(self, sigma_t, direction, bounds, occluders: Occluders) -> Conditions:
+    def _conditions(
+        self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders
+    ) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
         sun = self.cube.directions(direction)
         if not occluders:
             return Conditions(sigma_hat, sun, bounds)
         shadow_map = occluders.shadow_map(direction)
         if shadow_map is not None:
-            shadow_map = shadow_map.seen_from(self.cube.rotation * self.cube.edge, self.cube.centre)
+            shadow_map = shadow_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
         triangles = self.cube.positions(occluders.triangles)
         return Conditions(sigma_hat, sun, bounds, shadow_map, triangles, occluders.key)
 
     def _used(self, sigma_t: float) -> float:
-        """The optical thickness that the network is asked for, over the true one."""
+        """Ratio of the optical thickness within the network's range to the true one."""
         peak = self.peak_sigma_hat(sigma_t)
         return float(np.clip(peak, *self.network.sigma_hat_range)) / peak
 
 
 @dataclass(frozen=True)
 class PreparedPredictor:
-    """A VolumePredictor for one extinction and sun.
+    """A VolumePredictor for one extinction and sun. Immutable.
 
-    used: the optical thickness that the network is asked for, over the true one. most: largest radiance.
+    used: ratio of the optical thickness within the network's range to the true one. most: upper bound of the radiance.
     """
 
-    predictor: object
-    cube: object
-    albedo_range: tuple
+    prediction: PreparedPrediction
+    cube: Cube
+    albedo_range: tuple[float, float]
     used: float
     most: np.float32
 
     @property
     def lattice_cells(self) -> int:
-        """Of the lookup lattices; 0 for networks that have none."""
-        return self.predictor.lattice_cells
+        """Cells of the lookup lattices; 0 for networks without any."""
+        return self.prediction.lattice_cells
 
-    def predict(self, positions, directions, albedos, jitter=None, ray_features=None) -> np.ndarray:
-        """float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
+    def predict(
+        self, positions: np.ndarray, directions: np.ndarray, albedos: Sequence[float], jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Radiance float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
 
-        jitter: (N, 3) in [-1/2, 1/2), by which the points' lookups are moved, in cells. ray_features: float32
-        (N, COLUMNS) of RayFeatures, for networks that need them.
+        jitter: (N, 3) in [-1/2, 1/2), offset of the points' lookups in cells. ray_features: float32 (N, COLUMNS) of
+        RayFeatures, for networks that need them.
         """
         x, omega = self.cube.positions(positions), self.cube.directions(directions)
-        albedos = np.clip(albedos, *self.albedo_range)
         if ray_features is not None and self.used != 1.0:
-            # Outside the network's range the features are those of the optical thickness used: depths are in proportion
-            # to it, and so is what little a thin medium scatters.
-            ray_features = np.concatenate([ray_features[:, :2] * self.used, ray_features[:, 2:] * max(self.used, 1.0)], axis=1)
+            # Outside the network's range the features belong to the optical thickness used: depths are proportional to
+            # it, and so is the little light that a thin medium scatters.
+            ray_features = np.concatenate(
+                [ray_features[:, :2] * self.used, ray_features[:, 2:] * max(self.used, 1.0)], axis=1)
         scale = np.float32(min(1.0 / self.used, 1.0))
-        return np.minimum(self.predictor.predict(x, omega, albedos, jitter, ray_features), self.most) * scale
+        radiance = self.prediction.predict(x, omega, np.clip(albedos, *self.albedo_range), jitter, ray_features)
+        return np.minimum(radiance, self.most) * scale
 
 
-def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") -> np.ndarray:
-    """Multiple-scattered in-scattered radiance at points, as the network sees it.
+def predict_multiple(
+    volume: Volume, medium: Medium, sun: Sun, positions: np.ndarray, directions: np.ndarray, model: str = "mrpnn"
+) -> np.ndarray:
+    """Multiple-scattered in-scattered radiance at points, as the network predicts it.
 
-    positions, directions: (N, 3) world positions and unit camera-ray directions.
-    Returns float32 (N, 3), W/(m^2 sr) for the sun's irradiance; the pixel's albedo factor is not included.
-    Raises SceneError as `render` does.
+    positions, directions: (N, 3) world positions and unit camera-ray directions. Returns float32 (N, 3), W/(m^2 sr) for
+    the sun's irradiance, without the factor of the local albedo. Raises SceneError as `render` does.
     """
     positions = np.asarray(positions, np.float64).reshape(-1, 3)
     directions = np.asarray(directions, np.float64).reshape(-1, 3)
@@ -188,7 +212,8 @@ def predict_multiple(volume, medium, sun, positions, directions, model="mrpnn") 
             features = None
             if fluence is not None:
                 features = ray_features_at(bound, positions[span], directions[span], fluence).of(slice(None), 0, 0)
-            radiance = prepared.predict(positions[span], directions[span], [a for a, _ in albedos], ray_features=features)
+            radiance = prepared.predict(
+                positions[span], directions[span], [albedo for albedo, _ in albedos], ray_features=features)
             for (_, channels), row in zip(albedos, radiance):
                 for c in channels:
                     result[span, c] = row * sun.irradiance[c]

@@ -1,14 +1,15 @@
-"""onnxruntime's execution providers: which one runs a network, by the user's choice, and what is trusted to do so."""
+"""onnxruntime's execution providers: which one the user wants, and whether it is available and accurate."""
 
 import contextlib
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..scene.errors import SceneError
 
-# By the names that settings have for them. The shipped onnxruntime has CPU alone, and CoreML on macOS.
+# By the names in Settings. The shipped onnxruntime has CPU alone, and CoreML on macOS.
 PROVIDERS = {
     "CPU": "CPUExecutionProvider",
     "CUDA": "CUDAExecutionProvider",
@@ -16,29 +17,30 @@ PROVIDERS = {
     "COREML": "CoreMLExecutionProvider",
     "OPENVINO": "OpenVINOExecutionProvider",
 }
-# What another provider may differ from the processor by: root mean square over random inputs, relative to that of the
-# processor's results.
+# Tolerated difference from the processor: root mean square over random inputs, relative to that of the processor.
 TOLERANCE = 0.01
 TRIAL_POINTS = 64
 
 
 @dataclass
-class Opened:
-    """session: onnxruntime's. provider: of PROVIDERS, that runs it; warnings: why not the wanted one.
-    alone: to be held while it runs.
+class OpenedSession:
+    """An onnxruntime session.
+
+    provider: key of PROVIDERS that runs it. warnings: why that is not the one asked for. lock: to be held while it
+    runs.
     """
 
-    session: object
+    session: Any
     provider: str
     warnings: list[str]
-    alone: object
+    lock: contextlib.AbstractContextManager[Any]
 
 
-def open_session(content: bytes, provider: str) -> Opened:
-    """A session of the network in an ONNX file's `content`, by `provider` where that is there and gives what the
-    processor gives, else by the processor.
+def open_session(content: bytes, provider: str) -> OpenedSession:
+    """Open the network in an ONNX file's `content` with a provider.
 
-    Raises SceneError for an unknown provider and where onnxruntime is missing, and onnxruntime's errors.
+    The processor takes the place of a provider that is unavailable or inaccurate. Raises SceneError for an unknown
+    provider and if onnxruntime is missing, and onnxruntime's own errors.
     """
     if provider not in PROVIDERS:
         raise SceneError(f"there is no provider called {provider!r}; there are: {', '.join(PROVIDERS)}")
@@ -48,7 +50,7 @@ def open_session(content: bytes, provider: str) -> Opened:
         raise SceneError(f"onnxruntime cannot be imported ({error}); reinstall the extension") from error
     processor = _session(onnxruntime, content, "CPU")
     if provider == "CPU":
-        return Opened(processor, "CPU", [], contextlib.nullcontext())
+        return OpenedSession(processor, "CPU", [], contextlib.nullcontext())
     wanted = PROVIDERS[provider]
     if wanted not in onnxruntime.get_available_providers():
         problem = f"onnxruntime {onnxruntime.__version__} here has no {wanted}"
@@ -57,28 +59,28 @@ def open_session(content: bytes, provider: str) -> Opened:
             session = _session(onnxruntime, content, provider)
             problem = _difference(session, processor) if session.get_providers()[0] == wanted else \
                 f"onnxruntime cannot start {wanted} here, whose libraries or device are missing"
-        except Exception as error:  # onnxruntime raises types of its own, as do drivers
+        except Exception as error:  # onnxruntime raises types of its own, and so do drivers
             problem = f"{wanted} cannot run it ({error})"
     if not problem:
-        # DirectML takes one call at a time, and no device gains by several.
-        return Opened(session, provider, [], threading.Lock())
+        # DirectML does not support concurrent calls, and no device gains by them.
+        return OpenedSession(session, provider, [], threading.Lock())
     warning = f"the network runs on the processor instead of {provider}: {problem}"
-    return Opened(processor, "CPU", [warning], contextlib.nullcontext())
+    return OpenedSession(processor, "CPU", [warning], contextlib.nullcontext())
 
 
-def _session(onnxruntime, content, provider):
+def _session(onnxruntime: Any, content: bytes, provider: str) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
-    # DirectML asks for this.
+    # DirectML does not support memory patterns.
     options.enable_mem_pattern = provider != "DIRECTML"
     return onnxruntime.InferenceSession(content, options, providers=list(dict.fromkeys(
         [PROVIDERS[provider], PROVIDERS["CPU"]])))
 
 
-def _difference(session, processor) -> str:
-    """What a session gives otherwise than the processor for random inputs, in words; "" where it is the same."""
+def _difference(session: Any, processor: Any) -> str:
+    """How the results of a session differ from those of the processor for random inputs, in words; "" if they agree."""
     random = np.random.default_rng(0)
     inputs = {}
     for asked in processor.get_inputs():

@@ -1,12 +1,14 @@
-"""A volume as networks of kinds "stencil" and "ray" read it."""
+"""How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..features.descriptors import FieldLookup, angle_to_sun, describe, distinct_rows
 from ..features.mip_lattices import (
+    Lattices,
     SunLevels,
     build_lattices,
     density_pyramid,
@@ -16,21 +18,22 @@ from ..features.mip_lattices import (
 )
 from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
-from ..grids.working_cube import level0_density
+from ..grids.working_cube import Cube, level0_density
 from ..runtime.cancellation import NEVER, CancelToken
-from ..runtime.tasks import SERIAL
+from ..runtime.tasks import SERIAL, AnyTasks
+from ..scene.description import Volume
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
 from .conditions import Conditions
 
-# Fluence lattices, of suns and optical thicknesses, that a volume keeps.
-MOST_LATTICES = 64
-# Points along an edge of a cell of the coarse transport at which surfaces may shade it.
-CELL_POINTS = 3
+# Fluence lattices, of suns and optical thicknesses, that are cached per volume.
+MAX_LATTICES = 64
+# Sample points along an edge of a cell of the coarse transport for the visibility of the sun.
+VISIBILITY_SAMPLES = 3
 
 
 class StencilPredictor:
-    """Density, transmittance and phase function at A.2's stencil, for a network that reads them.
+    """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
 
     network: whose `points` are the Stencil. cube: of the volume. Safe on several threads. Raises Cancelled.
     """
@@ -38,32 +41,38 @@ class StencilPredictor:
     needs_ray_features = False
     respects_surfaces = True
 
-    def __init__(self, network, volume, cube, anisotropy: float, cancel: CancelToken = NEVER):
+    def __init__(
+        self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER
+    ):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        self._lock, self._lattices = threading.Lock(), (None, None)
+        self._lock = threading.Lock()
+        self._lattices: tuple[tuple[float, ...], Lattices] | None = None
         pyramid = density_pyramid(level0_density(volume, cube, cancel))
         self.padded = padded_levels(pyramid, network.points)
         self._read_pyramid(pyramid)
 
-    def _read_pyramid(self, pyramid):
-        """Make what depends neither on optical thickness nor on suns."""
+    def _read_pyramid(self, pyramid: list[np.ndarray]) -> None:
+        """Compute what depends on the volume alone; pyramid: of its density."""
         self.phase = PhaseFeatures(self.network.points, self.anisotropy)
 
     @staticmethod
-    def read_points(values) -> Stencil:
+    def read_points(values: np.ndarray) -> Stencil:
         """The stencil from the floats of a weights file."""
         return Stencil.read(values)
 
-    def prepare(self, conditions: Conditions, tasks=SERIAL) -> "PreparedStencil":
+    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedStencil | PreparedRays":
         """What predicts under these conditions. Raises Cancelled."""
         stencil = self.network.points
         visibility = visibility_levels(stencil, conditions.shadow_map) if conditions.shadow_map else None
         sun = SunLevels(unit_optical_depths(self.padded, conditions.sun), visibility)
         with tasks.cancel.locked(self._lock):
-            earlier = self._lattices[1] if self._lattices[0] == conditions.bounds_key else None
-            # Unneeded ones are given back before there are new ones.
-            self._lattices = None, None
-            lattices = build_lattices(self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier)
+            earlier = None
+            if self._lattices is not None and self._lattices[0] == conditions.bounds_key:
+                earlier = self._lattices[1]
+            # Released before building new ones.
+            self._lattices = None
+            lattices = build_lattices(
+                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier)
             self._lattices = conditions.bounds_key, lattices
         lookup = FieldLookup(stencil, lattices, conditions.sun)
         return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
@@ -71,41 +80,53 @@ class StencilPredictor:
 
 @dataclass(frozen=True)
 class PreparedStencil:
-    """A StencilPredictor under certain conditions."""
+    """A StencilPredictor under certain conditions; a `PreparedPrediction`."""
 
-    network: object
+    network: Any
     lookup: FieldLookup
     phase: PhaseFeatures
     anisotropy: float
 
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
-        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); jitter: as for FieldLookup."""
+    def predict(
+        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedPrediction; jitter: as for FieldLookup. Ray features are not used."""
         features, gamma = describe(self.lookup, self.phase, positions, omega, jitter)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
 
     @property
     def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
         return self.lookup.lattices.values.size
 
 
 class RayPredictor(StencilPredictor):
-    """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them."""
+    """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
+
+    A `FluencePredictor`; arguments as for StencilPredictor.
+    """
 
     needs_ray_features = True
 
     @staticmethod
-    def read_points(values) -> Stencil:
+    def read_points(values: np.ndarray) -> Stencil:
+        """The sparse stencil from the floats of a weights file."""
         return Stencil.read(values, SPARSE)
 
-    def _read_pyramid(self, pyramid):
-        self.coarse, self._transport, self._fluence = pyramid[LEVEL], (None, None), {}
+    def _read_pyramid(self, pyramid: list[np.ndarray]) -> None:
+        """Take the level that the coarse transport is solved on."""
+        self.coarse = pyramid[LEVEL]
+        self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
+        self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
 
-    def prepare(self, conditions: Conditions, tasks=SERIAL) -> "PreparedRays":
+    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
+        """What predicts under these conditions. Raises Cancelled."""
         stencil = self.network.points
         with tasks.cancel.locked(self._lock):
-            if self._lattices[0] != conditions.bounds_key:
-                self._lattices = None, None
+            if self._lattices is None or self._lattices[0] != conditions.bounds_key:
+                self._lattices = None
                 lattices = build_lattices(
                     self.padded, conditions.sigma_hat, stencil, bounds=conditions.bounds, mapper=tasks.each)
                 self._lattices = conditions.bounds_key, lattices
@@ -113,51 +134,57 @@ class RayPredictor(StencilPredictor):
             cells = self._solve(conditions, tasks.cancel).astype(np.float32)
         return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), cells, self.anisotropy)
 
-    def fluence(self, suns, tasks=SERIAL) -> ScatteredFluence:
-        """Scattered light of several suns, one Conditions each, for camera rays to look up. Raises Cancelled."""
+    def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
+        """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
-            # One after the other: on several threads they take longer, since these wait for Python's lock between
-            # short operations.
+            # Sequentially: on several threads they contend for the interpreter lock between short operations and take
+            # longer.
             cells = [found for sun in suns for found in tasks.each(lambda one: self._solve(one, tasks.cancel), [sun])]
         return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
 
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
-        """As `fluence_lattice`, solved once per optical thickness, sun and surfaces."""
+        """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
         if key not in self._fluence:
-            if len(self._fluence) >= MOST_LATTICES:
+            if len(self._fluence) >= MAX_LATTICES:
                 self._fluence.clear()
-            # The optical thickness and the surfaces are the same for all suns of a render.
+            # All suns of a render share their optical thickness and occluders.
             solver_key = conditions.sigma_hat, conditions.occluders
-            if self._transport[0] != solver_key:
+            if self._transport is None or self._transport[0] != solver_key:
                 solver = DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles)
                 self._transport = solver_key, solver
             solver, shadow_map = self._transport[1], conditions.shadow_map
-            visibility = shadow_map.lit_cells(CELLS, parts=CELL_POINTS) if shadow_map else 1.0
+            visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
             self._fluence[key] = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
         return self._fluence[key]
 
 
 @dataclass(frozen=True)
 class PreparedRays:
-    """A RayPredictor under certain conditions; cells: float32, of `fluence_lattice`."""
+    """A RayPredictor under certain conditions; a `PreparedPrediction`. cells: of `fluence_lattice`, float32."""
 
-    network: object
+    network: Any
     lookup: FieldLookup
     cells: np.ndarray
     anisotropy: float
 
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
-        """Radiance float32 (A, N) at points of the cube's frame, (N, 3); ray_features: (N, COLUMNS) of RayFeatures."""
+    def predict(
+        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedPrediction. Raises ValueError without ray features."""
         first, view = distinct_rows(omega)
         stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
         sun = self.lookup.sun
         gamma = angle_to_sun(omega[first], sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         around = read_fluence(self.cells, positions, omega, sun, self.anisotropy)
+        if ray_features is None:
+            raise ValueError(f"the network {self.network.name} needs ray features")
         ray = np.concatenate([ray_features, around], axis=1)
         return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
 
     @property
     def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
         return self.lookup.lattices.values.size

@@ -1,21 +1,22 @@
-"""Trilinear interpolation of a grid with 0 outside."""
+"""Trilinear interpolation of a grid that is 0 outside."""
 
 import numpy as np
 
 
 def pad_with_zeros(grid: np.ndarray) -> np.ndarray:
-    """The grid with zeros around it: (nx + 3, ny + 3, nz + 3), voxel 0 at index 1."""
+    """The grid surrounded by zeros: (nx + 3, ny + 3, nz + 3), voxel 0 at index 1."""
     return np.pad(grid, (1, 2))
 
 
 def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Interpolate at continuous indices of the unpadded grid; 0 from one cell beyond it.
+    """Trilinear interpolation at continuous indices of the unpadded grid; 0 from one voxel beyond it.
 
-    padded: float32 from `pad_with_zeros`; index: float32 (3, N), a row an axis. Returns float32 (N,).
+    padded: float32 from `pad_with_zeros`; index: float32 (3, N), one row per axis. Returns float32 (N,).
     """
-    base, fractions = 0, []
+    base: np.ndarray | int = 0
+    fractions = []
     for at, size in zip(index, padded.shape):
-        # Indices beyond the padding are clamped onto it, where all is 0.
+        # Indices beyond the padding are clamped onto it, where everything is 0.
         position = at + np.float32(1.0)
         np.clip(position, np.float32(0.0), np.float32(size - 2), out=position)
         cell = position.astype(np.int32)
@@ -27,15 +28,15 @@ def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
 
     def edge(offset):
         low, high = flat[offset:].take(base), flat[offset + 1 :].take(base)
-        return between(low, high, fz)
+        return lerp_into(low, high, fz)
 
-    y0 = between(edge(0), edge(step_y), fy)
-    y1 = between(edge(step_x), edge(step_x + step_y), fy)
-    return between(y0, y1, fx)
+    y0 = lerp_into(edge(0), edge(step_y), fy)
+    y1 = lerp_into(edge(step_x), edge(step_x + step_y), fy)
+    return lerp_into(y0, y1, fx)
 
 
-def between(low, high, fraction):
-    """low + fraction * (high - low), in the place of `high`."""
+def lerp_into(low: np.ndarray, high: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """low + fraction * (high - low), computed in place in `high`."""
     high -= low
     high *= fraction
     high += low

@@ -1,20 +1,20 @@
-"""Products of matrices on the thread that asks for them.
+"""Matrix products on the calling thread.
 
-Libraries behind numpy share large products among threads of their own, which then wait, busily, for the next one: they
-would take the processor from the threads that a render has already.
+BLAS libraries share large products among threads of their own, which then spin while they wait for the next product:
+they would compete with the render's worker threads for the processor.
 """
 
 import numpy as np
 
-# Products of a matrix and a vector, and of two matrices, that OpenBLAS does not share: multiplications at most.
+# Multiplications up to which OpenBLAS does not share a matrix-vector and a matrix-matrix product.
 VECTOR_WORK, MATRIX_WORK = 8192, 1 << 17
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a @ b for a (..., M, K) and b (K,) or (K, N), in parts of some rows each."""
+    """a @ b for a (..., M, K) and b (K,) or (K, N), in blocks of rows that are small enough to stay on this thread."""
     if not a.size or not b.size:
         return a @ b
-    # One column is a vector to numpy as well.
+    # numpy treats a matrix of one column as a vector, too.
     work = VECTOR_WORK if b.size == a.shape[-1] else MATRIX_WORK
     rows = a.reshape(-1, a.shape[-1])
     each = max(work // b.size, 1)

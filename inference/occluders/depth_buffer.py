@@ -1,9 +1,11 @@
 """Where opaque surfaces end camera rays.
 
-Triangles are drawn at several places in each pixel; the nearest wins. A pixel that a surface's edge crosses is rendered
-as several rays, one for each distance at which parts of it end.
+Triangles are rasterized at several sample points per pixel; the nearest wins. A pixel crossed by the edge of a surface
+is rendered as several rays, one for each distance at which parts of it end.
 """
 
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,21 +14,21 @@ from ..scene.camera import Camera
 from ..scene.description import Surface
 from .rasterization import rasterize
 
-#: Places across a pixel, an axis, at which surfaces are looked for.
-PLACES = 4
-# Distances that are told apart within one pixel, of the ray's way through the volumes.
+#: Sample points per axis and pixel.
+SAMPLES = 4
+# Distances that are distinguished within one pixel, as fractions of the interval of the ray within volumes.
 DISTANCES = 16
-# Triangles are cut at least at this share of the farthest one's distance.
+# Triangles are clipped at least at this fraction of the farthest one's distance.
 CLOSEST = 1e-6
 
 
 class DepthBuffer:
     """Surfaces as a perspective or orthographic camera sees them."""
 
-    def __init__(self, surfaces: list[Surface], camera: Camera, cancel: CancelToken = NEVER):
+    def __init__(self, surfaces: Sequence[Surface], camera: Camera, cancel: CancelToken = NEVER):
         """Raises Cancelled."""
         self.camera = camera
-        # Only what lies beyond the near clipping plane is seen, by every camera.
+        # Every camera shows only what lies beyond its near clipping plane.
         eye, farthest = camera.world_matrix[:3, 3], 0.0
         for surface in surfaces:
             cancel.check()
@@ -36,8 +38,11 @@ class DepthBuffer:
         projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
         self.place, self.value = (np.concatenate(parts) for parts in zip(*projected))
 
-    def _project(self, corners, closest, cancel):
-        """Places (T, 3, 2) in pixels, and what is even across a triangle there, (T, 3), larger where it is nearer."""
+    def _project(self, corners: np.ndarray, closest: float, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
+        """Project triangles to pixel coordinates (T, 3, 2), with values (T, 3) that grow towards the camera.
+
+        The values interpolate linearly in the image: depth for orthographic cameras, 1 / depth for perspective ones.
+        """
         cancel.check()
         camera = self.camera
         rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
@@ -53,37 +58,43 @@ class DepthBuffer:
                           0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
         return place, value
 
-    def distances(self, window, cancel: CancelToken = NEVER) -> np.ndarray:
-        """float64 (N, PLACES^2) along rays through the window's pixels, row by row; infinity where nothing is."""
+    def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
+        """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row.
+
+        Infinity where there is no surface. Raises Cancelled.
+        """
         x0, y0, x1, y1 = window
-        size = np.array([x1 - x0, y1 - y0]) * PLACES
-        place = (self.place - [x0, y0]) * PLACES - 0.5
+        size = np.array([x1 - x0, y1 - y0]) * SAMPLES
+        place = (self.place - [x0, y0]) * SAMPLES - 0.5
         found = np.full(size[0] * size[1], -np.inf)
         for flat, value, _ in rasterize(place, self.value, size, cancel):
             np.maximum.at(found, flat, value)
         distance = self._along(found.reshape(size[1], size[0]), x0, y0)
-        parts = distance.reshape(y1 - y0, PLACES, x1 - x0, PLACES).transpose(0, 2, 1, 3)
-        return parts.reshape(-1, PLACES**2)
+        parts = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
+        return parts.reshape(-1, SAMPLES**2)
 
-    def _along(self, value, x0, y0):
+    def _along(self, value: np.ndarray, x0: int, y0: int) -> np.ndarray:
+        """Distances along rays, from the values of `_project` at the sample points of a window from (x0, y0) on."""
         if self.camera.projection == "orthographic":
             return -value
         width, height = self.camera.resolution
         rows, columns = np.indices(value.shape)
-        u = (x0 + (columns + 0.5) / PLACES) / width - 0.5 + self.camera.shift[0]
-        v = (0.5 * height - y0 - (rows + 0.5) / PLACES) / width + self.camera.shift[1]
+        u = (x0 + (columns + 0.5) / SAMPLES) / width - 0.5 + self.camera.shift[0]
+        v = (0.5 * height - y0 - (rows + 0.5) / SAMPLES) / width + self.camera.shift[1]
         with np.errstate(divide="ignore"):
             depth = np.where(value > 0.0, 1.0 / value, np.inf)
         return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
 
 
-def split_rays_at_surfaces(near, far, distances):
-    """Rays (pixel int (M,), far (M,), share (M,), free (M,)) for pixels with an interval (N,) and distances (N, K).
+def split_rays_at_surfaces(
+    near: np.ndarray, far: np.ndarray, distances: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays (pixel int (M,), far (M,), share (M,), free (M,)) of pixels with an interval (N,) and distances (N, K).
 
-    pixel: ascending; share: of the pixel that the ray stands for; free: of the ray, what no surface ends behind the
-    interval either. Where a surface lies before the interval, none does.
+    pixel: ascending. share: fraction of the pixel that the ray stands for. free: fraction of the ray that no surface
+    ends beyond the interval either. A surface in front of the interval leaves no ray.
     """
-    # Where there is no interval, one of no length.
+    # Pixels without an interval get one of length 0.
     near, far = (np.where(near < far, ends, 0.0) for ends in (near, far))
     ends = np.clip(distances, near[:, None], far[:, None])
     length = np.where(far > near, far - near, 1.0)[:, None]
@@ -91,20 +102,20 @@ def split_rays_at_surfaces(near, far, distances):
     flat = (np.arange(len(near))[:, None] * (DISTANCES + 1) + np.clip(group, 0, DISTANCES)).ravel()
     count = np.bincount(flat, minlength=len(near) * (DISTANCES + 1))
     total = np.bincount(flat, ends.ravel(), minlength=len(count))
-    kept = np.flatnonzero((count > 0) & (np.arange(len(count)) % (DISTANCES + 1) > 0))
-    pixel, last = kept // (DISTANCES + 1), kept % (DISTANCES + 1) == DISTANCES
-    free = np.isinf(distances).sum(axis=1)[pixel] * last / count[kept]
-    return pixel, total[kept] / count[kept], count[kept] / distances.shape[1], free
+    used = np.flatnonzero((count > 0) & (np.arange(len(count)) % (DISTANCES + 1) > 0))
+    pixel, last = used // (DISTANCES + 1), used % (DISTANCES + 1) == DISTANCES
+    free = np.isinf(distances).sum(axis=1)[pixel] * last / count[used]
+    return pixel, total[used] / count[used], count[used] / distances.shape[1], free
 
 
-def _beyond(corners, closest: float):
-    """Triangles (T, 3, 3), seen along -z, without what lies before the plane -z = closest."""
+def _beyond(corners: np.ndarray, closest: float) -> np.ndarray:
+    """Clip triangles (T, 3, 3), seen along -z, to the half-space behind the plane z = -closest."""
     depth = -corners[..., 2] - closest
     ahead = (depth > 0.0).sum(axis=1)
     parts = [corners[ahead == 3]]
     for inside in (1, 2):
         some, d = corners[ahead == inside], depth[ahead == inside]
-        # First the corner that is alone on its side.
+        # Rotate the corner that is alone on its side to the front.
         first = (d > 0.0).argmax(axis=1) if inside == 1 else (d <= 0.0).argmax(axis=1)
         order = (first[:, None] + np.arange(3)) % 3
         some, d = np.take_along_axis(some, order[..., None], 1), np.take_along_axis(d, order, 1)
@@ -114,5 +125,3 @@ def _beyond(corners, closest: float):
         else:
             parts += [np.stack([a, some[:, 1], some[:, 2]], axis=1), np.stack([a, some[:, 2], b], axis=1)]
     return np.concatenate(parts)
-
-

@@ -1,22 +1,24 @@
-"""What opaque surfaces do to the light in volumes."""
+"""Opaque surfaces as occluders of the light in volumes."""
 
 import functools
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Surface
 from .shadow_map import ShadowMap
 
 
 @dataclass(frozen=True)
 class Occluders:
-    """Black surfaces that keep suns' light, or scattered light, from volumes.
+    """Black surfaces that block the light of suns, or scattered light, in volumes.
 
-    directions: unit vectors (3,) to the suns, in the world. shadow_maps: a ShadowMap of each sun, or None where nothing
-    shades the volumes from any. triangles: float64 (T, 3, 3), in the world, of the surfaces at which scattered light ends.
-    shading: triangles (N, 3, 3) of each surface that shades, empty where shadow_maps is None.
+    directions: unit vectors (3,) to the suns, in the world. shadow_maps: ShadowMap per sun, or None if no surface
+    shadows the volumes from any. triangles: float64 (T, 3, 3), in the world, of the surfaces that absorb scattered
+    light. shading: triangles (N, 3, 3) of each surface that casts shadows, empty if shadow_maps is None.
     """
 
     directions: list[np.ndarray]
@@ -24,11 +26,11 @@ class Occluders:
     triangles: np.ndarray
     shading: list[np.ndarray]
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         return bool(self.shadow_maps) or len(self.triangles) > 0
 
-    def shadow_map(self, direction) -> ShadowMap | None:
-        """The ShadowMap of the sun in a direction, or None."""
+    def shadow_map(self, direction: np.ndarray) -> ShadowMap | None:
+        """ShadowMap of the sun in a direction, or None."""
         for known, shadow_map in zip(self.directions, self.shadow_maps or ()):
             if np.array_equal(known, direction):
                 return shadow_map
@@ -36,7 +38,7 @@ class Occluders:
 
     @functools.cached_property
     def key(self) -> bytes:
-        """Equal for occluders that do the same to the light; b"" where they do nothing."""
+        """Digest that is equal for occluders of equal effect; empty for those without any."""
         if not self:
             return b""
         digest = hashlib.blake2b(digest_size=16)
@@ -45,34 +47,35 @@ class Occluders:
         return digest.digest()
 
 
-#: Those of a scene without surfaces.
+#: Occluders of a scene without surfaces.
 NO_OCCLUDERS = Occluders([], None, np.zeros((0, 3, 3)), [])
 
 
-def find_occluders(surfaces, directions, corners, cancel: CancelToken = NEVER):
-    """Occluders for the suns of which some light reaches the volumes, and the numbers of these suns.
+def find_occluders(
+    surfaces: Sequence[Surface], directions: Sequence[np.ndarray], corners: np.ndarray, cancel: CancelToken = NEVER
+) -> tuple[Occluders, list[int]]:
+    """Occluders of the light in volumes, and the numbers of the suns some of whose light reaches the volumes.
 
-    surfaces: Surfaces. directions: unit vectors (3,) to the suns. corners: (8 B, 3) of the boxes of B volumes. Where no
-    sun reaches the volumes, the occluders are those of the first. Raises Cancelled.
+    directions: unit vectors (3,) to the suns. corners: (8 B, 3) of the boxes of B volumes. Raises Cancelled.
     """
     boxes = corners.reshape(-1, 8, 3)
     shading = [surface for surface in surfaces if surface.shades]
     maps = [ShadowMap(shading, direction, corners, cancel) for direction in directions if shading]
     if not any(shadow_map.shades(boxes) for shadow_map in maps):
         maps = []
-    lit = [n for n in range(len(directions)) if not (maps and maps[n].darkens(boxes))]
-    # Only surfaces that reach into the volumes' box: light that leaves it does not come back.
+    visible = [n for n in range(len(directions)) if not (maps and maps[n].darkens(boxes))]
+    # Only surfaces within the bounds of the volumes: light that has left these does not come back.
     low, high = corners.min(axis=0), corners.max(axis=0)
     ends = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)]
     ends = [triangles for triangles in ends
             if np.all(triangles.min(axis=(0, 1)) < high) and np.all(triangles.max(axis=(0, 1)) > low)]
     return Occluders(
         list(directions), maps or None, np.concatenate(ends) if ends else np.zeros((0, 3, 3)),
-        [surface.triangles for surface in shading] if maps else []), lit
+        [surface.triangles for surface in shading] if maps else []), visible
 
 
-def of_suns(occluders: Occluders, numbers: list[int], corners) -> Occluders:
-    """The same for some of the suns."""
+def select_suns(occluders: Occluders, numbers: Sequence[int], corners: np.ndarray) -> Occluders:
+    """Occluders for some of the suns, by number; corners as for `find_occluders`."""
     maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
     shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)
     return Occluders([occluders.directions[n] for n in numbers], maps if shaded else None, occluders.triangles,

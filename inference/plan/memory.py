@@ -10,7 +10,7 @@ from .sun_columns import column_bytes
 
 # Bytes of the lookup lattices and the coarse transport of one volume, whatever its resolution.
 FIELD_BYTES = 42 * LEVEL0_CELLS**3
-# Bytes per voxel for the grid itself, and for the optical depth towards each sun.
+# Bytes per voxel of the grid itself, and of the optical depth towards each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 # Bytes of overlapping volumes merged into one medium.
 MERGED_BYTES = 12 * LEVEL0_CELLS**3
@@ -18,20 +18,20 @@ MERGED_BYTES = 12 * LEVEL0_CELLS**3
 VOXEL_EMISSION_BYTES = 24
 # Bytes per block of a sparse grid's largest slab, and per block of the whole grid.
 SLAB_BYTES, CELLS_BYTES = 3 * 4 * 512, 3 * 8
-# Bytes per pixel of the framebuffer; of a pixel's ray while it is rendered; and of each of its depth samples.
+# Bytes per pixel of the framebuffer, per camera ray of a tile, and per depth sample of such a ray.
 IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
-# Bytes per depth sample, volume and sun: the features of the ray (`marching.ray_features.COLUMNS`), twice.
+# Bytes per depth sample, volume and sun: the ray features (`marching.ray_features.COLUMNS`), twice.
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
 def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
-    """Bytes of a volume's grid and of its optical depths towards suns."""
+    """Bytes of a volume's grid and of its optical depths towards the suns. emits: whether the volume emits light."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits
         return volume.density.size * refinement(volume.density.shape) ** 3 * voxel
-    linear = np.linalg.inv(volume.world_from_index)[:3, :3]
-    depths = sum(column_bytes(volume.density, linear @ sun.direction) for sun in suns)
-    # A row of blocks as an array, and the cells that rays skip.
+    index_from_world = np.linalg.inv(volume.world_from_index)[:3, :3]
+    depths = sum(column_bytes(volume.density, index_from_world @ sun.direction) for sun in suns)
+    # One row of blocks as an array, and the cells that rays skip.
     blocks = volume.density.table.shape
     return depths + SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
 

@@ -1,31 +1,31 @@
-"""Volumes that overlap: what the network sees as one medium."""
+"""Overlapping volumes, which the network treats as one medium."""
 
 
 import numpy as np
 
 from ..scene.description import Volume
 
-# Volumes are joined until what holds them is so many times as long as the least of them: beyond, the network would
-# see too little of that one.
-MOST_EXTENT = 4.0
+# Volumes are joined while the extent of all is at most this many times that of the smallest: beyond, the network would
+# resolve the smallest too coarsely.
+MAX_EXTENT_RATIO = 4.0
 
 
 def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Numbers of volumes that are seen as one, and pairs that overlap and are too different in size for it.
+    """Groups of volumes that are treated as one medium, and pairs that overlap but differ too much in size for that.
 
-    Every volume is in one group; groups and their members are in the order of the volumes.
+    Volumes are given by number. Every volume is in one group; groups and their members are in the order of the volumes.
     """
     corners = np.array([_corners(volume) for volume in volumes]).reshape(-1, 8, 3)
     low, high = corners.min(axis=1), corners.max(axis=1)
     extent = (high - low).max(axis=1)
-    meets = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
-    pairs = np.argwhere(np.triu(meets, 1)).tolist()
+    overlaps = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
+    pairs = [(int(first), int(second)) for first, second in np.argwhere(np.triu(overlaps, 1))]
     groups = [[v] for v in range(len(volumes))]
     for first, second in pairs:
         a, b = (next(group for group in groups if v in group) for v in (first, second))
         joined = sorted(a + b)
         edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
-        if a is not b and edge <= MOST_EXTENT * extent[joined].min():
+        if a is not b and edge <= MAX_EXTENT_RATIO * extent[joined].min():
             groups = sorted([group for group in groups if group is not a and group is not b] + [joined])
     apart = [(first, second) for first, second in pairs
              if not any(first in group and second in group for group in groups)]
@@ -33,7 +33,7 @@ def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int,
 
 
 def _corners(volume: Volume) -> np.ndarray:
-    """World corners (8, 3) of a grid, from centre to centre of its voxels."""
+    """World corners (8, 3) of the box between the centres of a grid's outermost voxels."""
     ends = np.array([(x, y, z, 1.0) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     index = ends * [*(np.array(volume.density.shape) - 1.0), 1.0]
     return (index @ volume.world_from_index.T)[:, :3]

@@ -1,4 +1,4 @@
-"""What a scene needs: pure functions of its description."""
+"""What a scene needs, decided from its description alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,25 +15,25 @@ from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, row_byte
 from .overlap import overlapping
 from .resolution import BAND
 
-# Suns count as parallel, and are merged, below this angle in radians.
-PARALLEL = 1e-6
-# Grids whose largest density lies outside are scaled, and their extinction the other way round.
-USUAL_DENSITY = (2.0**-20, 2.0**20)
-# Pixels rendered together: small enough that finished parts appear soon, large enough that threads seldom wait at the end
+# Suns within this angle of each other, in radians, count as parallel.
+PARALLEL_ANGLE = 1e-6
+# A grid whose largest density lies outside is rescaled, and its extinction inversely.
+DENSITY_RANGE = (2.0**-20, 2.0**20)
+# Pixels rendered together: few enough for finished tiles to appear soon, enough for threads to seldom wait at the end
 # of one.
 TILE_PIXELS = 1 << 18
 SMALLEST_TILE, TILES_PER_IMAGE = 1 << 16, 8
-# Optical thickness of the working cube below which nothing is rendered, and above which the picture does not change.
-SIGMA_HAT_LEAST, SIGMA_HAT_MOST = 1e-20, 1e12
-# Voxels are counted in 32 bits.
-MOST_VOXELS = 2**31 - 1
+# Optical thickness of the working cube below which nothing is visible, and above which the picture no longer changes.
+MIN_SIGMA_HAT, MAX_SIGMA_HAT = 1e-20, 1e12
+# Voxels are indexed with 32-bit integers.
+MAX_VOXELS = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Colour channels that share their extinction and are rendered together.
+    """Colour channels of equal extinction, which are rendered together.
 
-    indices: of the RGB channels. sigma_t: (V,), of each volume, per unit density and world unit.
+    indices: of the RGB channels. sigma_t: (V,), extinction coefficient of each volume, per unit density and world unit.
     """
 
     indices: list[int]
@@ -42,13 +42,14 @@ class Channels:
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a scene asks for, and in words what it does not.
+    """The work that a scene requires, and in words what is done and what is skipped.
 
-    volumes: V of them with their media, in numbers that single precision holds. suns: with their shares of parallel ones.
-    channels: groups of colour channels. groups: of numbers of volumes, G of them, which the network takes as one medium.
-    multiple: (G,), whether the network runs for a group. scattered_emission: (G,), whether a group scatters light that it
-    emits. planned, left_out: sentences. leave_out: as in Settings. memory: bytes, estimated peak on top of the input.
-    tiles: rows, first and end, of the image that are rendered together.
+    volumes: V pairs of Volume and Medium, scaled into the range of single precision. suns: those that contribute,
+    parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
+    network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
+    scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
+    names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: rows of the
+    image, first and end, that are rendered together.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -59,7 +60,7 @@ class Plan:
     scattered_emission: list[bool]
     planned: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
-    leave_out: frozenset[str] = ALL
+    optimizations: frozenset[str] = ALL
     memory: int = 0
     tiles: list[tuple[int, int]] = field(default_factory=list)
 
@@ -68,44 +69,53 @@ class Plan:
         return [self.volumes[v] for v in self.groups[group]]
 
     def group_name(self, group: int) -> str:
-        """For messages."""
+        """Names of a group's volumes, for messages."""
         return " and ".join(volume.name for volume, _ in self.members(group))
 
     def predicts(self, group: int, channels: Channels) -> bool:
-        """Whether multiple scattering is predicted in a group, in some channels."""
+        """Whether multiple scattering is predicted in a group, in some colour channels."""
         return self.multiple[group] and any(
-            channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.leave_out)
+            channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.optimizations)
             for v in self.groups[group])
 
     def in_small_tiles(self, camera: Camera) -> "Plan":
-        """The plan where lookup lattices serve every sun: small tiles show finished parts soon, at no cost."""
+        """The plan in smaller tiles, for networks whose lookup lattices serve every sun.
+
+        Small tiles show results early, and cost such networks nothing.
+        """
         x0, y0, x1, y1 = camera.window
         tiles = make_tiles(y0, y1, small_tile_rows(x1 - x0, y1 - y0))
         return self if len(tiles) <= len(self.tiles) else replace(self, tiles=tiles)
 
     def with_suns(self, numbers: Sequence[int]) -> "Plan":
-        """The plan where no other suns reach the volumes; surfaces keep the rest from them."""
-        # One stays where all are dark: its single scattering is 0.
+        """The plan with only these suns, by number, because surfaces shadow the volumes completely from all others."""
+        # One sun remains even if all are dark; its single scattering is 0.
         suns = [self.suns[n] for n in numbers] or self.suns[:1]
-        dark = f"{len(self.suns) - len(numbers)} suns: surfaces keep all of their light from the volumes"
+        dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
         return replace(self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple],
                        left_out=[*self.left_out, dark])
 
 
-def distinct_albedos(medium: Medium, indices: list[int], leave_out: frozenset[str] = ALL):
-    """Albedos above 0 among some channels, and the channels of each; or those of all channels."""
-    if "equal_albedos" not in leave_out:
+def distinct_albedos(
+    medium: Medium, indices: list[int], optimizations: frozenset[str] = ALL
+) -> list[tuple[float, list[int]]]:
+    """Distinct albedos above 0 among some colour channels, with the channels of each.
+
+    Without the optimization "equal_albedos": one albedo per channel, even if it is 0.
+    """
+    if "equal_albedos" not in optimizations:
         return [(float(medium.albedo[c]), [c]) for c in indices]
     values = sorted({float(medium.albedo[c]) for c in indices if medium.albedo[c] > 0.0})
     return [(value, [c for c in indices if medium.albedo[c] == value]) for value in values]
 
 
 def merge_parallel(suns: list[Sun]) -> list[Sun]:
-    """Suns with one direction become one, since light is linear."""
-    merged = []
+    """Merge suns of equal direction, adding their irradiance; suns with an angular extent are left alone."""
+    merged: list[Sun] = []
     for sun in suns:
         for other in merged:
-            if np.linalg.norm(sun.direction - other.direction) < PARALLEL and sun.spread is None and other.spread is None:
+            parallel = np.linalg.norm(sun.direction - other.direction) < PARALLEL_ANGLE
+            if parallel and sun.spread is None and other.spread is None:
                 other.irradiance = other.irradiance + sun.irradiance
                 break
         else:
@@ -114,27 +124,32 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
 
 
 def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
-    """The same picture from numbers that single precision holds.
+    """The volume and medium rescaled into the range of single precision, for the same picture.
 
-    Raises SceneError for a grid of more voxels than can be counted.
+    Raises SceneError for a grid with more voxels than 32 bits can count.
     """
-    sparse = isinstance(volume.density, SparseGrid)
-    if (volume.density.values.size if sparse else np.prod([n + 3.0 for n in volume.density.shape])) > MOST_VOXELS:
+    density = volume.density
+    # Dense grids are padded by three voxels on each axis.
+    if isinstance(density, SparseGrid):
+        voxels = float(density.values.size)
+    else:
+        voxels = float(np.prod([n + 3.0 for n in density.shape]))
+    if voxels > MAX_VOXELS:
         raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
-    density, sigma_t, peak = volume.density, medium.sigma_t, float(volume.density.max())
+    sigma_t, peak = medium.sigma_t, float(density.max())
     if peak == 0.0:
         return volume, medium
-    if not USUAL_DENSITY[0] < peak < USUAL_DENSITY[1]:
+    if not DENSITY_RANGE[0] < peak < DENSITY_RANGE[1]:
         exponent = int(np.frexp(peak)[1])
         sigma_t, peak = np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
-        if sparse:
+        if isinstance(density, SparseGrid):
             density = density.with_values(np.ldexp(density.values, -exponent))
         else:
             density = np.ldexp(density, -exponent)
         volume = Volume(density, volume.world_from_index, volume.name, volume.emission, volume.emission_power)
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
-    sigma_t = np.minimum(sigma_t, SIGMA_HAT_MOST / (peak * size))
-    sigma_t = np.where(sigma_t * peak * size < SIGMA_HAT_LEAST, 0.0, sigma_t)
+    sigma_t = np.minimum(sigma_t, MAX_SIGMA_HAT / (peak * size))
+    sigma_t = np.where(sigma_t * peak * size < MIN_SIGMA_HAT, 0.0, sigma_t)
     return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
 
 
@@ -150,27 +165,33 @@ def attenuates(volume: Volume, medium: Medium) -> bool:
 
 
 def make_tiles(y0: int, y1: int, rows: int) -> list[tuple[int, int]]:
-    """Rows of pixels from y0 to y1 in tiles of about `rows`, each of whole bands of the image."""
+    """Rows of pixels from y0 to y1 in tiles of approximately `rows`: first and end of each.
+
+    Tiles consist of whole bands.
+    """
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
     return list(zip(starts, [*starts[1:], y1]))
 
 
 def small_tile_rows(width: int, height: int) -> int:
-    """Rows of tiles for one sun, about; width, height: of the image in pixels."""
+    """Approximate rows per tile for one sun, for an image of width by height pixels."""
     return -(-min(max(width * height // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // width)
 
 
-def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
+def make_plan(
+    volumes: Sequence[tuple[Volume, Medium]], suns: Sequence[Sun], camera: Camera, settings: Settings
+) -> Plan:
     """Decide what to render.
 
-    Raises SceneError where there is nothing to render or the memory limit is too small.
+    Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
     """
     if not volumes:
         raise SceneError("there is no volume to render")
     if not suns and not any(emits(*pair) for pair in volumes):
         raise SceneError("there is no sun: without light the image would be black")
-    planned, left_out = [], []
+    planned: list[str] = []
+    left_out: list[str] = []
     volumes = [in_range(volume, medium) for volume, medium in volumes]
     rendered = [pair for pair in volumes if attenuates(*pair) or emits(*pair)]
     for volume, medium in volumes:
@@ -206,8 +227,8 @@ def make_plan(volumes, suns, camera: Camera, settings: Settings) -> Plan:
                 settings.leave_out, needed, tiles)
 
 
-def _needed_suns(suns, settings: Settings, left_out: list[str]) -> list[Sun]:
-    """Suns that give light, parallel ones merged; what is left out is said."""
+def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
+    """Suns that emit light, parallel ones merged; adds sentences about the others to `left_out`."""
     if "needless_suns" not in settings.leave_out:
         return list(suns)
     bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
@@ -218,9 +239,9 @@ def _needed_suns(suns, settings: Settings, left_out: list[str]) -> list[Sun]:
     return merged
 
 
-def _channel_groups(volumes, settings: Settings) -> list[Channels]:
-    """Channels in which every volume has the same extinction share rays, fields and feature stage."""
-    groups = []
+def _channel_groups(volumes: list[tuple[Volume, Medium]], settings: Settings) -> list[Channels]:
+    """Group the channels in which every volume has the same extinction: they share rays, lattices and network calls."""
+    groups: list[Channels] = []
     for c in range(3):
         sigma_t = np.array([medium.sigma_t[c] for _, medium in volumes])
         for group in groups:
@@ -232,11 +253,18 @@ def _channel_groups(volumes, settings: Settings) -> list[Channels]:
     return groups
 
 
-def _plan_group(members, lit: bool, settings: Settings, planned: list[str], left_out: list[str]):
-    """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission."""
+def _plan_group(
+    members: list[tuple[Volume, Medium]], has_sun: bool, settings: Settings, planned: list[str], left_out: list[str]
+) -> tuple[bool, bool]:
+    """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission.
+
+    Adds sentences to `planned` and `left_out`.
+    """
     names = " and ".join(volume.name for volume, _ in members)
-    scatters = any(attenuates(*pair) and bool(distinct_albedos(pair[1], [0, 1, 2], settings.leave_out)) for pair in members)
-    predicted = settings.multiple and scatters and lit
+    scatters = any(
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        for volume, medium in members)
+    predicted = settings.multiple and scatters and has_sun
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
         planned.append(f"{names}: scattered emission")
@@ -251,15 +279,17 @@ def _plan_group(members, lit: bool, settings: Settings, planned: list[str], left
     return predicted, scattered_emission
 
 
-def _plan_tiles(camera: Camera, settings: Settings, volumes: int, suns: int, memory: int):
-    """Tiles of the camera's window, and the bytes needed with them; memory: bytes needed without any."""
+def _plan_tiles(
+    camera: Camera, settings: Settings, volumes: int, suns: int, memory: int
+) -> tuple[list[tuple[int, int]], int]:
+    """Tiles of the camera's window, and the bytes needed including them; memory: bytes needed without them."""
     x0, y0, x1, y1 = camera.window
     pixels = (x1 - x0) * (y1 - y0)
     memory += pixels * IMAGE_BYTES
     row = row_bytes(x1 - x0, settings.depth_samples, volumes, suns)
     rows = small_tile_rows(x1 - x0, y1 - y0)
     if suns > 1:
-        # Lookup lattices of each sun are built for every tile: as few tiles as memory allows.
+        # Lookup lattices are rebuilt for each sun in every tile: as few tiles as memory allows.
         rows = max(rows, int((settings.memory_limit - memory) // row))
     tiles = make_tiles(y0, y1, rows)
     return tiles, memory + row * max(end - start for start, end in tiles)

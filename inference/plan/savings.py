@@ -1,22 +1,29 @@
-"""About how long what was left out would have taken, from what the rest took."""
+"""Estimated time that the optimizations saved, from what the rest of the render took."""
+
+from ..runtime.report import Report
+from ..scene.settings import Settings
+from .plan import Plan
 
 
+def estimated_savings(report: Report, plan: Plan, settings: Settings) -> dict[str, float]:
+    """Approximate wall-clock seconds saved by each of `plan.optimizations`.
 
-def estimated_savings(report, plan, settings) -> dict[str, float]:
-    """Seconds by the clock for each of `plan.leave_out` of which the report's counts and times tell; without those that
-    saved less than a hundredth of a second.
+    Leaves out those about which the report tells nothing, and savings below a hundredth of a second.
     """
-    count, seconds = report.counts.get, report.seconds.get
-    prediction, march, fields = (seconds(stage, 0.0) for stage in ("network", "march", "fields"))
-    a_point = prediction / max(count("network points", 0), 1)
-    jobs = count("network points wanted", 0) / max(count("points", 0), 1)
+
+    def count(name: str) -> int:
+        return report.counts.get(name, 0)
+
+    prediction, march, fields = (report.seconds.get(stage, 0.0) for stage in ("network", "march", "fields"))
+    per_point = prediction / max(count("network points"), 1)
+    jobs = count("network points wanted") / max(count("points"), 1)
     rendered = len(plan.channels)
     suns = max(len(plan.suns), 1)
-    spared = {
-        "empty_space": march * (count("steps", 0) / max(count("steps evaluated", 0), 1) - 1.0),
+    saved = {
+        "empty_space": march * (count("steps") / max(count("steps evaluated"), 1) - 1.0),
         "equal_channels": (3 - rendered) * (march + fields + prediction) / max(rendered, 1),
-        "needless_suns": count("suns left out", 0) * (seconds("shadows", 0.0) + fields + prediction) / suns,
-        "faint_rays": a_point * jobs * (settings.depth_samples * count("rays that meet density", 0) - count("points", 0)),
-        "shared_pixels": a_point * (count("network points wanted", 0) - count("network points", 0)),
+        "needless_suns": count("suns left out") * (report.seconds.get("shadows", 0.0) + fields + prediction) / suns,
+        "faint_rays": per_point * jobs * (settings.depth_samples * count("rays that meet density") - count("points")),
+        "shared_pixels": per_point * (count("network points wanted") - count("network points")),
     }
-    return {name: round(value, 2) for name, value in spared.items() if name in plan.leave_out and value >= 0.01}
+    return {name: round(value, 2) for name, value in saved.items() if name in plan.optimizations and value >= 0.01}

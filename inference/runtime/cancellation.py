@@ -1,8 +1,10 @@
-"""Cooperative cancellation: the caller asks, long work looks several times a second."""
+"""Cooperative cancellation: long work polls the caller's callback several times a second."""
 
 import contextlib
+import threading
+from collections.abc import Callable, Iterator
 
-# Seconds between looks while waiting.
+# Seconds between two polls while waiting.
 POLL_INTERVAL = 0.05
 
 
@@ -11,12 +13,12 @@ class Cancelled(Exception):
 
 
 class CancelToken:
-    """Whether the caller wants the work to stop.
+    """Tells long work whether the caller wants it to stop.
 
-    cancelled: () -> bool, cheap and safe on any thread; None for work that is never cancelled.
+    cancelled: () -> bool, cheap and safe to call on any thread; None for work that is never cancelled.
     """
 
-    def __init__(self, cancelled=None):
+    def __init__(self, cancelled: Callable[[], bool] | None = None):
         self._cancelled = cancelled or (lambda: False)
 
     def check(self) -> None:
@@ -25,8 +27,8 @@ class CancelToken:
             raise Cancelled()
 
     @contextlib.contextmanager
-    def locked(self, lock):
-        """Hold a lock; raises Cancelled while waiting for it."""
+    def locked(self, lock: threading.Lock) -> Iterator[None]:
+        """Context manager that holds `lock`; raises Cancelled while waiting for it."""
         while not lock.acquire(timeout=POLL_INTERVAL):
             self.check()
         try:
@@ -35,5 +37,5 @@ class CancelToken:
             lock.release()
 
 
-#: The token of work that nobody cancels.
+#: Token of work that is never cancelled.
 NEVER = CancelToken()

@@ -1,21 +1,23 @@
-"""What a render did: the plan, counts, seconds a stage, memory."""
+"""What a render did: its plan, counters, seconds per stage and memory."""
 
 import contextlib
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass
 class Report:
-    """Filled while a render runs.
+    """Statistics of a render, filled while it runs.
 
-    model, checksum: the network's name and sha256; provider: of onnxruntime, that ran it. planned, left_out: sentences.
-    warnings: what the user should know, naming objects. counts: pixels, rays, points.
-    saved: seconds that omissions spared, roughly, as `savings` tells.
-    seconds: by stage; "march" and "network" overlap on several threads, so that "total" is measured
-    apart. cpu_seconds: by stage, of all threads of the process. peak_memory: bytes, of the whole process, None
-    where the platform does not tell.
+    model, checksum: name of the network and SHA-256 of its weights. provider: onnxruntime execution provider that ran
+    it. threads: worker threads. planned, left_out: sentences about what the render does, and about what it skips.
+    warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
+    saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
+    stages overlap on several threads, so "total" is measured separately. cpu_seconds: processor time of all threads of
+    the process per stage. peak_memory: bytes of the whole process, None where the platform does not tell.
     """
 
     model: str = ""
@@ -31,12 +33,12 @@ class Report:
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     peak_memory: int | None = None
 
-    def __post_init__(self):
-        self._running = {}
+    def __post_init__(self) -> None:
+        self._running: dict[str, float] = {}
 
     @contextlib.contextmanager
-    def stage(self, name: str):
-        """Add the time spent inside to a stage."""
+    def stage(self, name: str) -> Iterator[None]:
+        """Context manager that adds the time spent inside to a stage."""
         start, cpu = time.perf_counter(), time.process_time()
         self._running[name] = start
         try:
@@ -47,20 +49,21 @@ class Report:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def elapsed(self, name: str) -> float:
-        """Seconds of a stage so far, while it runs as well."""
+        """Seconds spent in a stage so far, including the time since it was last entered."""
         running = time.perf_counter() - self._running[name] if name in self._running else 0.0
         return self.seconds.get(name, 0.0) + running
 
-    def count(self, name: str, number: int):
+    def count(self, name: str, number: int) -> None:
+        """Add to a counter."""
         self.counts[name] = self.counts.get(name, 0) + int(number)
 
-    def to_dict(self) -> dict:
-        """Plain types only, for JSON and image metadata."""
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain types, for JSON and image metadata."""
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
 
 def process_peak_memory() -> int | None:
-    """Largest resident size of this process so far in bytes; None on Windows."""
+    """Peak resident set size of this process in bytes; None on Windows."""
     try:
         import resource
     except ImportError:

@@ -2,29 +2,35 @@
 
 import concurrent.futures
 import os
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 from .cancellation import NEVER, POLL_INTERVAL, CancelToken
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
 
 class Tasks:
-    """A pool of worker threads that gives results in order of submission.
+    """A thread pool that yields results in order of submission.
 
-    threads: their number, 0 for one per core. cancel: looked at while the calling thread waits.
+    threads: number of worker threads, 0 for one per core. cancel: polled while the calling thread waits.
     """
 
     def __init__(self, threads: int = 0, cancel: CancelToken = NEVER):
         self.threads, self.cancel = threads or os.cpu_count() or 1, cancel
         self._pool = concurrent.futures.ThreadPoolExecutor(self.threads)
 
-    def __enter__(self):
+    def __enter__(self) -> "Tasks":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def map(self, function, items):
-        """Yield function(item) for each item; a bounded number is in flight. Raises Cancelled."""
-        iterator, pending = iter(items), []
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yield function(item) for each item, with a bounded number of tasks in flight. Raises Cancelled."""
+        iterator = iter(items)
+        pending: list[concurrent.futures.Future[Result]] = []
         for item in iterator:
             pending.append(self._pool.submit(function, item))
             if len(pending) > 2 * self.threads:
@@ -37,7 +43,7 @@ class Tasks:
                 break
             yield result
 
-    def each(self, function, items):
+    def each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield function(item) for a few long items, all submitted at once. Raises Cancelled within POLL_INTERVAL."""
         pending = [self._pool.submit(function, item) for item in items]
         for future in pending:
@@ -48,11 +54,18 @@ class Tasks:
 
 
 class SerialTasks:
-    """Runs everything on the calling thread; nobody cancels it."""
+    """Runs every task on the calling thread and is never cancelled."""
 
     threads, cancel = 1, NEVER
-    map = each = staticmethod(map)
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yield function(item) for each item."""
+        return map(function, items)
+
+    each = map
 
 
 #: For callers without a pool.
 SERIAL = SerialTasks()
+#: What functions that run tasks take.
+AnyTasks = Tasks | SerialTasks

@@ -11,20 +11,20 @@ from .validation import affine_matrix
 
 @dataclass
 class Camera:
-    """A view with Blender's axes: looks along -Z, +Y up.
+    """A camera with the axes of Blender: it looks along -Z, +Y is up.
 
-    world_matrix: (4, 4) camera to world; scale is ignored.
+    world_matrix: (4, 4) camera to world; its scale is ignored.
     resolution: (width, height) in pixels.
     fov: horizontal field of view in radians (perspective).
-    ortho_scale: world units across the image's width (orthographic).
-    shift: (x, y) lens shift in units of the image's width; positive moves the
-        window right and up.
-    longitude, latitude: (left, right) and (lower, upper) edge in radians, 0 straight ahead,
-        positive to the right and up (equirectangular).
-    clip: (near, far) distances along the viewing axis; along each ray where equirectangular.
-    region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive,
-        rows from the top; None renders the whole image. The layer has the
-        region's size.
+    ortho_scale: world units across the width of the image (orthographic).
+    shift: (x, y) lens shift in units of the image's width; positive values move the window right and up.
+    longitude, latitude: (left, right) and (lower, upper) edges in radians, 0 straight ahead, positive to the right and
+        up (equirectangular).
+    clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
+    region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
+        whole image. The layer has the size of the region.
+
+    Raises SceneError for values out of range.
     """
 
     world_matrix: np.ndarray
@@ -38,7 +38,7 @@ class Camera:
     clip: tuple[float, float] = (0.0, np.inf)
     region: tuple[int, int, int, int] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")
         if self.projection not in ("perspective", "orthographic", "equirectangular"):
             raise SceneError(f"camera: projection {self.projection!r} is not supported")
@@ -65,5 +65,5 @@ class Camera:
 
     @property
     def window(self) -> tuple[int, int, int, int]:
-        """(x0, y0, x1, y1) of the pixels to render."""
+        """(x0, y0, x1, y1) of the pixels to render: the region, or the whole image."""
         return self.region or (0, 0, *self.resolution)

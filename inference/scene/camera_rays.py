@@ -1,4 +1,4 @@
-"""Camera rays through pixel centres, and where they meet a grid."""
+"""Camera rays through pixel centres, and the pixels that can show a part of the world."""
 
 import numpy as np
 
@@ -6,27 +6,27 @@ from ..numerics.small_matmul import product
 from .camera import Camera
 
 
-def camera_rays(camera: Camera):
-    """Rays of the camera's window, row by row from the top.
+def camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays through the pixels of the camera's window, row by row from the top.
 
-    Returns origins and unit directions, float64 (N, 3) in the world, and the distances
-    (N,) along each ray to the near and the far clipping plane.
+    Returns origins and unit directions, float64 (N, 3) in the world, and the distances (N,) along each ray to the near
+    and the far clipping plane.
     """
     x0, y0, x1, y1 = camera.window
     columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
     origins, directions, cosine = image_rays(camera, columns.ravel() + 0.5, rows.ravel() + 0.5)
-    # Clipping planes are perpendicular to the viewing axis, around a panorama they are spheres.
+    # Clipping planes are perpendicular to the viewing axis; those of equirectangular cameras are spheres.
     return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
 
 
-def image_rays(camera: Camera, x, y):
-    """Rays through places (N,) of the image, in pixels from its upper left corner.
+def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays through points (N,) of the image, in pixels from its upper left corner.
 
-    Returns origins and unit directions, float64 (N, 3) in the world, and the cosines (N,) to the viewing axis, 1
-    where clipping does not know it.
+    Returns origins and unit directions, float64 (N, 3) in the world, and the cosines (N,) between ray and viewing axis;
+    1 for equirectangular cameras, which clip by distance along the ray.
     """
     width, height = camera.resolution
-    # Image plane coordinates in units of the image's width, x right, y up.
+    # Image plane coordinates in units of the image's width, x to the right, y up.
     u = (x - 0.5 * width) / width + camera.shift[0]
     v = (0.5 * height - y) / width + camera.shift[1]
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
@@ -38,8 +38,8 @@ def image_rays(camera: Camera, x, y):
         directions = np.broadcast_to(-rotation[:, 2], origins.shape).copy()
         cosine = np.ones_like(u)
     elif camera.projection == "equirectangular":
-        longitude = _between(camera.longitude, x / width)
-        latitude = _between(camera.latitude, 1.0 - y / height)
+        longitude = _lerp(camera.longitude, x / width)
+        latitude = _lerp(camera.latitude, 1.0 - y / height)
         local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
                           -np.cos(latitude) * np.cos(longitude)], axis=1)
         directions = product(local, rotation.T)
@@ -56,23 +56,23 @@ def image_rays(camera: Camera, x, y):
 
 
 def widest_angle(camera: Camera) -> float:
-    """Between the rays at the ends of the image's longer edge, about; radians."""
+    """Approximate angle between the rays at the ends of the image's longer edge; radians."""
     if camera.projection == "orthographic":
         return 0.0
     if camera.projection == "equirectangular":
         return max(abs(ends[1] - ends[0]) for ends in (camera.longitude, camera.latitude))
     width, height = camera.resolution
-    return 2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width)
+    return float(2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width))
 
 
-def _between(ends, share):
+def _lerp(ends: tuple[float, float], share: np.ndarray) -> np.ndarray:
     return ends[0] + (ends[1] - ends[0]) * share
 
 
-def window_around(camera: Camera, corners: np.ndarray):
-    """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the hull of points (N, 3) in the world.
+def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, int]:
+    """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the convex hull of world points (N, 3).
 
-    All of it where some lie beside or behind the camera, and for panoramas.
+    The whole window where some points lie beside or behind the camera, and for equirectangular cameras.
     """
     x0, y0, x1, y1 = camera.window
     if camera.projection == "equirectangular":
@@ -87,7 +87,7 @@ def window_around(camera: Camera, corners: np.ndarray):
         return x0, y0, x1, y1
     width, height = camera.resolution
     x, y = ((plane - camera.shift) * width * [1.0, -1.0]).T
-    # A pixel more on each side, for rounding.
+    # One pixel more on each side, for rounding.
     low = np.floor([x.min() + 0.5 * width, y.min() + 0.5 * height]) - 1.0
     high = np.ceil([x.max() + 0.5 * width, y.max() + 0.5 * height]) + 1.0
     if not np.isfinite([low, high]).all():

@@ -1,5 +1,5 @@
-"""What is wrong with a scene, said to the user."""
+"""Errors in a scene's description."""
 
 
 class SceneError(ValueError):
-    """The scene cannot be rendered as described; the message says what to change."""
+    """The scene cannot be rendered as described; the message tells the user what to change."""

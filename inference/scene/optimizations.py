@@ -1,15 +1,16 @@
-"""What a render leaves out, since the picture does not need it; each can be asked for all the same."""
+"""Optimizations: what a render skips because it hardly changes the picture. Each can be turned off."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Optimization:
-    """One thing that is left out.
+    """One optimization.
 
-    title: a few words. what: what happens instead. budget: root mean square that a picture may change by, over its
-    mean where it shows volumes, at 8 depth samples and, but for "shared_pixels" itself, without pixels that share: a
-    picture that hardly differs may share others.
+    title: its name in the interface. what: what the render does instead. budget: largest change of a picture that it
+    may cause, as root mean square over the mean where the picture shows volumes, at 8 depth samples; measured with
+    "shared_pixels" off except for "shared_pixels" itself, because a picture that hardly differs may interpolate other
+    pixels.
     """
 
     title: str
@@ -17,7 +18,7 @@ class Optimization:
     budget: float
 
 
-# Of sums in another order, in single precision.
+# Change caused by summing in another order in single precision.
 ROUNDING = 1e-4
 
 OPTIMIZATIONS = {
@@ -33,7 +34,8 @@ OPTIMIZATIONS = {
     "equal_channels": Optimization(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING),
     "equal_albedos": Optimization(
-        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING),
+        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none",
+        ROUNDING),
     "unread_fields": Optimization(
         "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING),
     "unchanged": Optimization(

@@ -1,4 +1,4 @@
-"""How to render."""
+"""Render settings."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,18 @@ from .optimizations import ALL
 
 @dataclass
 class Settings:
-    """How to render.
+    """Render settings.
 
-    depth_samples: network evaluations along a camera ray that the medium hides, up to 512.
-    model: name of the network (a file in inference/weights).
-    seed: of the lookups' offsets; the same seed gives the same image.
-    threads: worker threads, 0 for one a core; the image does not depend on it.
-    memory_limit: bytes the render may use on top of its input; it is refused
-        with a message where it would need more.
-    multiple: whether to predict multiple scattering; without, the layer is darker.
-    provider: of onnxruntime, that runs the network: one of `provider.PROVIDERS`.
-    leave_out: names of `omissions.OPTIMIZATIONS`: what the picture does not need and is not done.
+    depth_samples: network evaluations along a camera ray through an opaque medium, 1 to 512.
+    model: name of the network, a file in inference/weights or a registered system.
+    seed: of the jitter of lookups; equal seeds give equal images.
+    threads: worker threads, 0 for one per core; the image does not depend on it.
+    memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
+    multiple: whether multiple scattering is predicted; without it the volumes are too dark.
+    provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
+    leave_out: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
+
+    Raises SceneError for values out of range and unknown names.
     """
 
     depth_samples: int = 4
@@ -30,7 +31,7 @@ class Settings:
     provider: str = "CPU"
     leave_out: frozenset[str] = ALL
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
@@ -38,6 +39,6 @@ class Settings:
         self.leave_out = frozenset(self.leave_out)
         unknown = sorted(self.leave_out - ALL)
         if unknown:
-            raise SceneError(f"there is no {unknown[0]!r} to leave out; there are: {', '.join(sorted(ALL))}")
+            raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")

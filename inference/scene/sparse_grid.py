@@ -1,45 +1,49 @@
-"""A grid of which only blocks that hold anything are kept."""
+"""A grid that stores only the blocks of voxels that are not empty."""
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..numerics.interpolation import between
+from ..numerics.interpolation import lerp_into
 
-# Voxels an edge of a block: those of OpenVDB's leaves.
+# Voxels along an edge of a block: those of an OpenVDB leaf node.
 EDGE = 8
-# Blocks that are looked at together.
+# Blocks that are processed together.
 BLOCKS_PER_BATCH = 1 << 14
 
 
 class SparseGrid:
-    """float32 values of (nx, ny, nz) voxels, trilinear in between, 0 outside and in blocks that are not kept.
+    """float32 values of (nx, ny, nz) voxels, trilinear in between, 0 outside and in blocks that are not stored.
 
-    shape: voxels. table: int32 (bx, by, bz), the row of `values` that holds each block of 8 x 8 x 8 voxels; row 0 where
-    all is 0, and so in all blocks at the rim. values: float32 (1 + M, 8, 8, 8), 0 in row 0 and outside the shape.
-    first: int (3,), where the blocks hold voxel (0, 0, 0).
+    shape: voxels. table: int32 (bx, by, bz), the row of `values` that stores each block of 8 x 8 x 8 voxels; row 0 for
+    empty blocks, which all blocks at the border are. values: float32 (1 + M, 8, 8, 8), 0 in row 0 and outside the
+    shape. first: int (3,), position of voxel (0, 0, 0) in the blocks.
 
-    Not to be changed: what is asked of all values is found once.
+    Immutable: properties of all values are computed once.
     """
 
-    # Voxels an edge of the cells that rays skip.
+    # Voxels along an edge of the cells that rays skip.
     CELL = 4
 
-    def __init__(self, shape, table: np.ndarray, values: np.ndarray, first):
+    def __init__(self, shape: Sequence[int] | np.ndarray, table: np.ndarray, values: np.ndarray, first: ArrayLike):
         self.shape, self.table, self.values = tuple(int(n) for n in shape), table, values
         self.first = np.array(first, int)
 
     @property
     def cells_first(self) -> np.ndarray:
-        """int (3,), where the cells hold voxel (0, 0, 0)."""
+        """int (3,), position of voxel (0, 0, 0) in the cells."""
         return self.first
 
     @classmethod
-    def of_blocks(cls, shape, first, count, numbers, values) -> "SparseGrid":
-        """From some blocks of a box of `count` (3,) blocks, the other arguments without a rim.
+    def of_blocks(
+        cls, shape: Sequence[int], first: ArrayLike, count: Sequence[int], numbers: np.ndarray, values: np.ndarray
+    ) -> "SparseGrid":
+        """From some blocks of a box of `count` (3,) blocks that has no border of empty blocks yet.
 
-        numbers: int (M,), places in the flattened box; values: float32 (1 + M, 8, 8, 8), row 0 all 0.
+        first: as in the class, without the border. numbers: int (M,), places in the flattened box. values: float32
+        (1 + M, 8, 8, 8), row 0 all 0.
         """
         table = np.zeros(np.array(count) + 2, np.int32)
         table[tuple(part + 1 for part in np.unravel_index(numbers, count))] = np.arange(1, len(numbers) + 1)
@@ -47,7 +51,7 @@ class SparseGrid:
 
     @classmethod
     def of_dense(cls, dense: np.ndarray) -> "SparseGrid":
-        """The blocks of an array (nx, ny, nz) that are not 0 everywhere."""
+        """The non-empty blocks of an array (nx, ny, nz)."""
         count = [-(-n // EDGE) for n in dense.shape]
         blocks = blocks_of(np.pad(dense, [(0, EDGE * b - n) for b, n in zip(count, dense.shape)]))
         numbers = np.flatnonzero(blocks.any(axis=(1, 2, 3)))
@@ -56,23 +60,29 @@ class SparseGrid:
 
     @property
     def nbytes(self) -> int:
+        """Memory in bytes."""
         return self.table.nbytes + self.values.nbytes
 
     @functools.cached_property
     def peak(self) -> float:
+        """Largest value."""
         return float(self.values.max())
 
     @functools.cached_property
     def lowest(self) -> float:
+        """Smallest value."""
         return float(self.values.min())
 
     def max(self) -> float:
+        """As `peak`, by numpy's name."""
         return self.peak
 
     def min(self) -> float:
+        """As `lowest`, by numpy's name."""
         return self.lowest
 
     def any(self) -> bool:
+        """Whether any value is not 0."""
         return self.peak != 0.0 or self.lowest != 0.0
 
     def with_values(self, values: np.ndarray) -> "SparseGrid":
@@ -80,29 +90,30 @@ class SparseGrid:
         return SparseGrid(self.shape, self.table, values, self.first)
 
     def with_rows(self, rows: np.ndarray) -> "SparseGrid":
-        """As `with_values`, without the first, which is 0."""
+        """As `with_values`, without row 0: (M, 8, 8, 8)."""
         return self.with_values(np.concatenate([np.zeros((1, EDGE, EDGE, EDGE), np.float32), rows]))
 
-    def equals(self, other) -> bool:
+    def equals(self, other: object) -> bool:
+        """Whether the other is a SparseGrid with the same blocks and values."""
         return (isinstance(other, SparseGrid) and self.shape == other.shape and np.array_equal(self.first, other.first)
                 and np.array_equal(self.table, other.table) and np.array_equal(self.values, other.values))
 
-    def crop(self, low, high) -> "SparseGrid":
-        """Voxels from low (3,) to before high (3,), outside which all must be 0."""
+    def crop(self, low: ArrayLike, high: ArrayLike) -> "SparseGrid":
+        """Voxels from low (3,) to before high (3,), outside which all must be 0; shares the values."""
         return SparseGrid(np.subtract(high, low), self.table, self.values, self.first + low)
 
-    def bounds(self):
-        """As `filled_bounds`."""
+    def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """As `bounds.filled_bounds`."""
         if self._filled is None:
             return None
         return self._filled[0] - self.first, self._filled[1] - self.first
 
     @functools.cached_property
-    def _filled(self):
+    def _filled(self) -> tuple[np.ndarray, np.ndarray] | None:
         """First and one past the last of the blocks' voxels that are not 0, or None."""
-        # Of each plane of voxels along each axis, whether any of its blocks' planes holds something.
+        # Per axis: whether the planes of voxels of each block layer hold a value other than 0.
         filled = [np.zeros((n, EDGE), bool) for n in self.table.shape]
-        for places, rows in self._kept():
+        for places, rows in self._stored_blocks():
             held = self.values[rows] != 0.0
             for axis, place in enumerate(places):
                 planes = held.any(axis=tuple(a + 1 for a in range(3) if a != axis))
@@ -114,9 +125,9 @@ class SparseGrid:
         return np.array([planes[0] for planes in found]), np.array([planes[-1] + 1 for planes in found])
 
     def slabs(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield boxes of values, a row of blocks along the first axis at a time, and of each its first voxel (3,).
+        """Yield boxes of values, one row of blocks along the first axis at a time, with the first voxel (3,) of each.
 
-        All that is not 0 lies in one of them. The next one overwrites an array.
+        Every voxel that is not 0 lies in one of them. The next box overwrites the array.
         """
         last = self.first + self.shape
         room = np.zeros((EDGE, *(EDGE * n for n in self.table.shape[1:])), np.float32)
@@ -142,13 +153,15 @@ class SparseGrid:
 
     def sample(self, index: np.ndarray) -> np.ndarray:
         """Values float32 (N,) at continuous indices float32 (3, N), trilinear, 0 outside."""
-        below, above, fractions = [], [], []
-        # Of both voxels around a place, on each axis: the block's part of its number, and the voxel's within.
+        below: list[tuple[np.ndarray, np.ndarray]] = []
+        above: list[tuple[np.ndarray, np.ndarray]] = []
+        fractions = []
+        # For the two voxels around a position, on each axis: the parts of the flat index due to block and voxel.
         block, voxel = self.table.size, EDGE**3
-        for at, size, first, blocks in zip(index, self.shape, self.first, self.table.shape):
+        for along, size, first, blocks in zip(index, self.shape, self.first, self.table.shape):
             block, voxel = block // blocks, voxel // EDGE
-            # Indices outside are clamped onto the voxels there, where all is 0.
-            position = np.clip(at, np.float32(-1.0), np.float32(size)) + np.float32(first)
+            # Indices outside are clamped onto the voxels there, where everything is 0.
+            position = np.clip(along, np.float32(-1.0), np.float32(size)) + np.float32(first)
             cell = position.astype(np.int32)
             fractions.append(np.subtract(position, cell, out=position))
             for ends, place in ((below, cell), (above, cell + 1)):
@@ -156,31 +169,31 @@ class SparseGrid:
         table, values = self.table.reshape(-1), self.values.reshape(-1)
         fx, fy, fz = fractions
 
-        def at(*ends):
+        def at(*ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
             place = table.take(ends[0][0] + ends[1][0] + ends[2][0]).astype(np.intp)
             place *= EDGE**3
             place += ends[0][1] + ends[1][1] + ends[2][1]
             return values.take(place)
 
-        def edge(x, y):
-            return between(at(x, y, below[2]), at(x, y, above[2]), fz)
+        def edge(x: tuple[np.ndarray, np.ndarray], y: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+            return lerp_into(at(x, y, below[2]), at(x, y, above[2]), fz)
 
-        y0 = between(edge(below[0], below[1]), edge(below[0], above[1]), fy)
-        y1 = between(edge(above[0], below[1]), edge(above[0], above[1]), fy)
-        return between(y0, y1, fx)
+        y0 = lerp_into(edge(below[0], below[1]), edge(below[0], above[1]), fy)
+        y1 = lerp_into(edge(above[0], below[1]), edge(above[0], above[1]), fy)
+        return lerp_into(y0, y1, fx)
 
     def cells(self) -> np.ndarray:
-        """bool, which cells hold anything."""
+        """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
         parts = EDGE // self.CELL
         filled = np.zeros([n * parts for n in self.table.shape], bool)
         blocks = filled.reshape([size for n in self.table.shape for size in (n, parts)])
-        for (x, y, z), rows in self._kept():
+        for (x, y, z), rows in self._stored_blocks():
             cells = (self.values[rows] != 0.0).reshape(-1, *(parts, self.CELL) * 3)
             blocks[x, :, y, :, z, :] = cells.any(axis=(2, 4, 6))
         return filled
 
-    def _kept(self):
-        """Yield places, three int (n,), and rows (n,) of some blocks at a time."""
+    def _stored_blocks(self) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
+        """Yield places, three int (n,), and rows (n,) of the stored blocks, some blocks at a time."""
         places = np.nonzero(self.table)
         rows = self.table[places]
         for start in range(0, len(rows), BLOCKS_PER_BATCH):

@@ -1,12 +1,13 @@
-"""Validation shared by the scene's descriptions."""
+"""Validation shared by the descriptions of a scene."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import SceneError
 
 
-def rgb_triple(value, name: str) -> np.ndarray:
-    """A scalar or three numbers as float64 (3,); refuses anything not finite."""
+def rgb_triple(value: ArrayLike, name: str) -> np.ndarray:
+    """One number or three as float64 (3,). Raises SceneError for other shapes and for values that are not finite."""
     rgb = np.asarray(value, dtype=np.float64)
     if rgb.shape not in ((), (1,), (3,)):
         raise SceneError(f"{name} must be one number or three, not shape {rgb.shape}")
@@ -16,7 +17,8 @@ def rgb_triple(value, name: str) -> np.ndarray:
     return rgb
 
 
-def affine_matrix(matrix, name: str) -> np.ndarray:
+def affine_matrix(matrix: ArrayLike, name: str) -> np.ndarray:
+    """A matrix as float64 (4, 4). Raises SceneError unless it is finite and invertible."""
     matrix = np.asarray(matrix, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
         raise SceneError(f"{name} must be a finite 4x4 matrix")

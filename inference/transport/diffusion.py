@@ -1,26 +1,30 @@
 """The diffusion equation on cells, -div(D grad phi) = source, which light obeys far from where it enters.
 
-At the faces of all cells light leaves and none comes in (Marshak's condition).
+At the outer faces light leaves and none enters (Marshak's boundary condition).
 """
 
 import numpy as np
 
-#: Added to 3 sigma_tr in D = 1 / (3 sigma_tr): in empty space light crosses a good part of the cells.
+from ..occluders.cell_boundaries import CellBoundaries
+
+#: Added to 3 sigma_tr in D = 1 / (3 sigma_tr), in units of 1 / edge, so that D stays finite in empty space.
 THIN = 2.0
-TOLERANCE, MOST_ITERATIONS = 1e-3, 400
+TOLERANCE, MAX_ITERATIONS = 1e-3, 400
 
 
-def couple(spread, h: float, boundaries=None):
-    """What -div(D grad phi) is on cells of edge h, times h^2: diagonal (x, y, z), and couplings (3, x, y, z).
+def couple(
+    diffusion: np.ndarray, h: float, boundaries: CellBoundaries | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The operator -div(D grad phi) on cells of edge h, times h^2: diagonal (x, y, z) and couplings (3, x, y, z).
 
-    spread: D of each cell, float64; boundaries: where light ends as at the faces of all, or None.
+    diffusion: D of each cell, float64. boundaries: surfaces at which light ends as at the outer faces, or None.
     """
-    diagonal, couplings = np.zeros_like(spread), np.zeros((3, *spread.shape))
+    diagonal, couplings = np.zeros_like(diffusion), np.zeros((3, *diffusion.shape))
     for axis in range(3):
-        d = np.moveaxis(spread, axis, 0)
+        d = np.moveaxis(diffusion, axis, 0)
         coupling = np.moveaxis(couplings[axis], axis, 0)
         total = np.moveaxis(diagonal, axis, 0)
-        # Harmonic means, so that the flux through a face is that through both half cells.
+        # The harmonic mean makes the flux through a face equal to that through both half cells.
         coupling[:-1] = 2.0 * d[1:] * d[:-1] / (d[1:] + d[:-1])
         if boundaries is not None:
             boundaries.end(axis, coupling, total, d, h)
@@ -31,7 +35,8 @@ def couple(spread, h: float, boundaries=None):
     return diagonal, couplings
 
 
-def _apply(diagonal, couplings, x):
+def _apply(diagonal: np.ndarray, couplings: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The operator applied to x (x, y, z)."""
     y = diagonal * x
     for axis in range(3):
         c, u, v = (np.moveaxis(a, axis, 0) for a in (couplings[axis], x, y))
@@ -40,15 +45,23 @@ def _apply(diagonal, couplings, x):
     return y
 
 
-def solve(diagonal, couplings, source, least: float = 0.0, tolerance=TOLERANCE, iterations=MOST_ITERATIONS):
-    """Conjugate gradients with the diagonal as preconditioner; (x, y, z) of the source's type, >= least."""
+def solve(
+    equation: tuple[np.ndarray, np.ndarray], source: np.ndarray, least: float = 0.0, tolerance: float = TOLERANCE,
+    iterations: int = MAX_ITERATIONS,
+) -> np.ndarray:
+    """Solve the equation by conjugate gradients with the diagonal as preconditioner.
+
+    equation: diagonal and couplings, from `couple`. source: (x, y, z). least: lower bound of the solution. tolerance:
+    of the residual, relative to the first. iterations: at most. Returns (x, y, z) of the source's dtype.
+    """
+    diagonal, couplings = equation
     x = np.zeros_like(source)
     residual = source.copy()
     z = residual / diagonal
     p, rz = z.copy(), float(np.vdot(residual, z))
-    enough = rz * tolerance**2
+    limit = rz * tolerance**2
     for _ in range(iterations):
-        if rz <= enough:
+        if rz <= limit:
             break
         ap = _apply(diagonal, couplings, p)
         step = rz / float(np.vdot(p, ap))

@@ -1,20 +1,25 @@
-"""Light that volumes emit, scattered by them.
+"""Light that volumes emit and scatter.
 
-Radiance is sweep_radiance along directions over coarse cells, with scattering reduced to sigma_s' = sigma_s (1 - G), as if it
-were isotropic. First what was not scattered; then, a few times, all that is scattered by the fluence phi so far. What a
-sweep leaves missing of the fluence follows from a diffusion equation,
+Radiance is swept along directions over coarse cells, with scattering reduced to sigma_s' = sigma_s (1 - G), as if it
+were isotropic. The first sweep gives the unscattered light; a few more give all light scattered by the fluence phi so
+far. The part of the fluence that a sweep still lacks follows from a diffusion equation,
 
-    -div(D grad psi) + sigma_a psi = sigma_s' (phi_new - phi_old),    D = 1 / (3 sigma_tr),    sigma_tr = sigma_a + sigma_s',
+    -div(D grad psi) + sigma_a psi = sigma_s' (phi_new - phi_old),
+    D = 1 / (3 sigma_tr),    sigma_tr = sigma_a + sigma_s',
 
-so that three sweeps do where light scatters a hundred times (diffusion synthetic acceleration). Of the radiance its
-fluence phi and flux J are kept, and what a point scatters towards the camera, along -omega, is
+so that three sweeps suffice where light scatters a hundred times (diffusion synthetic acceleration). The fluence phi
+and the flux J of the radiance are stored, and a point scatters towards the camera, along -omega,
 
     albedo / (4 pi) (phi - 3 G J . omega).
 """
 
 
+import functools
+from collections.abc import Sequence
+
 import numpy as np
 
+from ..grids.grid import Grid
 from ..grids.merge import resampled
 from ..numerics.interpolation import sample_padded
 from ..runtime.cancellation import NEVER, CancelToken
@@ -24,20 +29,24 @@ from .radiance_sweep import sweep_radiance
 
 # Cells along the longest edge of the box around the volumes.
 CELLS = 32
-# Directions along an edge of each face of a cube: of what was not scattered, which is sharper, and of what was.
+# Directions along an edge of each face of a cube: for unscattered light, which is sharper, and for scattered light.
 DIRECT, SCATTERED = 6, 4
 ROUNDS = 3
-# Reduced optical depth of a cell above which light changes within cells.
+# Reduced optical thickness of a cell above which the light varies within cells.
 THICK = 1.0
+
+# Absorption, reduced scattering and normalised emission of a channel, and their fluence and flux.
+Solved = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class ScatteredEmission:
     """Fluence and flux of the light that some volumes emit, in three colour channels.
 
-    grids: a Grid of each; media: of each. thickest: the largest reduced optical depth of a cell.
+    grids, media: Grid and Medium of each volume. thickest: largest reduced optical thickness of a cell. Raises
+    Cancelled.
     """
 
-    def __init__(self, grids, media: list[Medium], cancel: CancelToken = NEVER):
+    def __init__(self, grids: Sequence[Grid], media: Sequence[Medium], cancel: CancelToken = NEVER):
         corners = np.concatenate([grid.corners() for grid in grids])
         low, high = corners.min(axis=0), corners.max(axis=0)
         self.edge = float((high - low).max())
@@ -47,22 +56,28 @@ class ScatteredEmission:
         frame = np.diag([*[self.cell] * 3, 1.0])
         frame[:3, 3] = self.first
         densities = [resampled(grid, grid.sample_density, frame, shape, cancel).astype(np.float64) for grid in grids]
-        solved, self.fields = [], []
+        solved: list[Solved] = []
+        self.fields: list[np.ndarray | None] = []
         for c in range(3):
-            extinction = sum(m.sigma_t[c] * values for m, values in zip(media, densities))
-            scatter = sum(m.sigma_t[c] * m.albedo[c] * values for m, values in zip(media, densities))
-            reduced = sum(m.sigma_t[c] * m.albedo[c] * (1.0 - m.anisotropy) * values for m, values in zip(media, densities))
-            emission = np.zeros(shape)
+            extinction, scattering, reduced, emission = np.zeros((4, *shape))
+            for medium, density in zip(media, densities):
+                extinction += medium.sigma_t[c] * density
+                scattering += medium.sigma_t[c] * medium.albedo[c] * density
+                reduced += medium.sigma_t[c] * medium.albedo[c] * (1.0 - medium.anisotropy) * density
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(
-                        grid, lambda index, grid=grid: grid.sample_emission(c, index), frame, shape, cancel)
-            self.fields.append(self._field(solved, np.maximum(extinction - scatter, 0.0), reduced, emission, cancel))
+                        grid, functools.partial(grid.sample_emission, c), frame, shape, cancel)
+            self.fields.append(self._field(solved, np.maximum(extinction - scattering, 0.0), reduced, emission, cancel))
 
-    def _field(self, solved, absorption, reduced, emission, cancel):
-        """Fluence and flux, (4, ...) padded for `sample_padded`, or None where nothing is scattered.
+    def _field(
+        self, solved: list[Solved], absorption: np.ndarray, reduced: np.ndarray, emission: np.ndarray,
+        cancel: CancelToken,
+    ) -> np.ndarray | None:
+        """Fluence and flux, (4, ...) padded for `sample_padded`, or None where nothing is emitted or scattered.
 
-        solved: what was solved before; light is linear in what is emitted.
+        absorption, reduced, emission: (x, y, z), coefficients and emission of a channel. solved: terms and solutions of
+        earlier channels, extended; reused where the emission is proportional, because light is linear.
         """
         total = emission.sum()
         if not total > 0.0 or not reduced.any():
@@ -74,14 +89,17 @@ class ScatteredEmission:
             solved.append((asked, found))
         return found * np.float32(total)
 
-    def _solve(self, absorption, reduced, emission, cancel):
+    def _solve(
+        self, absorption: np.ndarray, reduced: np.ndarray, emission: np.ndarray, cancel: CancelToken
+    ) -> np.ndarray:
+        """As `_field`, for emission that sums to 1."""
         extinction = absorption + reduced
         self.thickest = max(self.thickest, self.cell * extinction.max())
-        spread = 1.0 / (3.0 * extinction + THIN / self.edge)
-        diagonal, couplings = couple(spread, self.cell)
+        diffusion = 1.0 / (3.0 * extinction + THIN / self.edge)
+        diagonal, couplings = equation = couple(diffusion, self.cell)
         diagonal += absorption * self.cell**2
         direct, direct_flux = sweep_radiance(extinction, emission, self.cell, DIRECT, cancel)
-        # Before the first round nothing but the direct light has scattered.
+        # Before the first round only the direct light is known.
         scattered, flux, missing = np.zeros_like(direct), np.zeros_like(direct_flux), direct
         for number in range(ROUNDS):
             if number:
@@ -89,33 +107,38 @@ class ScatteredEmission:
                 before = scattered
                 scattered, flux = sweep_radiance(extinction, source, self.cell, SCATTERED, cancel)
                 missing = scattered - before
-            more = solve(diagonal, couplings, reduced * missing * self.cell**2, -np.inf)
+            more = solve(equation, reduced * missing * self.cell**2, -np.inf)
             scattered = scattered + more
             for axis in range(3):
                 if more.shape[axis] > 1:
-                    flux[axis] -= spread * np.gradient(more, self.cell, axis=axis)
+                    flux[axis] -= diffusion * np.gradient(more, self.cell, axis=axis)
         fluence, flux = np.maximum(direct + scattered, 0.0), direct_flux + flux
-        # No flux is larger than that of all light in one direction, but diffusion's may be.
+        # The flux of diffusion may exceed that of all light in one direction, which is the largest possible.
         flux *= np.minimum(fluence / np.maximum(np.linalg.norm(flux, axis=0), 1e-30), 1.0)
-        # Beyond the outermost cells' middles all is as there.
-        field = np.concatenate([fluence[None], flux])
-        return np.pad(field, [(0, 0), (1, 2), (1, 2), (1, 2)], mode="edge").astype(np.float32)
+        # Constant beyond the centres of the outermost cells.
+        values = np.concatenate([fluence[None], flux])
+        return np.pad(values, [(0, 0), (1, 2), (1, 2), (1, 2)], mode="edge").astype(np.float32)
 
     def warnings(self, name: str) -> list[str]:
+        """Limits of accuracy that the medium exceeds; name: of the volumes, for messages."""
         if self.thickest < THICK:
             return []
-        return [f"{name}: light that it emits and scatters is less accurate in smoke as dense as this, with an optical "
-                f"depth of {self.thickest:.2g} in a {CELLS}th of its size"]
+        return [f"{name}: the light that it emits and scatters is less accurate in a medium as dense as this, with an "
+                f"optical thickness of {self.thickest:.2g} in a {CELLS}th of its size"]
 
-    def scattered(self, c: int, positions, directions, anisotropy: float) -> np.ndarray:
-        """Radiance (N,) in colour c that an albedo of 1 scatters at world positions (N, 3) against rays along (N, 3)."""
-        if self.fields[c] is None:
+    def scattered(self, c: int, positions: np.ndarray, directions: np.ndarray, anisotropy: float) -> np.ndarray:
+        """Radiance (N,) in channel c that an albedo of 1 scatters towards the camera.
+
+        positions: (N, 3) in the world. directions: (N, 3) of the camera rays. anisotropy: G.
+        """
+        field = self.fields[c]
+        if field is None:
             return np.zeros(len(positions), np.float32)
         index = ((positions - self.first) / self.cell).T.astype(np.float32)
-        fluence, *flux = (sample_padded(values, index) for values in self.fields[c])
+        fluence, *flux = (sample_padded(values, index) for values in field)
         along = sum(part * directions[:, axis] for axis, part in enumerate(flux))
         return np.maximum(fluence - 3.0 * anisotropy * along, 0.0) / (4.0 * np.pi)
 
 
-def _close(a, b) -> bool:
+def _close(a: np.ndarray, b: np.ndarray) -> bool:
     return np.allclose(a, b, rtol=1e-4, atol=1e-6 * b.max())

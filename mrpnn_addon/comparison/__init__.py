@@ -1,1 +1,1 @@
-"""Comparisons of MRPNN with Cycles: their plan, their passes, and the report."""
+"""Comparisons of MRPNN with Cycles: plan, passes, figures and report."""

@@ -1,8 +1,7 @@
-"""Error against run time on logarithmic axes: where things lie, and the chart as SVG."""
+"""Error against run time on logarithmic axes: layout, and the chart as SVG."""
 
 from dataclasses import dataclass
 from html import escape
-from typing import Dict, List, Tuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ...inference.network.baselines import OCTAVES, SINGLE
 from ..cycles.pass_store import CYCLES, DENOISED
 
 WIDTH, HEIGHT = 760, 440
-# Left, top, right and lower edge of the plot within the image.
+# Left, top, right and bottom edge of the plot in the image.
 FRAME = (64, 18, 742, 392)
 COLOURS = {CYCLES: "#1f77b4", DENOISED: "#17a2a2", SINGLE: "#7f7f7f", OCTAVES: "#b8860b"}
 NETWORK_COLOURS = ("#c0392b", "#8e44ad", "#e67e22", "#d6568f", "#5d4037", "#2e7d32")
@@ -19,13 +18,13 @@ NETWORK_COLOURS = ("#c0392b", "#8e44ad", "#e67e22", "#d6568f", "#5d4037", "#2e7d
 
 @dataclass
 class Chart:
-    """series: rungs by method, in drawing order; those whose error the reference cannot tell from 0 at their interval's
-    upper end. x, y: (lowest, highest) of the axes, seconds and relative error. clock: of the rungs.
+    """series: rungs by method, in drawing order; errors indistinguishable from 0 are at their interval's upper end. x,
+    y: (lowest, highest) of the axes, seconds and relative error. clock: of the rungs.
     """
 
-    series: Dict[str, List[Rung]]
-    x: Tuple[float, float]
-    y: Tuple[float, float]
+    series: dict[str, list[Rung]]
+    x: tuple[float, float]
+    y: tuple[float, float]
     clock: str = "seconds"
 
     def place(self, seconds, error):
@@ -39,7 +38,7 @@ class Chart:
         return self.place(getattr(rung, self.clock), rung.error)
 
     def bar(self, rung: Rung):
-        """Upper and lower end of the interval, pixels from the top."""
+        """Upper and lower end of the interval, in pixels from the top."""
         x = getattr(rung, self.clock)
         return self.place(x, max(rung.rmse.high, rung.error))[1], self.place(x, rung.rmse.low or self.y[0])[1]
 
@@ -48,14 +47,16 @@ class Chart:
         return COLOURS.get(method) or NETWORK_COLOURS[networks.index(method) % len(NETWORK_COLOURS)]
 
 
-def make_chart(rungs: List[Rung], clock: str = "seconds") -> Chart:
-    """Rungs by method, each by time, and axes of whole decades' thirds around them. Raises ValueError for none."""
-    series: Dict[str, List[Rung]] = {}
+def make_chart(rungs: list[Rung], clock: str = "seconds") -> Chart:
+    """The chart of rungs, by method and time, with axes that end at 1, 2 or 5 of a decade. Raises ValueError without
+    rungs.
+    """
+    series: dict[str, list[Rung]] = {}
     for rung in rungs:
         if rung.error > 0.0 and getattr(rung, clock) > 0.0:
             series.setdefault(rung.method, []).append(rung)
     if not series:
-        raise ValueError("no rung has an error that can be told from 0")
+        raise ValueError("no rung has an error distinguishable from 0")
     for found in series.values():
         found.sort(key=lambda rung: rung.samples)
     shown = [rung for found in series.values() for rung in found]
@@ -75,7 +76,7 @@ def _axis(values):
 
 
 def svg(chart: Chart) -> str:
-    """The chart as an SVG element; each point carries its figures as a tooltip."""
+    """The chart as an SVG element; each point has its figures as a tooltip."""
     left, top, right, bottom = FRAME
     parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
              'aria-label="Relative error against seconds, logarithmic axes">']
@@ -88,7 +89,7 @@ def svg(chart: Chart) -> str:
         parts.append(f'<line class="grid" x1="{left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
                      f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
     clock = "seconds" if chart.clock == "seconds" else "processor seconds"
-    parts.append(f'<text x="{(left + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{clock} a frame</text>'
+    parts.append(f'<text x="{(left + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{clock} per frame</text>'
                  f'<text transform="translate(14 {(top + bottom) / 2}) rotate(-90)" text-anchor="middle">'
                  'relative error (RMSE)</text>')
     for number, (method, rungs) in enumerate(chart.series.items()):
@@ -99,7 +100,7 @@ def svg(chart: Chart) -> str:
     return "\n".join(parts) + "\n</svg>"
 
 
-def _series(chart: Chart, method: str, rungs: List[Rung]) -> str:
+def _series(chart: Chart, method: str, rungs: list[Rung]) -> str:
     colour = chart.colour(method)
     places = [chart.point(rung) for rung in rungs]
     line = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)

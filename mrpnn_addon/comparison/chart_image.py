@@ -16,7 +16,7 @@ PAPER, INK, GRID = np.float32([[0.95] * 3, [0.03] * 3, [0.75] * 3])
 
 
 def show_chart(rungs, clock: str):
-    """Put the chart of some rungs into the Image CHART_IMAGE; gives it, or None where nothing can be drawn."""
+    """Draw the chart of rungs into the Image CHART_IMAGE and return it; None where nothing can be drawn."""
     try:
         chart = make_chart(rungs, clock)
     except ValueError:
@@ -29,7 +29,7 @@ def draw(chart: Chart) -> np.ndarray:
     pixels = np.tile(PAPER, (HEIGHT, WIDTH, 1))
     left, top, right, bottom = FRAME
     unit = "seconds" if chart.clock == "seconds" else "processor seconds"
-    words = [(f"{unit} a frame; relative error", left + 220, bottom + 36)]
+    words = [(f"{unit} per frame; relative error", left + 220, bottom + 36)]
     for value in ticks(*chart.x):
         x = chart.place(value, chart.y[0])[0]
         _line(pixels, x, top, x, bottom, GRID)
@@ -49,7 +49,7 @@ def draw(chart: Chart) -> np.ndarray:
             _dot(pixels, x, y, colour)
         _dot(pixels, right - 150, top + 12 + 17 * number, colour)
         words.append((method, right - 140, top + 17 + 17 * number))
-    ink = _written(words)[..., None]
+    ink = _rendered_text(words)[..., None]
     opaque = np.ones((HEIGHT, WIDTH, 1), np.float32)
     return np.concatenate([pixels + (INK - pixels) * ink, opaque], axis=-1)
 
@@ -72,10 +72,10 @@ def _linear(colour: str) -> np.ndarray:
     return np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]) ** 2.2
 
 
-def _written(words) -> np.ndarray:
-    """Coverage (HEIGHT, WIDTH) by texts, each at (x, y) of its lower left from the image's upper left.
+def _rendered_text(words) -> np.ndarray:
+    """Coverage (HEIGHT, WIDTH) of texts, each at (x, y) of its lower left from the image's upper left.
 
-    Versions of Blender that cannot write into images in memory leave them out.
+    Empty in versions of Blender that cannot draw text into images in memory.
     """
     if not hasattr(blf, "bind_imbuf"):
         return np.zeros((HEIGHT, WIDTH), np.float32)

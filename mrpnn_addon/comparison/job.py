@@ -1,8 +1,7 @@
-"""A comparison at work: one image after the other, layers on a thread, Cycles in a process, none of them waited for."""
+"""A running comparison: one image after another, layers on a thread, Cycles in a process, without blocking."""
 
 import time
 from dataclasses import replace
-from typing import Dict, Optional
 
 from ...inference.scene import Cancelled, SceneError, Settings
 from ..cycles.pass_store import DENOISED, Job, Pass, PassStore
@@ -16,25 +15,25 @@ ONCE = ("network loading", "fields", "shadows")
 
 
 class ComparisonJob:
-    """Makes what a request still lacks, and keeps each image of Cycles in a store: layers are quickly made anew.
+    """Renders the missing images of a request, and stores Cycles' images; layers are quick to render again.
 
-    description: as `read_scene` gives it, cropped. open_store: gives the PassStore; called on a thread, since the key of
-    large volumes takes long. process: of the same view; ended at the end. `step` is to be
-    called again and again from the main thread until `done`, and `stop` whatever else happens.
+    description: from `read_scene`, cropped. open_store: returns the PassStore; called on a thread, because the key of
+    large volumes takes long. process: of the same view; ended with the job. Call `step` repeatedly from the main thread
+    until `done`, and always `stop` at the end.
 
-    passes: whatever of the request is there. marks: candidates that failed, in words. message, fraction:
-    how far it is. error: what ended it.
+    passes: finished images of the request. marks: candidates that failed, as text. message, fraction: progress. error:
+    the exception that ended the job.
     """
 
     def __init__(self, request: Request, description, settings: Settings, open_store, process: CyclesProcess):
         self.request, self.description, self.settings = request, description, settings
-        self.store: Optional[PassStore] = None
+        self.store: PassStore | None = None
         self._opening = in_background(open_store)
         self._process = process
-        self.passes: Dict[Job, Pass] = {}
+        self.passes: dict[Job, Pass] = {}
         self.marks, self.message, self.error = [], "", None
         self._failed, self._spent = set(), 0.0
-        self._job: Optional[Job] = None
+        self._job: Job | None = None
         self._layer = None
         self.done = False
         self._start = time.monotonic()
@@ -46,7 +45,7 @@ class ComparisonJob:
                 self.passes[job] = found
 
     def step(self) -> None:
-        """Look whether the current image is finished, and begin the next. Never waits."""
+        """Collect the current image if it is finished, and start the next. Never blocks."""
         if self.done:
             return
         try:
@@ -64,7 +63,7 @@ class ComparisonJob:
                     self.store.put(self._job, finished)
                     self._spent += finished.seconds
             self._begin(next_job(self.request, self.passes, self._failed, self._spent))
-        except PassFailed as problem:  # One candidate; the others may do.
+        except PassFailed as problem:  # Only one candidate failed.
             if self._job.method != DENOISED:
                 self._end(SceneError(f"Cycles could not render: {problem}"))
                 return
@@ -75,7 +74,7 @@ class ComparisonJob:
             self._end(problem)
 
     def stop(self) -> None:
-        """End at once; what is finished stays."""
+        """Stop; finished images are kept."""
         if not self.done:
             self._end(Cancelled())
 
@@ -85,7 +84,7 @@ class ComparisonJob:
 
     @property
     def fraction(self) -> float:
-        # Nothing can be told before Cycles has shown its pace.
+        # Unknown before Cycles' first image.
         if not self.done and not any(job.by_cycles for job in self.passes):
             return 0.0
         passed = time.monotonic() - self._start
@@ -95,7 +94,7 @@ class ComparisonJob:
     def seconds_left(self) -> float:
         return remaining_seconds(self.request, self.passes, self._failed, self._spent)
 
-    def _begin(self, job: Optional[Job]):
+    def _begin(self, job: Job | None):
         self._job = job
         if job is None:
             self._end(None)
@@ -107,7 +106,7 @@ class ComparisonJob:
             settings = replace(self.settings, model=job.method, depth_samples=job.samples)
             self._layer = RenderJob(self.description, settings, None)
 
-    def _finished(self) -> Optional[Pass]:
+    def _finished(self) -> Pass | None:
         if self._job.by_cycles:
             return self._process.answer()
         if not self._layer.done:
@@ -124,7 +123,7 @@ class ComparisonJob:
     def _end(self, error):
         self.error, self.done = error, True
         if self._layer is not None:
-            # It ends within a second, for which nobody waits.
+            # The thread ends within a second; do not wait for it.
             self._layer.stop()
             self._layer = None
         self._process.stop()

@@ -1,27 +1,26 @@
-"""A comparison as one HTML page that needs nothing else: pictures, chart and tables inside."""
+"""A comparison as one self-contained HTML page: pictures, chart and tables."""
 
 import base64
 import json
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import Dict
 
 from ...inference.evaluation.error_vs_time import Rung
 from .chart import make_chart, svg
 from .results import Comparison
 
 TEMPLATE = Path(__file__).with_name("page.html")
-# Full colour of the signed error map, as a share of the reference's mean.
+# Error, as a share of the reference's mean, that saturates the signed error map.
 ERROR_LIMIT = 0.5
 
 
-def page(comparison: Comparison, title: str, pictures: Dict[str, bytes], error_map: bytes, reference: str,
-         facts: Dict[str, str]) -> str:
+def page(comparison: Comparison, title: str, pictures: dict[str, bytes], error_map: bytes, reference: str,
+         facts: dict[str, str]) -> str:
     """The page's text.
 
-    pictures: PNG files by caption, the judged layer first; reference: the caption of the reference among
-    them. error_map: PNG. facts: what was measured, how and where.
+    pictures: PNG files by caption, the judged layer first. reference: caption of the reference. error_map: PNG. facts:
+    conditions of the measurement.
     """
     width, height = comparison.resolution
     try:
@@ -31,14 +30,15 @@ def page(comparison: Comparison, title: str, pictures: Dict[str, bytes], error_m
     return Template(TEMPLATE.read_text()).substitute(
         title=escape(title), width=width, height=height, chart=chart,
         summary=escape(_summary(comparison)),
-        notes="".join(f'<p class="note">{escape(text)}</p>' for text in (*_verdict(comparison), *comparison.marks,
-                                                                          *comparison.warnings)),
+        notes="".join(f'<p class="note">{escape(text)}</p>'
+                      for text in (*_verdict(comparison), *comparison.marks, *comparison.warnings)),
         sentences="".join(f"<li>{escape(text)}</li>" for text in comparison.sentences()),
         left_options=_options(pictures, next(iter(pictures))), right_options=_options(pictures, reference),
         pictures=json.dumps({caption: _data(png) for caption, png in pictures.items()}).replace("<", "\\u003c"),
         error_map=_data(error_map), error_low=f"−{ERROR_LIMIT:.0%}", error_high=f"+{ERROR_LIMIT:.0%}",
-        table=_table(["image", "samples", "error (95 %)", "bias (95 %)", "seconds", "once", "processor seconds", "FLIP"],
-                     [_row(rung) for rung in comparison.rungs]),
+        table=_table(
+            ["image", "samples", "error (95 %)", "bias (95 %)", "seconds", "once", "processor seconds", "FLIP"],
+            [_row(rung) for rung in comparison.rungs]),
         equal_table=_table(
             ["Cycles", "clock", "the layer's seconds", "seconds to its error", "times as long", "as a further frame",
              "error in its time"],

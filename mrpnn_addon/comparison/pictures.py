@@ -1,4 +1,4 @@
-"""Images as PNG files in memory, made by Blender."""
+"""Images encoded as PNG in memory by Blender."""
 
 import tempfile
 from pathlib import Path
@@ -10,14 +10,14 @@ from ..output.layer_image import save_view_transformed
 
 
 def view_png(values: np.ndarray, scene) -> bytes:
-    """Linear premultiplied (H, W, 4), rows from the top, as the scene's view transform shows it, with alpha."""
+    """Linear premultiplied (H, W, 4), rows from the top, with the scene's view transform and alpha."""
     image = _image(values, float_buffer=True)
     image.alpha_mode = 'PREMUL'
     return _file(image, lambda path: save_view_transformed(image, path, scene))
 
 
 def display_png(colours: np.ndarray) -> bytes:
-    """Display colours (H, W, 3) in [0, 1], rows from the top, as they are."""
+    """Display colours (H, W, 3) in [0, 1], rows from the top, unchanged."""
     opaque = np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=-1)
     image = _image(opaque, float_buffer=False)
     image.file_format = 'PNG'

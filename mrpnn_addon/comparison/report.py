@@ -11,7 +11,7 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..cycles.pass_store import CYCLES, DENOISED
-from ..runtime.whole_file import whole_file
+from ..runtime.atomic_write import atomic_write
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
 from .pictures import display_png, view_png
@@ -23,10 +23,9 @@ COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "r
 
 
 def writing(run, comparison: Comparison):
-    """Write report.html, figures.csv and figures.json into the folder of a ComparisonRun, in short steps.
+    """Write report.html, figures.csv and figures.json into the folder of a ComparisonRun, and draw the chart.
 
-    A generator that gives the page's path with each. Also shows the chart as an Image. Raises SceneError where they
-    cannot be written.
+    A generator of short steps that yields the page's path. Raises SceneError where a file cannot be written.
     """
     path = run.folder / "report.html"
     run.folder.mkdir(parents=True, exist_ok=True)
@@ -47,7 +46,7 @@ def writing(run, comparison: Comparison):
 
 
 def csv_text(comparison: Comparison) -> str:
-    """A row an image."""
+    """One row per image."""
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS)
     writer.writeheader()
@@ -61,7 +60,7 @@ def csv_text(comparison: Comparison) -> str:
 
 
 def signed_error(layer: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """float32 (H, W, 3) display colours: red too bright, blue too dark, full colour at ERROR_LIMIT of the mean."""
+    """float32 (H, W, 3) display colours: red too bright, blue too dark, saturated at ERROR_LIMIT of the mean."""
     shown = layer[..., 3] > MASK_ALPHA
     mean = reference[shown][:, :3].mean() if shown.any() else 1.0
     share = np.clip((layer - reference)[..., :3].mean(axis=-1) / mean / ERROR_LIMIT, -1.0, 1.0)[..., None]
@@ -93,21 +92,21 @@ def _facts(run, comparison: Comparison) -> dict:
         "image": f"{width} × {height}, {comparison.pixels} pixels with alpha above {MASK_ALPHA}",
         "reference": run.options.reference_path or (
             f"2 × {comparison.samples} samples in {comparison.cycles_seconds:.1f} s, noise left "
-            f"{comparison.noise:.3f} a pixel; {comparison.verdict}"),
+            f"{comparison.noise:.3f} per pixel; {comparison.verdict}"),
         "Cycles": f"{comparison.bounces} bounces, no clamping, no adaptive sampling, no light threshold, filter of one "
-                  "point; denoised rungs with OpenImageDenoise. A process of its own; the scene's own settings "
+                  "point; denoised rungs with OpenImageDenoise. In a separate process; the scene's own settings "
                   f"({own.samples} samples, {own.volume_bounces} volume bounces of {own.max_bounces}, indirect light "
                   f"clamped at {own.sample_clamp_indirect:g}) are neither used nor touched",
         "layer": f"{run.settings.model}, seed {run.settings.seed}, {threads} threads",
         "alpha bias": f"{comparison.alpha_bias.value:+.2%}",
         "paper's metric": f"{comparison.paper:.2f} (100 × RMSE of tone-mapped luma, whole image)",
-        "extrapolated": "seconds by the measured cost of a sample and 1/√N of the measured noise; at least: beyond the "
-                        "denoised ladder, as if its error still fell with 1/√N",
+        "extrapolated": "seconds from the measured cost per sample and 1/√N of the measured noise; at least: beyond "
+                        "the denoised ladder, as if its error still fell with 1/√N",
     }
 
 
 def _processor() -> str:
-    """Its name, where the platform tells."""
+    """The processor's name, where the platform reveals it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -117,7 +116,7 @@ def _processor() -> str:
 
 def _replace(path: Path, text: str) -> None:
     try:
-        with whole_file(str(path)) as file:
+        with atomic_write(str(path)) as file:
             file.write(text.encode())
     except OSError as error:
         raise SceneError(str(error)) from None

@@ -1,7 +1,6 @@
-"""What a comparison's passes have to say: errors, times, and what a second of each method buys."""
+"""Figures of a comparison: errors, times, and equal-error and equal-time comparisons."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -23,23 +22,23 @@ from ..runtime.json_file import write_json
 from .perceptual import flip
 from .plan import Request
 
-# Below this alpha a pixel holds so little of the volume that ratios are noise.
+# Below this alpha a pixel shows so little of the volume that ratios are noise.
 MASK_ALPHA = 0.02
 # Beyond this the two images show different volumes.
 ALPHA_TOLERANCE = 0.05
 CLOCKS = ("seconds", "cpu_seconds")
-# So many of Cycles' rungs tell what its samples cost; with fewer the reference's passes are asked too.
-RUNGS_ENOUGH = 3
-# A layer keeps one processor busy, or more; with less than this share of one something else ran.
-BUSY = 0.7
+# Rungs of Cycles from which the cost of samples is fitted; with fewer, the reference's passes are included.
+MIN_RUNGS = 3
+# A layer keeps at least one processor busy; below this share, other programs slowed it down.
+BUSY_SHARE = 0.7
 
 
 @dataclass
 class Equal:
-    """One clock's figures of the judged image against one method of Cycles.
+    """The judged image against one method of Cycles, by one clock.
 
-    seconds: the judged image's; frame_seconds: without what is paid once. needed: seconds that Cycles takes to its
-    error; error: Cycles' in its time.
+    seconds: of the judged image. frame_seconds: without what further frames do not repeat. needed: seconds that Cycles
+    takes to reach its error. error: of Cycles in its time.
     """
 
     method: str
@@ -60,7 +59,7 @@ class Equal:
     def __str__(self):
         clock = "s" if self.clock == "seconds" else "processor seconds"
         if not np.isfinite(self.ratio):
-            return f"{self.method}: how long it takes to this error cannot be told"
+            return f"{self.method}: how long it takes to reach this error is unknown"
         return (f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
                 f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
                 f"{self.seconds:.2g} {clock} it has an error of {self.error}")
@@ -68,14 +67,14 @@ class Equal:
 
 @dataclass
 class Comparison:
-    """rmse, bias, alpha_bias: of the judged image, relative, with 95 % intervals, where its alpha exceeds MASK_ALPHA.
-    paper: the paper's metric over the whole image.
-    noise: the reference's own relative standard deviation a pixel, both halves together.
-    layer_seconds: of the judged image; cycles_seconds: of the reference. Wall clock.
-    resolution: (width, height). pixels: how many the mask holds.
-    samples: a pixel in each half. bounces: most scattering events. cycles: Blender's version.
-    rungs: every candidate. equal: against Cycles with and without denoising. path_tracing: its law by clock.
-    marks: what makes the comparison less than fair or certain. warnings: what the layer leaves out.
+    """Figures of all candidates.
+
+    rmse, bias, alpha_bias: of the judged image, relative, with 95 % intervals, where its alpha exceeds MASK_ALPHA.
+    paper: the paper's metric over the whole image. noise: relative standard deviation of the reference per pixel, both
+    halves together. layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock. resolution:
+    (width, height). pixels: those in the mask. samples: per pixel in each half. bounces: most scattering events.
+    cycles: Blender's version. rungs: every candidate. equal: against Cycles with and without denoising. path_tracing:
+    its convergence law by clock. marks: caveats about fairness or certainty. warnings: what the layer leaves out.
     """
 
     rmse: Estimate
@@ -85,18 +84,18 @@ class Comparison:
     noise: float
     layer_seconds: float
     cycles_seconds: float
-    resolution: Tuple[int, int]
+    resolution: tuple[int, int]
     pixels: int
     samples: int
     bounces: int
     cycles: str
-    rungs: List[Rung]
+    rungs: list[Rung]
     judged: Rung
     verdict: Verdict
-    equal: List[Equal] = field(default_factory=list)
-    path_tracing: Dict[str, PathTracing] = field(default_factory=dict)
-    marks: List[str] = field(default_factory=list)
-    warnings: List[str] = field(default_factory=list)
+    equal: list[Equal] = field(default_factory=list)
+    path_tracing: dict[str, PathTracing] = field(default_factory=dict)
+    marks: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     def table(self) -> str:
         """The figures as lines of text."""
@@ -105,7 +104,7 @@ class Comparison:
             ("relative bias", f"{100 * self.bias.value:+7.1f} %", _interval(self.bias, "{:+.1f} %", 100)),
             ("alpha bias", f"{100 * self.alpha_bias.value:+7.2f} %", _interval(self.alpha_bias, "{:+.2f} %", 100)),
             ("paper's metric", f"{self.paper:8.2f}", ""),
-            ("seconds, layer", f"{self.layer_seconds:8.1f}", f"{self.judged.once:.1f} of them once a volume and sun"),
+            ("seconds, layer", f"{self.layer_seconds:8.1f}", f"{self.judged.once:.1f} of them once per volume and sun"),
             ("seconds, Cycles", f"{self.cycles_seconds:8.1f}",
              f"2 x {self.samples} samples, {self.bounces} bounces, noise left {self.noise:.2f}"),
         ]
@@ -115,21 +114,21 @@ class Comparison:
         lines += [f"  reference {self.verdict}", *(f"  {line}" for line in self.sentences())]
         return "\n".join(lines + [f"  note: {mark}" for mark in self.marks])
 
-    def sentences(self) -> List[str]:
-        """Equal error and equal time, in words."""
+    def sentences(self) -> list[str]:
+        """Equal error and equal time, as sentences."""
         return [str(one) for one in self.equal if one.clock == self.clock]
 
     @property
     def clock(self) -> str:
-        """Which of CLOCKS tells more: processor time where other work held the layer up."""
-        return "cpu_seconds" if self.judged.cpu_seconds < BUSY * self.judged.seconds else "seconds"
+        """The more reliable of CLOCKS: processor time where other programs slowed the layer down."""
+        return "cpu_seconds" if self.judged.cpu_seconds < BUSY_SHARE * self.judged.seconds else "seconds"
 
     def figures(self) -> dict:
-        """Everything as plain types; None where a figure is infinite."""
+        """Everything as plain types; None for infinite figures."""
         return _finite(asdict(self))
 
     def write_json(self, path: str) -> None:
-        """All figures to `path`, which is replaced in one step."""
+        """Write all figures to `path` atomically."""
         write_json(path, self.figures())
 
 
@@ -141,8 +140,10 @@ def _finite(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def halves(passes: Dict[Job, Pass]):
-    """The reference's two halves, float64 (H, W, 4), or None: the samples of its passes of even and of odd seeds."""
+def halves(passes: dict[Job, Pass]):
+    """The two halves of the reference, float64 (H, W, 4), from its passes of even and odd seeds; None where one is
+    missing.
+    """
     found = []
     for half in range(2):
         jobs = [job for job in passes if job.method == REFERENCE and job.seed % 2 == half]
@@ -153,18 +154,18 @@ def halves(passes: Dict[Job, Pass]):
     return tuple(found)
 
 
-def compare(passes: Dict[Job, Pass], request: Request, bounces: int, version: str, given: Optional[np.ndarray] = None,
+def compare(passes: dict[Job, Pass], request: Request, bounces: int, version: str, given: np.ndarray | None = None,
             marks=()) -> Comparison:
-    """Measure every candidate among `passes` against the reference among them, or a `given` one (H, W, 4).
+    """Measure every candidate among `passes` against their reference, or against a `given` one (H, W, 4).
 
-    Raises SceneError where there is no reference yet, images differ in size or show different volumes, the
-    volume is nowhere in view, or the reference is black.
+    Raises SceneError where there is no reference yet, images differ in size or show different volumes, no volume is in
+    view, or the reference is black.
     """
     judged_job = request.layers[0]
     layer = passes[judged_job]
     a, b = (given, given) if given is not None else halves(passes) or (None, None)
     if a is None:
-        raise SceneError("there is no reference yet: Cycles was stopped before its first two passes")
+        raise SceneError("there is no reference yet: Cycles was stopped before it finished two passes")
     if a.shape[:2] != layer.image.shape[:2]:
         raise SceneError(f"the layer has {_size(layer.image)} pixels and the reference {_size(a)}")
     mask = layer.image[..., 3] > MASK_ALPHA
@@ -185,7 +186,7 @@ def compare(passes: Dict[Job, Pass], request: Request, bounces: int, version: st
     result = Comparison(
         rmse=judged.rmse, bias=judged.bias, alpha_bias=alpha_bias,
         paper=paper_metric(layer.image[..., :3], colour_a, colour_b),
-        # Half the difference of two independent halves varies as their mean does.
+        # Half the difference of two independent halves has the variance of their mean.
         noise=float(np.sqrt(np.mean(((a - b) / 2)[mask][:, :3] ** 2)) / mean),
         layer_seconds=layer.seconds, cycles_seconds=reference_seconds,
         resolution=(width, height), pixels=int(mask.sum()), samples=samples, bounces=bounces, cycles=version,
@@ -193,7 +194,7 @@ def compare(passes: Dict[Job, Pass], request: Request, bounces: int, version: st
         marks=marks, warnings=list(layer.warnings))
     if given is None:
         if result.clock != CLOCKS[0]:
-            result.marks.append("the machine was busy with other work: the layer ran for "
+            result.marks.append("other programs slowed the layer down: it ran for "
                                 f"{judged.seconds:.1f} s and got {judged.cpu_seconds:.1f} processor seconds; "
                                 "processor time is compared")
         _add_equal(result, references, variance_at_one(colour_a, colour_b, mask, samples))
@@ -211,8 +212,8 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
     ladders = {method: [r for r in result.rungs if r.method == method] for method in (CYCLES, DENOISED)}
     for clock in CLOCKS:
         known = [(r.samples, getattr(r, clock)) for r in ladders[CYCLES]]
-        # The reference may be of another day, when the machine had other work.
-        if len(known) < RUNGS_ENOUGH:
+        # The reference may be older, rendered under another load.
+        if len(known) < MIN_RUNGS:
             known += [(job.samples, getattr(done, clock)) for job, done in references]
         law = PathTracing(*cost(*zip(*known)), variance, max(n for n, _ in known))
         result.path_tracing[clock] = law
@@ -226,7 +227,7 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
                 error_on_ladder(ladders[DENOISED], seconds, clock)))
 
 
-def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> List[str]:
+def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:
     found = []
     if bounces < 1024 and not given:
         found.append(f"the reference stops after {bounces} bounces: in dense and white volumes it is too dark")
@@ -242,7 +243,7 @@ def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> List[str]:
 
 
 def _order(request: Request):
-    """Layers as they were asked for, then Cycles by samples."""
+    """Layers in the order of the request, then Cycles by samples."""
     places = {job: i for i, job in enumerate(request.layers)}
     return lambda item: (places.get(item[0], len(places)), item[0].method, item[0].samples)
 

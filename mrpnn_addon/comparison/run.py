@@ -1,11 +1,10 @@
-"""One comparison of a Blender scene: what is read and decided at its start, what is written at its end."""
+"""One comparison of a Blender scene, from reading the scene to writing the report."""
 
 import os
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Optional, Tuple
 
 import bpy
 import numpy as np
@@ -23,16 +22,16 @@ from .plan import Request
 from .results import Comparison, compare, halves
 
 REPORT_FOLDER = "//mrpnn-comparison"
-# Depth samples of the judged network's ladder besides the scene's own.
+# Depth samples of the judged network's ladder, besides the scene's own.
 DEPTHS = (1, 2, 4, 16)
-SECONDS_A_LOOK = 0.02
+POLL_INTERVAL = 0.02
 
 
 @dataclass
 class Options:
-    """samples, seconds, ladder, denoised: as in Request. all_models: every network, not the scene's alone.
-    models: names of more of them. depths: of the judged network. bounces: of Cycles. scale: per cent of the resolution.
-    reference_path: an .exr, or "". folder: of the report, as Blender writes paths.
+    """samples, seconds, ladder, denoised: see Request. all_models: every network, not only the scene's. models: names
+    of further ones. depths: of the judged network. bounces: of Cycles. scale: per cent of the resolution.
+    reference_path: an .exr, or "". folder: of the report, as a Blender path.
     """
 
     samples: int = 32
@@ -40,8 +39,8 @@ class Options:
     ladder: int = 64
     denoised: bool = True
     all_models: bool = False
-    models: Tuple[str, ...] = ()
-    depths: Tuple[int, ...] = DEPTHS
+    models: tuple[str, ...] = ()
+    depths: tuple[int, ...] = DEPTHS
     bounces: int = 1024
     scale: int = 25
     reference_path: str = ""
@@ -49,9 +48,9 @@ class Options:
 
 
 class ComparisonRun:
-    """Reads the scene of `context`, which may change from then on. reader: as of `read_scene`.
+    """Reads the scene of `context`, which may change afterwards. reader: as of `read_scene`.
 
-    Raises SceneError for what cannot be compared, and OSError where the folder cannot be made.
+    Raises SceneError for what cannot be compared, and OSError where the folder cannot be created.
     """
 
     def __init__(self, context, settings: Settings, options: Options, reader=None):
@@ -62,8 +61,7 @@ class ComparisonRun:
         layers = _layers(settings, options)
         with scaled(context.scene, options.scale):
             depsgraph = context.evaluated_depsgraph_get()
-            # The layer and Cycles' image both have the region's size.
-            # Volumes and lights alone: Cycles' image will hold no surface.
+            # Of the region's size and without surfaces, as Cycles' image.
             self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
             require_volumes(self.description)
             process = CyclesProcess(
@@ -77,20 +75,24 @@ class ComparisonRun:
             lambda: PassStore(folder / scene_key(self.description, options.bounces, version)), process)
 
     def wait(self, progress=None) -> None:
-        """Work until it is done. progress: called with (fraction, message). Ctrl-C stops and keeps what is finished."""
+        """Block until the comparison is done. progress: called with (fraction, message). Ctrl-C stops and keeps what is
+        finished.
+        """
         try:
             while not self.job.done:
                 self.job.step()
                 if progress:
                     progress(self.job.fraction, self.job.message)
-                time.sleep(SECONDS_A_LOOK)
+                time.sleep(POLL_INTERVAL)
         except KeyboardInterrupt:
             pass
         finally:
             self.job.stop()
 
     def result(self) -> Comparison:
-        """The figures of what is finished. Raises what ended the work, and SceneError where too little is there."""
+        """The figures of what is finished. Raises the exception that ended the job, and SceneError where too little is
+        finished.
+        """
         if self.job.error is not None and not self.job.cancelled:
             raise self.job.error
         if self.request.layers[0] not in self.job.passes:
@@ -100,12 +102,12 @@ class ComparisonRun:
                        [*marks, *self.job.marks])
 
     def write(self, comparison: Comparison) -> Path:
-        """The report's files into the folder; gives the page's path."""
+        """Write the report's files; returns the page's path."""
         *_, page = self.writing(comparison)
         return page
 
     def writing(self, comparison: Comparison):
-        """As `write`, in short steps: `comparison_report.writing`."""
+        """As `write`, in short steps: see `report.writing`."""
         return comparison_report.writing(self, comparison)
 
     def layer_image(self) -> np.ndarray:
@@ -113,12 +115,12 @@ class ComparisonRun:
         return self.job.passes[self.request.layers[0]].image
 
     def reference_image(self) -> np.ndarray:
-        """float32 (H, W, 4), rows from the top: both halves together."""
+        """float32 (H, W, 4), rows from the top: the mean of both halves."""
         return self.given if self.given is not None else np.mean(halves(self.job.passes), axis=0).astype(np.float32)
 
 
 def _layers(settings: Settings, options: Options):
-    """The judged image first, then its ladder, other networks, and what needs no network."""
+    """The judged image first, then its ladder, other networks, and the baselines."""
     def job(model, depths):
         return Job(model, depths, settings.seed)
 
@@ -131,7 +133,7 @@ def _layers(settings: Settings, options: Options):
 
 @contextmanager
 def scaled(scene, percentage: int):
-    """The scene at a part of its resolution; as it was afterwards."""
+    """The scene at a percentage of its resolution, restored afterwards."""
     before = scene.render.resolution_percentage
     scene.render.resolution_percentage = max(1, before * percentage // 100)
     try:
@@ -146,7 +148,7 @@ def _folder(path: str) -> Path:
     return Path(bpy.path.abspath(path)).absolute()
 
 
-def _read_reference(path: str) -> Optional[np.ndarray]:
+def _read_reference(path: str) -> np.ndarray | None:
     path = Path(bpy.path.abspath(path))
     if not path.is_file():
         raise SceneError(f"the reference {path} does not exist; choose an .exr file")
@@ -155,6 +157,6 @@ def _read_reference(path: str) -> Optional[np.ndarray]:
     except RuntimeError as error:
         raise SceneError(f"the reference {path} cannot be read: {str(error).strip()}") from None
     if image.size == 0 or not np.isfinite(image).all():
-        raise SceneError(f"the reference {path} holds no image, or NaN or infinite values; render it anew as OpenEXR "
+        raise SceneError(f"the reference {path} is empty or has NaN or infinite values; render it again as OpenEXR "
                          "with RGBA")
     return image

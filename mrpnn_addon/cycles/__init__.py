@@ -1,1 +1,1 @@
-"""Cycles as a path-traced reference, rendered in this process or one of its own."""
+"""Cycles as a path-traced reference, in this process or a separate one."""

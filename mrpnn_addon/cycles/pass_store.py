@@ -5,14 +5,13 @@ import json
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import List, Optional
 
 import numpy as np
 
 from ...inference.scene.sparse_grid import SparseGrid
-from ..runtime.whole_file import whole_file
+from ..runtime.atomic_write import atomic_write
 
-# Of what is stored, and of how it was rendered: another number finds nothing of the last.
+# Version of the files and of how they are rendered; files of other versions are ignored.
 FORMAT = 1
 
 REFERENCE, CYCLES, DENOISED = "reference", "cycles", "cycles denoised"
@@ -20,8 +19,8 @@ REFERENCE, CYCLES, DENOISED = "reference", "cycles", "cycles denoised"
 
 @dataclass(frozen=True)
 class Job:
-    """One image to make. method: REFERENCE, CYCLES, DENOISED, or a network's name.
-    samples: a pixel, or depth samples. seed: independent images of the same kind differ by it.
+    """One image to render. method: REFERENCE, CYCLES, DENOISED, or a network's name. samples: per pixel, or depth
+    samples. seed: distinguishes independent images.
     """
 
     method: str
@@ -34,14 +33,14 @@ class Job:
 
     @property
     def name(self) -> str:
-        """For files."""
+        """Base name of its files."""
         return f"{self.method.replace(' ', '-')}-{self.samples}-{self.seed}"
 
 
 @dataclass
 class Pass:
-    """image: float32 (H, W, 4), rows from the top, linear and premultiplied.
-    seconds: wall clock; cpu_seconds: of all threads; once, once_cpu: of these, what another frame does not pay again.
+    """image: float32 (H, W, 4), rows from the top, linear and premultiplied. seconds: wall-clock. cpu_seconds: of all
+    threads. once, once_cpu: the part of these that further frames do not repeat.
     """
 
     image: np.ndarray
@@ -49,13 +48,13 @@ class Pass:
     cpu_seconds: float
     once: float = 0.0
     once_cpu: float = 0.0
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 def scene_key(description, bounces: int, version: str) -> str:
-    """Names what Cycles renders of a scene: a digest of its volumes, media, suns, camera and frame.
+    """Identifies what Cycles renders of a scene: a digest of its volumes, media, suns, camera and frame.
 
-    description: a SceneDescription; version: Blender's.
+    description: a SceneDescription. version: Blender's.
     """
     digest = hashlib.sha256(repr((FORMAT, bounces, version, description.frame, description.environment)).encode())
     for volume, medium in description.volumes:
@@ -85,8 +84,8 @@ class PassStore:
     def __init__(self, folder: Path):
         self.folder = Path(folder)
 
-    def get(self, job: Job) -> Optional[Pass]:
-        """The pass, or None where it was not made or its file is damaged."""
+    def get(self, job: Job) -> Pass | None:
+        """The pass; None where it does not exist or its file is damaged."""
         try:
             with open(self._path(job), "rb") as stream, np.load(stream) as file:
                 return Pass(file["image"], **json.loads(str(file["facts"])))
@@ -94,10 +93,10 @@ class PassStore:
             return None
 
     def put(self, job: Job, done: Pass) -> None:
-        """Keep a pass; its file appears complete. Raises OSError where it cannot be written."""
+        """Write a pass atomically. Raises OSError where it cannot be written."""
         self.folder.mkdir(parents=True, exist_ok=True)
         facts = {name: value for name, value in vars(done).items() if name != "image"}
-        with whole_file(str(self._path(job))) as file:
+        with atomic_write(str(self._path(job))) as file:
             np.savez(file, image=done.image.astype(np.float32), facts=json.dumps(facts))
 
     def _path(self, job: Job) -> Path:

@@ -1,10 +1,9 @@
-"""Cycles in a Blender process of its own: this one stays usable, and ending that one costs nothing."""
+"""Cycles in a separate Blender process, which leaves this one usable and can be ended at any time."""
 
 import json
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Optional
 
 import bpy
 
@@ -12,32 +11,33 @@ from ...inference.scene import SceneError
 from ..runtime.blender_process import blender_command
 from .pass_store import DENOISED, REFERENCE, Job, Pass
 from .reference import read_image, require_box_alpha
-from .reference_scene import box_scene, view_scene
+from .reference_scene import PathTracing, box_scene, view_scene
 
 WORKER = Path(__file__).with_name("worker.py")
-# Cycles' seeds of the reference's passes begin here, so that no candidate shares one.
+# First seed of the reference's passes, so that no candidate shares one.
 REFERENCE_SEED = 1000
 CHECK = "check"
 
 
 class PassFailed(Exception):
-    """Cycles could not render one pass; the message says why."""
+    """Cycles could not render a pass; the message has the reason."""
 
 
 class CyclesProcess:
-    """Renders passes of a view that was written to a file; asked and answered without waiting.
+    """Renders passes of a view asynchronously.
 
-    Made on Blender's main thread from the arguments of `reference_scene.view_scene`, whose errors it raises. The
-    process starts with the first pass and checks Cycles against a homogeneous box before it.
+    Writes the view to a file when made, on Blender's main thread; takes the arguments of `reference_scene.view_scene`
+    and raises its errors. The process starts with the first pass and checks Cycles on a homogeneous box before it.
     """
 
     def __init__(self, scene, objects, bounces: int, world=None):
         self._folder = tempfile.TemporaryDirectory(prefix="mrpnn-")
         self._process, self._asked, self._checked = None, None, False
         try:
-            with view_scene(scene, objects, 1, bounces, world) as view, box_scene(self._folder.name) as box:
+            tracing = PathTracing(1, bounces)
+            with view_scene(scene, objects, tracing, world) as view, box_scene(self._folder.name) as box:
                 self._view, self._box = view.name, box.name
-                # Blender 5.2 crashes when it writes a scene whose layers it has not yet seen.
+                # Blender 5.2 crashes when it writes a scene whose view layers have not been updated.
                 for made in (view, box):
                     made.view_layers[0].update()
                 bpy.data.libraries.write(str(self._path("scene.blend")), {view, box}, path_remap='ABSOLUTE')
@@ -46,7 +46,7 @@ class CyclesProcess:
             raise
 
     def ask(self, job: Job) -> None:
-        """Begin a pass; `answer` gives it."""
+        """Start a pass; `answer` returns it."""
         if self._process is None:
             self._start()
             self._send(CHECK, self._box, 64, 0, False)
@@ -54,11 +54,11 @@ class CyclesProcess:
         self._send(job.name, self._view, job.samples, seed, job.method == DENOISED)
         self._asked = job.name
 
-    def answer(self) -> Optional[Pass]:
-        """The pass that was asked for once it is there, else None.
+    def answer(self) -> Pass | None:
+        """The requested pass, or None until it is finished.
 
-        Raises PassFailed where Cycles could not render it, SceneError where Cycles cannot be trusted here or its
-        process has ended.
+        Raises PassFailed where Cycles could not render it, SceneError where Cycles fails the check or its process has
+        ended.
         """
         for name in ([] if self._checked else [CHECK]) + [self._asked]:
             found = self._answer(name)
@@ -74,7 +74,7 @@ class CyclesProcess:
         return Pass(image, found["seconds"], found["cpu_seconds"])
 
     def stop(self) -> None:
-        """End the process at once and remove its files."""
+        """End the process and remove its files."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -82,9 +82,9 @@ class CyclesProcess:
             self._process = None
         self._folder.cleanup()
 
-    def _answer(self, name: str) -> Optional[dict]:
+    def _answer(self, name: str) -> dict | None:
         path = self._path(f"{name}.json")
-        # Asked before the file is looked for: what a process leaves is there when it has ended.
+        # Checked before the file: an ended process has written its files.
         ended = self._process.poll() is not None
         if not path.exists():
             if ended:
@@ -103,11 +103,11 @@ class CyclesProcess:
             self._process.stdin.write(json.dumps(ask) + "\n")
             self._process.stdin.flush()
         except OSError:
-            pass  # It has ended; `answer` says so.
+            pass  # The process has ended; `answer` reports it.
 
     def _last_words(self) -> str:
         lines = self._path("log.txt").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it said nothing"
+        return lines[-1] if lines else "no output"
 
     def _path(self, name: str) -> Path:
         return Path(self._folder.name) / name

@@ -1,4 +1,4 @@
-"""A path-traced reference of the same view, rendered by Cycles in this process, and what it has to hold."""
+"""A path-traced reference of the same view, rendered by Cycles in this process."""
 
 import tempfile
 import time
@@ -10,20 +10,19 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..nodes.material import SURFACES, shows_volume
-from ..objects.visibility import shown_objects
-from .reference_scene import CHECK_DEPTH, box_scene, view_scene
+from ..objects.visibility import visible_objects
+from .reference_scene import CHECK_DEPTH, PathTracing, box_scene, view_scene
 
 CHECK_TOLERANCE = 0.02
+DEFAULTS = PathTracing()
 
 
 @dataclass
 class Reference:
     """Two independent renders of one view.
 
-    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha.
-    seconds: wall-clock time of both together, scene preparation included.
-    samples: samples a pixel in each half.
-    bounces: most scattering events along a path.
+    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha. seconds: wall-clock time of
+    both, scene preparation included. samples: per pixel in each half. bounces: most scattering events along a path.
     version: of the Blender that rendered them.
     """
 
@@ -35,45 +34,41 @@ class Reference:
     version: str
 
 
-def render_reference(scene, objects, samples=64, bounces=1024, seed=0, progress=None, world=None,
-                     step_rate=1.0, areas=False) -> Reference:
+def render_reference(scene, objects, tracing=DEFAULTS, world=None, seed=0, progress=None) -> Reference:
     """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
-    scene: gives frame, camera, resolution, render region and thread count; stays as it is.
+    scene: gives frame, camera, resolution, render region and thread count; it is not changed.
     objects: the objects to show, whatever else the scene holds.
-    samples: samples a pixel in each of the two halves.
-    bounces: most scattering events along a path, at most 1024.
-    progress: called with (fraction done, text) before each render; what it raises ends the work.
-    world: whose light to render, where the layer holds it.
-    step_rate: of Cycles' ray marching; below 1 for textures inside meshes, which it steps through coarsely.
-    areas: whether pixels are means over their areas, as the layer's are where surfaces end it.
+    tracing: its samples are those of each of the two halves.
+    world: lights the objects where the layer holds its light.
+    progress: called with (fraction done, text) before each render; an exception that it raises stops the work.
 
     Raises SceneError where the scene has no camera, Cycles is disabled or fails, or Cycles
     does not render a homogeneous box correctly here.
     """
     report = progress or (lambda fraction, text: None)
     halves = []
-    with view_scene(scene, objects, samples, bounces, world, step_rate, areas) as reference:
+    with view_scene(scene, objects, tracing, world) as reference:
         report(0.0, "checking Cycles against a homogeneous box")
         check_homogeneous_box()
         start = time.perf_counter()
         for half in range(2):
-            report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {samples} samples a pixel")
+            report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {tracing.samples} samples per pixel")
             reference.cycles.seed = 2 * seed + half
             halves.append(_render(reference))
-    return Reference(*halves, time.perf_counter() - start, samples, bounces, bpy.app.version_string)
+    return Reference(*halves, time.perf_counter() - start, tracing.samples, tracing.bounces, bpy.app.version_string)
 
 
 def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
-    """The objects that the layer shows, or that instance what it shows: what a reference has to hold.
+    """The objects that the layer shows, or that instance them: the contents of a reference.
 
-    left_out: as of `SceneDescription`.
+    left_out: see `SceneDescription`.
 
-    Raises SceneError where one object instances surfaces or other lights together with volumes,
-    since the reference would show those too.
+    Raises SceneError where one object instances volumes together with surfaces or other lights, which the reference
+    would show too.
     """
     sources, others = {}, {}
-    for shown in shown_objects(depsgraph):
+    for shown in visible_objects(depsgraph):
         volume = shows_volume(shown.object) and shown.object.visible_camera
         sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
         if (volume or sun) and shown.name not in left_out:
@@ -87,7 +82,7 @@ def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
 
 
 def check_homogeneous_box() -> float:
-    """Cycles' alpha of a box of optical depth CHECK_DEPTH; raises SceneError where it is wrong."""
+    """Cycles' alpha of a box of optical thickness CHECK_DEPTH. Raises SceneError where it is wrong."""
     with tempfile.TemporaryDirectory() as folder, box_scene(folder) as reference:
         alpha = float(_render(reference)[..., 3].mean())
     require_box_alpha(alpha)
@@ -115,10 +110,10 @@ def _render(scene) -> np.ndarray:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """An image file as it is: float32 (H, W, 4), rows from the top."""
+    """The values of an image file: float32 (H, W, 4), rows from the top."""
     image = bpy.data.images.load(str(path))
     try:
-        # Values as they are in the file: no colour transform, alpha left alone.
+        # No colour transform, no premultiplication.
         image.colorspace_settings.is_data = True
         image.alpha_mode = "CHANNEL_PACKED"
         width, height = image.size

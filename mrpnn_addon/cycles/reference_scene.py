@@ -1,10 +1,11 @@
-"""Scenes of their own in which Cycles renders what a layer is compared with.
+"""Temporary scenes in which Cycles renders references.
 
-The user's scene is never touched: a temporary scene links the objects to be compared and
-carries its own settings, camera copy and black World; it is removed again whatever happens.
+The user's scene is not changed: a temporary scene links the objects to compare, has its own settings, camera copy and
+black World, and is always removed.
 """
 
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -13,9 +14,9 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..vdb.openvdb_module import load_openvdb
 
-# What differs from Cycles' defaults for a reason: defaults stop after 0 volume bounces, clamp
-# indirect light at 10, denoise, roulette weak lights away, and filter over the pixel and its
-# neighbours, where the layer shoots through pixel centres (Cycles' box filter ignores its width).
+# Deviations from Cycles' defaults, which stop after 0 volume bounces, clamp indirect light at 10, denoise, roulette dim
+# lights, and filter over neighbouring pixels, where the layer's rays pass through pixel centres (Cycles' box filter
+# ignores its width).
 UNBIASED = {
     "device": "CPU",
     "feature_set": "SUPPORTED",
@@ -34,29 +35,44 @@ UNBIASED = {
     "transparent_max_bounces": 1024,
     "volume_step_rate": 1.0,
     "volume_max_steps": 65536,
-    # Blender 5.0 and later only: null-scattering tracking instead of ray marching.
+    # Blender 5.0 and later only: null-scattering instead of ray marching.
     "volume_biased": False,
 }
 
 CHECK_DEPTH = 1.5
 
 
+@dataclass(frozen=True)
+class PathTracing:
+    """How Cycles renders a reference.
+
+    samples: per pixel. bounces: most scattering events along a path, at most 1024. step_rate: of ray marching; below 1
+    for textures inside meshes, whose steps are coarse by default. box_filter: whether a pixel is the mean over its
+    area, as a layer's is at the edges of surfaces, instead of the value at its centre.
+    """
+
+    samples: int = 64
+    bounces: int = 1024
+    step_rate: float = 1.0
+    box_filter: bool = False
+
+
 @contextmanager
-def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate: float = 1.0, areas: bool = False):
+def view_scene(scene, objects, tracing: PathTracing, world=None):
     """A scene that shows `objects` (volumes and suns) from `scene`'s camera, unbiased, on a black World or in `world`.
 
-    scene: gives frame, camera, resolution, render region and thread count; stays as it is.
-    step_rate: of Cycles' ray marching. areas: whether pixels are means over their areas instead of their middles.
+    scene: gives frame, camera, resolution, render region and thread count; it is not changed.
+
     Raises SceneError where the scene has no camera or Cycles is disabled.
     """
     if scene.camera is None:
         raise SceneError(f"scene '{scene.name}' has no active camera: set one in the scene properties")
-    with _reference_scene(samples, bounces) as (reference, keep):
+    with _reference_scene(tracing.samples, tracing.bounces) as (reference, keep):
         _copy_view(scene, reference, keep)
         if world is not None:
             reference.world = world
-        reference.cycles.volume_step_rate = step_rate
-        if areas:
+        reference.cycles.volume_step_rate = tracing.step_rate
+        if tracing.box_filter:
             reference.cycles.pixel_filter_type = "BOX"
         for shown in objects:
             reference.collection.objects.link(shown)
@@ -65,13 +81,13 @@ def view_scene(scene, objects, samples: int, bounces: int, world=None, step_rate
 
 @contextmanager
 def box_scene(folder: str):
-    """A scene whose alpha is known: a homogeneous box of optical depth CHECK_DEPTH, its file in `folder`.
+    """A scene of known alpha: a homogeneous box of optical thickness CHECK_DEPTH, its file in `folder`.
 
-    Some versions lose most of a volume under circumstances that a user cannot see
-    (5.0 and later without a World, for one); their references would be worthless.
+    Some versions of Blender lose most of a volume in circumstances that users cannot see (5.0 and later without a
+    World, for one); their references would be worthless.
     """
     with _reference_scene(samples=64, bounces=1024) as (reference, keep):
-        # A new name each time: Blender caches volume files by their path.
+        # A new path each time: Blender caches volume files by path.
         path = Path(folder) / "box.vdb"
         _write_unit_box(path)
         volume = keep(bpy.data.volumes, bpy.data.volumes.new("mrpnn check"))
@@ -92,8 +108,8 @@ def box_scene(folder: str):
 def _reference_scene(samples: int, bounces: int):
     """A new scene set up for an unbiased Cycles render on a black World.
 
-    Gives (scene, keep); keep(collection, data_block) returns the block and has it removed from
-    the collection when the scene goes, newest first.
+    Yields (scene, keep); keep(collection, data_block) returns the block and has it removed from the collection with the
+    scene, newest first.
     """
     kept = []
 
@@ -126,7 +142,7 @@ def _reference_scene(samples: int, bounces: int):
 def _black_world():
     world = bpy.data.worlds.new("mrpnn black")
     world.color = (0.0, 0.0, 0.0)
-    # From 5.0 on there are always nodes, and setting this is deprecated.
+    # From 5.0 on Worlds always have nodes, and setting this is deprecated.
     if world.node_tree is None:
         world.use_nodes = True
     for node in world.node_tree.nodes:
@@ -136,7 +152,7 @@ def _black_world():
 
 
 def _copy_view(source, reference, keep) -> None:
-    """Frame, resolution, region, threads and camera of `source`; the camera without depth of field."""
+    """Copy frame, resolution, region, threads and camera of `source`; the camera without depth of field."""
     for name in ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y",
                  "use_border", "border_min_x", "border_min_y", "border_max_x", "border_max_y",
                  "threads_mode", "threads"):
@@ -152,7 +168,7 @@ def _copy_view(source, reference, keep) -> None:
 
 
 def _white_medium(density: float):
-    """A material that scatters without loss, `density` per unit of grid value."""
+    """A material of albedo 1 and extinction `density` per unit of grid value."""
     material = bpy.data.materials.new("mrpnn check")
     if material.node_tree is None:
         material.use_nodes = True
@@ -175,7 +191,7 @@ def _write_unit_box(path: Path, cells: int = 64) -> None:
     grid.gridClass = "fog volume"
     centred = np.eye(4)
     centred[:3, :3] /= cells
-    # OpenVDB's matrices act on row vectors; the first voxel's centre lies half a cell inside.
+    # OpenVDB's matrices act on row vectors; the first voxel's centre is half a cell inside.
     centred[3, :3] = -0.5 + 0.5 / cells
     grid.transform = openvdb.createLinearTransform(centred.tolist())
     openvdb.write(str(path), grids=[grid])

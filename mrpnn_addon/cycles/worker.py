@@ -1,8 +1,8 @@
-"""Runs in a Blender process of its own, without the extension: renders scenes of one file, pass by pass.
+"""Renders scenes of one .blend file, pass by pass; runs in a separate Blender process without the extension.
 
-Arguments, the last two: the .blend file that holds the scenes, and a folder. Each line of standard input asks for an
-image: {"scene", "samples", "seed", "denoise", "name"}; FOLDER/NAME.exr and then FOLDER/NAME.json answer, with
-the wall-clock and processor seconds, or with an error. Ends with its input.
+Arguments, the last two: the .blend file and a folder. Each line of standard input requests an image: {"scene",
+"samples", "seed", "denoise", "name"}. The process writes FOLDER/NAME.exr and then FOLDER/NAME.json, with wall-clock and
+processor seconds or an error. It ends with its input.
 """
 
 import json
@@ -30,7 +30,7 @@ def main(blend, folder):
 
 def render(ask, path):
     scene = bpy.data.scenes[ask["scene"]]
-    # In a scene that no window has shown at its frame, Cycles renders the first file of a sequence of volumes.
+    # Cycles renders the first file of a volume sequence in a scene that no window has shown at its frame.
     bpy.context.window.scene = scene
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     settings = scene.cycles

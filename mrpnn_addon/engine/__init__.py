@@ -1,1 +1,1 @@
-"""The render engine: F12, the viewport, and the job that renders on a thread."""
+"""The render engine: F12, rendered viewports, and render jobs on a thread."""

@@ -1,8 +1,7 @@
-"""The World behind a viewport's volumes: at once where it is known from all around, then as sharp as the view."""
+"""The World behind a viewport's volumes: immediately from a cached panorama, then at the view's resolution."""
 
 import traceback
 from dataclasses import replace
-from typing import Optional
 
 import gpu
 import numpy as np
@@ -17,21 +16,21 @@ from ..world.picture import WorldSource
 from ..world.process import PictureFailed
 from .viewport_region import WHOLE, Part, part_pixels
 
-# The World from its middle, +X in the middle of the picture and +Z above, as `sampler` takes it.
+# Panorama from the origin, +X at its centre and +Z up, as `sampler` expects it.
 PANORAMA = Camera(np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
                   projection="equirectangular", resolution=(2048, 1024))
 PANORAMA_SAMPLES, SAMPLES = 1, 4
-# Pixels of a picture that is looked up in the panorama, within a redraw.
-ROUGH = 60_000
-# Seconds for which a view must have rested before Cycles shows it.
-REST = 0.3
+# Pixels of a picture sampled from the panorama during a redraw.
+ROUGH_PIXELS = 60_000
+# Seconds without a change of view before Cycles renders it.
+REST_SECONDS = 0.3
 BRIGHTEST = float(np.finfo(np.float16).max)
 
 
 class Backdrop:
-    """What one viewport shows behind its volumes.
+    """The background of one viewport.
 
-    watch: called with each worker whose pictures are to be drawn, as `viewport._watch`.
+    watch: called with each worker whose pictures are to be drawn; see `viewport._watch`.
     """
 
     def __init__(self, watch):
@@ -40,13 +39,13 @@ class Backdrop:
         self._part = WHOLE
 
     def read(self, depsgraph) -> None:
-        """The scene has changed: see what is behind its volumes now; nothing is, on a transparent film."""
+        """Update the background after a change of the scene; a transparent film has none."""
         transparent = depsgraph.scene.render.film_transparent
         self._behind = None if transparent else world_behind(depsgraph)
         self._filter = pixel_filter(depsgraph.scene)
 
-    def look(self, camera: Optional[Camera], part: Part = WHOLE) -> None:
-        """Start over where the view or the World differ; camera: of a part of the region, None where there is no view."""
+    def update(self, camera: Camera | None, part: Part = WHOLE) -> None:
+        """Start over where the view or the World differs. camera: of a part of the region; None without a view."""
         self._part, behind = part, self._behind if camera is not None else None
         key = behind.key if isinstance(behind, WorldSource) else behind is not None and behind.tobytes()
         view = key, camera and view_key(camera), part, self._filter
@@ -55,7 +54,7 @@ class Backdrop:
         self.stop()
         self._view = view
         if isinstance(behind, WorldSource):
-            self._shown = _Showing(behind, camera, self._filter, first=self._texture is None)
+            self._shown = _ViewRendering(behind, camera, self._filter, first=self._texture is None)
             self._watch(self._shown)
         elif behind is not None:
             self._shown = _Plain(behind)
@@ -63,7 +62,7 @@ class Backdrop:
             self._shown = self._texture = None
 
     def draw(self, size) -> None:
-        """Draw the latest picture over its part of the region; the one before until there is one."""
+        """Draw the latest picture over its part of the region; the previous one until the first is done."""
         shown = self._shown
         if shown is not None and shown.picture is not None and self._drawn != (shown, shown.number):
             self._drawn, self._texture = (shown, shown.number), texture(shown.picture)
@@ -79,13 +78,13 @@ class Backdrop:
         return self._shown.message or ("" if self._shown.done else "Rendering the sky")
 
     def stop(self) -> None:
-        """Stop what is at work."""
+        """Stop rendering."""
         if isinstance(self._shown, Worker):
             self._shown.stop()
 
 
 class _Plain:
-    """A World of one colour (3,), as a `_Showing` that is done."""
+    """A uniform World (3,), with the interface of a finished `_ViewRendering`."""
 
     number, message, done = 1, "", True
 
@@ -93,17 +92,17 @@ class _Plain:
         self.picture = _opaque(colour[None, None])
 
 
-class _Showing(Worker):
-    """Has Cycles show one view of a World, from all around first where it has not yet.
+class _ViewRendering(Worker):
+    """Has Cycles render one view of a World, and its panorama first where that is not cached.
 
-    picture: the latest, float32 (h, w, 4), rows from the bottom, or None; number: of pictures so far.
+    picture: the latest, float32 (h, w, 4), rows from the bottom, or None. number: of pictures so far.
     """
 
     picture, number = None, 0
 
-    def __init__(self, source: WorldSource, camera: Camera, filter_of_pixels, first: bool):
-        """first: whether nothing has been drawn before that could stay meanwhile."""
-        self._source, self._camera, self._filter = source, camera, filter_of_pixels
+    def __init__(self, source: WorldSource, camera: Camera, filter_type, first: bool):
+        """first: whether there is no previous picture to show meanwhile."""
+        self._source, self._camera, self._filter = source, camera, filter_type
         if source.panorama is not None:
             self._show(self._rough())
         elif first:
@@ -113,7 +112,7 @@ class _Showing(Worker):
     def _work(self):
         source = self._source
         try:
-            if self._stop.wait(REST):
+            if self._stop.wait(REST_SECONDS):
                 return
             if source.panorama is None and not source.depends_on_view:
                 around = source.view(PANORAMA, PANORAMA_SAMPLES, ('BOX', 1.0), self._check)
@@ -134,9 +133,9 @@ class _Showing(Worker):
             raise Cancelled()
 
     def _rough(self):
-        """The view, looked up in the panorama at few pixels."""
+        """The view, sampled from the panorama at few pixels."""
         width, height = self._camera.resolution
-        divisor = int(np.ceil(max(width * height / ROUGH, 1.0) ** 0.5))
+        divisor = int(np.ceil(max(width * height / ROUGH_PIXELS, 1.0) ** 0.5))
         size = max(width // divisor, 1), max(height // divisor, 1)
         _, directions, _, _ = camera_rays(replace(self._camera, resolution=size))
         return sampler(self._source.panorama[::-1])(directions).reshape(size[1], size[0], 3)
@@ -146,20 +145,20 @@ class _Showing(Worker):
 
 
 def view_key(camera: Camera) -> tuple:
-    """Equal for cameras of viewports that see the same."""
+    """Equal for viewport cameras with the same view."""
     return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale,
             camera.shift)
 
 
 def texture(picture: np.ndarray) -> gpu.types.GPUTexture:
-    """Of a picture, float32 (h, w, 4), rows from the bottom."""
+    """The texture of a picture, float32 (h, w, 4), rows from the bottom."""
     height, width = picture.shape[:2]
     pixels = gpu.types.Buffer('FLOAT', width * height * 4, picture.ravel())
     return gpu.types.GPUTexture((width, height), format='RGBA16F', data=pixels)
 
 
 def _opaque(rgb):
-    """float32 (h, w, 4), rows from the bottom, clamped as Cycles does what it shows; rgb: rows from the top."""
+    """float32 (h, w, 4), rows from the bottom, clamped as Cycles clamps its display. rgb: rows from the top."""
     picture = np.ones((*rgb.shape[:2], 4), np.float32)
     picture[..., :3] = np.clip(rgb[::-1], 0.0, BRIGHTEST)
     return picture

@@ -1,17 +1,17 @@
-"""Which of Blender's own panels are shown while this engine is chosen."""
+"""Blender's own panels that are shown while this engine is chosen."""
 
 import bpy
 
-# For every engine although only some are named in them.
+# Panels of use to every engine that list only some.
 SHARED = ('EEVEE_MATERIAL_PT_context_material', 'VIEWLAYER_PT_layer_passes')
-# Named for every engine, and of no use to this one: lights have a panel of their own here, previews of lights, light
-# linking and what is drawn on surfaces are not rendered.
+# Panels that list every engine but are of no use to this one: it has its own panel for lights, and does not render
+# light previews, light linking or the shading of surfaces.
 USELESS = ('DATA_PT_light', 'DATA_PT_spot', 'DATA_PT_preview', 'OBJECT_PT_shading', 'VIEWLAYER_PT_filter')
 
 
-def _shown():
+def _useful_panels():
     for panel in bpy.types.Panel.__subclasses__():
-        # The Shader Editor's copies of panels share the set of engines with what they are copied from.
+        # The Shader Editor's copies of panels share the originals' set of engines.
         name, engines = panel.__name__.removeprefix('NODE_'), getattr(panel, 'COMPAT_ENGINES', ())
         useless = name in USELESS or 'freestyle' in name
         if name in SHARED or 'BLENDER_RENDER' in engines and not useless:
@@ -19,12 +19,12 @@ def _shown():
 
 
 def register(engine: str) -> None:
-    """Show them for an engine of this name, too."""
-    for panel in _shown():
+    """Show the panels for the engine of this name."""
+    for panel in _useful_panels():
         panel.COMPAT_ENGINES.add(engine)
 
 
 def unregister(engine: str) -> None:
     """Undo `register`."""
-    for panel in _shown():
+    for panel in _useful_panels():
         panel.COMPAT_ENGINES.discard(engine)

@@ -1,4 +1,4 @@
-"""MRPNN as a render engine: F12 puts the layer into the render result."""
+"""MRPNN as a render engine: F12 writes the layer to the render result."""
 
 import time
 import traceback
@@ -10,7 +10,7 @@ from ...inference.image.layer import empty_layer
 from ...inference.scene import Cancelled, SceneError
 from ..nodes.material import shows_volume
 from ..objects.camera import read_camera
-from ..objects.visibility import shown_objects
+from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..scene.film import read_background
 from ..scene.reader import read_scene
@@ -30,29 +30,29 @@ POLL_INTERVAL = 0.05
 class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_idname = "MRPNN"
     bl_label = "MRPNN Volumes"
-    # Where Python sets some properties, such as the engine, Blender waits for the thread of a preview while it holds the
-    # interpreter's lock, and hangs if the preview's engine is written in Python, as Cycles' is, too (4.3 and 5.2).
-    # Without, Blender shows no previews, as for Workbench.
+    # When Python sets some properties, such as the engine, Blender waits for a preview's thread while it holds the
+    # interpreter's lock. It hangs where the preview's engine is written in Python, as Cycles' is, too (4.3 and 5.2).
+    # Without this flag Blender shows no previews, as for Workbench.
     bl_use_preview = False
     bl_use_postprocess = True
-    # Left at its default, it hides the Shader Editor.
+    # The default hides the Shader Editor.
     bl_use_shading_nodes_custom = False
-    # Material Preview is EEVEE's.
+    # Material Preview uses EEVEE.
     bl_use_eevee_viewport = True
 
-    # Set where Blender draws a viewport with this engine.
+    # Set when Blender draws a viewport with this engine.
     _viewport = None
 
     def update_render_passes(self, scene, renderlayer):
-        """Tell the compositor which passes there will be."""
+        """Register the passes for the compositor."""
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", 'COLOR')
         for extra in extra_passes(renderlayer):
             self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
     def render(self, depsgraph):
-        """Blender calls this for each view layer, on its render thread, or in background on the main one."""
-        # A report of ERROR ends the render and keeps Blender from writing a file. After error_set, or
-        # an exception, it would go on, and write an empty image.
+        """Called by Blender for each view layer, on its render thread or, in background, on the main thread."""
+        # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
+        # would continue and write an empty image.
         try:
             self._render(depsgraph)
         except Cancelled:
@@ -64,20 +64,20 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({'ERROR'}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
 
     def view_update(self, context, depsgraph):
-        """Blender calls this when something in the viewport's scene has changed."""
+        """Called by Blender when something in the viewport's scene has changed."""
         if self._viewport is None:
             self._viewport = Viewport()
         self._viewport.backdrop.read(depsgraph)
         if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
                 self._viewport.shows(depsgraph, context.space_data)):
-            # Selecting, and settings, which view_draw compares: the volumes are as they were.
+            # Selection and settings, which view_draw compares, do not change the volumes.
             return
-        if not all(_leaves_volumes(update) for update in depsgraph.updates):
+        if not all(_keeps_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
         self._viewport.read(depsgraph, context.space_data)
 
     def view_draw(self, context, depsgraph):
-        """Blender calls this for each redraw of the viewport, also when only the view has changed."""
+        """Called by Blender for each redraw of the viewport, also when only the view has changed."""
         view, size = context.region_data, (context.region.width, context.region.height)
         if self._viewport is None:
             return
@@ -87,9 +87,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             camera = part and viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
                                               context.space_data.clip_end, part)
         except SceneError:
-            # Through a camera of scale 0 there is nothing to see.
+            # A camera of scale 0 shows nothing.
             camera = None
-        self._viewport.look(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
+        self._viewport.update(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
         gpu.state.blend_set('ALPHA_PREMULT')
         self.bind_display_space_shader(depsgraph.scene)
         self._viewport.draw(size)
@@ -107,13 +107,13 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
             return self._write_empty(depsgraph)
         scene = self._read(depsgraph)
-        # With a render region, Blender hands out a result of the region's size.
+        # With a render region, Blender's result has the region's size.
         scene.crop = True
         transparent = depsgraph.scene.render.film_transparent
         settings = depsgraph.scene.mrpnn.settings()
         background = None if transparent else self._background(depsgraph, scene.camera)
         result = RenderResult(self, view_layer, scene.camera, background)
-        # Nobody looks at a render in background before it is finished.
+        # Background renders need no intermediate pictures.
         parts = None if bpy.app.background else result
         try:
             finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
@@ -121,14 +121,14 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             result.end()
             raise
         remember_finished(finished)
-        # Blender's window shows the last report.
+        # Blender's window shows the last report only.
         missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
             self.report({'WARNING'}, warning)
         result.finish(finished.layer, stamp(settings, finished.layer.report))
 
     def _read(self, depsgraph):
-        """The scene, its volumes read on a thread first, which Esc ends."""
+        """The scene; a thread reads its volumes first, which Esc stops."""
         reader = VolumeReader()
         loading = VolumeLoading(reader, reader.wanted(depsgraph))
         while not loading.done:
@@ -141,7 +141,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         return read_scene(depsgraph, reader, self._check)
 
     def _background(self, depsgraph, camera):
-        """The Background of a camera's pixels, whose warnings are reported."""
+        """The Background of a camera's pixels; reports its warnings."""
         self.update_stats("", "Rendering the sky")
         found = read_background(depsgraph, camera, self._check)
         for warning in found.warnings:
@@ -159,7 +159,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
 
 class _Progress:
-    """Shows how far a render is in Blender's progress bar and statistics line."""
+    """Shows a render's progress in Blender's progress bar and statistics line."""
 
     def __init__(self, engine):
         self.engine, self.start = engine, None
@@ -169,13 +169,13 @@ class _Progress:
         self.start = self.start or time.monotonic()
         self.engine.update_progress(fraction)
         seconds = time.monotonic() - self.start
-        # The first seconds say little about the rest.
+        # The first seconds do not predict the rest.
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
         self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
 
 
-def _leaves_volumes(update) -> bool:
-    """Whether what has changed cannot have changed the voxels of a volume, only where it is and what lights it."""
+def _keeps_volumes(update) -> bool:
+    """Whether a change cannot affect a volume's voxels, only its transform or lighting."""
     if isinstance(update.id, (bpy.types.Scene, bpy.types.World, bpy.types.Light, bpy.types.Camera)):
         return True
     if not isinstance(update.id, bpy.types.Object):
@@ -184,7 +184,7 @@ def _leaves_volumes(update) -> bool:
 
 
 def _shows_volumes(depsgraph) -> bool:
-    return any(shows_volume(shown.object) for shown in shown_objects(depsgraph))
+    return any(shows_volume(shown.object) for shown in visible_objects(depsgraph))
 
 
 def register():

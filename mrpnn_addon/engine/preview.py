@@ -1,9 +1,8 @@
-"""Pictures of a viewport that get finer while nothing changes, made on a thread; no bpy."""
+"""Progressive pictures of a viewport, rendered on a thread; imports no bpy."""
 
 import threading
 import traceback
 from dataclasses import dataclass, replace
-from typing import List
 
 import numpy as np
 
@@ -12,13 +11,13 @@ from ...inference import RenderCache
 from ...inference.scene import Camera, Cancelled, SceneError, Settings, Sun
 from ..output.layer_frame import rgba
 
-# Pixels of pictures before the last one, which has the region's.
-ROUGH, FINER = 4_000, 16_000
+# Pixels of the pictures before the last, which has the region's resolution.
+ROUGH_PIXELS, FINER_PIXELS = 4_000, 16_000
 
 
 @dataclass
 class Prepared:
-    """What one viewport's pictures share.
+    """State shared by one viewport's pictures.
 
     shadows, fields: the SceneDescription for all of whose suns `cache` holds them.
     """
@@ -30,17 +29,17 @@ class Prepared:
 
 @dataclass
 class Step:
-    """One picture of a preview: its size, lights and settings."""
+    """One picture of a preview: its resolution, lights and settings."""
 
     size: tuple
-    suns: List[Sun]
+    suns: list[Sun]
     settings: Settings
 
 
-def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> List[Step]:
-    """Pictures from coarse to fine. What the first one needs is there, or is there within a moment."""
+def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
+    """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
     coarse = replace(settings, depth_samples=1)
-    rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH, FINER))
+    rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
     every = description.suns
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]
     if prepared.fields is description:
@@ -53,7 +52,7 @@ def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -
 
 
 def _size(resolution, pixels: int) -> tuple:
-    """The resolution divided by a whole number, so that no more than so many pixels are left."""
+    """The resolution divided by an integer so that at most so many pixels remain."""
     width, height = resolution
     divisor = int(np.ceil(max(width * height / pixels, 1.0) ** 0.5))
     return max(width // divisor, 1), max(height // divisor, 1)
@@ -62,8 +61,8 @@ def _size(resolution, pixels: int) -> tuple:
 class Preview:
     """Renders one view on a thread of its own, coarse to fine.
 
-    picture: the latest, float32 (H, W, 4) with rows from the bottom, or None; number: of pictures so
-    far. message: what went wrong, or "". done: whether the last one is there.
+    picture: the latest, float32 (H, W, 4) with rows from the bottom, or None. number: of pictures so far. message: the
+    error, or "". done: whether the last picture is finished.
     """
 
     def __init__(self, description, camera: Camera, settings: Settings, prepared: Prepared):
@@ -73,7 +72,7 @@ class Preview:
                          name="mrpnn preview", daemon=True).start()
 
     def stop(self):
-        """Ask it to end; no picture comes afterwards."""
+        """Ask the thread to stop; no picture follows."""
         self._stop.set()
 
     @property
@@ -106,7 +105,7 @@ class Preview:
 def _remember(prepared: Prepared, description, step: Step) -> None:
     if step.suns is description.suns:
         prepared.shadows = description
-        # Fields of several suns or colours take each other's place.
+        # Fields of several suns or colours replace each other in the cache.
         one = len(step.suns) == 1 and all(len(set(medium.sigma_t)) == 1 for _, medium in description.volumes)
         if one and step.settings.multiple:
             prepared.fields = description

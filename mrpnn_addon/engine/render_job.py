@@ -1,8 +1,7 @@
-"""One render of a scene that has been read: on a worker thread, or at once."""
+"""One render of a scene that has been read, in the calling thread or on a worker thread."""
 
 import json
 from dataclasses import dataclass, replace
-from typing import List, Optional
 
 import numpy as np
 
@@ -16,31 +15,31 @@ from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.reader import SceneDescription
 
-# Of the first picture, which appears within a second or so.
+# Pixels of the first picture, which appears within about a second.
 COARSE_PIXELS = 8000
 
 
 @dataclass
 class Finished:
-    """layer: in the frame of Blender's image. seconds: of the whole render.
-    warnings: of reading and of rendering. asked: what there was to do, None where the scene holds nothing.
+    """layer: in the frame of Blender's image. seconds: of the whole render. warnings: of reading and rendering.
+    workload: None without volumes.
     """
 
     layer: Layer
     seconds: float
-    warnings: List[str]
-    asked: Optional[Workload] = None
+    warnings: list[str]
+    workload: Workload | None = None
 
 
-def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional[str] = None,
+def render_scene(scene: SceneDescription, settings: Settings, exr_path: str | None = None,
                  progress=None, cancelled=None, parts=None) -> Finished:
-    """Render; no bpy, so any thread may.
+    """Render a scene. Calls no bpy, so any thread may call this.
 
-    exr_path: absolute path of a multi-layer EXR to write, or None. parts: whose methods `show_coarse(layer)` and
-    `show_part(window, layer)`, as RenderResult has them, are called with a coarse picture and with finished parts.
+    exr_path: absolute path of a multi-layer EXR to write, or None. parts: its `show_coarse(layer)` and
+    `show_part(window, layer)`, see RenderResult, are called with a coarse picture and with finished parts.
 
-    Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` turned true, and
-    OSError where the file cannot be written.
+    Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` returns True, and OSError where the file
+    cannot be written.
     """
     runtime_warnings = check_runtime()
 
@@ -49,7 +48,7 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
             raise Cancelled()
 
     try:
-        # A frame in which smoke has not begun is as good as any other.
+        # A frame without smoke yet is valid.
         layer = _render(scene, settings, progress, cancelled, parts) if scene.volumes else empty_layer(scene.camera)
         layer = in_frame(layer, scene.camera, scene.crop)
         if exr_path:
@@ -57,15 +56,15 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: Optional
                 progress(1.0, "writing the file")
             write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report), check)
     except MemoryError:
-        raise SceneError("the machine has not enough memory for this render; use fewer depth samples, a smaller image "
-                         "or smaller grids, or close other programs") from None
+        raise SceneError("not enough memory for this render; use fewer depth samples, a smaller image or smaller "
+                         "grids, or close other programs") from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
-    asked = scene.workload(settings.depth_samples) if scene.volumes else None
-    return Finished(layer, layer.report.seconds["total"], warnings, asked)
+    workload = scene.workload(settings.depth_samples) if scene.volumes else None
+    return Finished(layer, layer.report.seconds["total"], warnings, workload)
 
 
 def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:
-    # What the coarse picture needs, the other one needs as well; lookup lattices need only reach as far as it shows.
+    # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
     cache = inference.RenderCache(any_view=False)
     if parts is not None:
         coarse = replace(settings, depth_samples=1)
@@ -79,7 +78,7 @@ def _render(scene: SceneDescription, settings: Settings, progress, cancelled, pa
 
 
 def coarse_camera(camera: Camera) -> Camera:
-    """A camera that sees the same window in about COARSE_PIXELS."""
+    """A camera with the same window at about COARSE_PIXELS."""
     x0, y0, x1, y1 = camera.window
     divisor = max(int(np.ceil(((x1 - x0) * (y1 - y0) / COARSE_PIXELS) ** 0.5)), 1)
     width, height = (max(-(-n // divisor), 1) for n in camera.resolution)
@@ -89,7 +88,7 @@ def coarse_camera(camera: Camera) -> Camera:
 
 
 def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
-    """Header attributes of an EXR: frame, settings, network and seconds a stage."""
+    """Header attributes of an EXR: frame, settings, network and seconds per stage."""
     found = {
         "Frame": scene.frame,
         "mrpnn.depthSamples": settings.depth_samples,
@@ -105,7 +104,7 @@ def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
 
 
 def stamp(settings: Settings, report) -> dict:
-    """What Blender's own files say about a render, as text."""
+    """Metadata of files that Blender writes, as text."""
     return {
         "depthSamples": str(settings.depth_samples),
         "seed": str(settings.seed),
@@ -117,10 +116,10 @@ def stamp(settings: Settings, report) -> dict:
 
 
 class RenderJob(Worker):
-    """render_scene on a worker thread. result: once done, a Finished, or None with `error` set."""
+    """render_scene on a worker thread. result: a Finished when done, or None with `error` set."""
 
-    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: Optional[str]):
-        self.result: Optional[Finished] = None
+    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None):
+        self.result: Finished | None = None
         self._task = scene, settings, exr_path
         self._start("mrpnn render", awaited=True)
 

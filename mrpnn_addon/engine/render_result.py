@@ -1,4 +1,4 @@
-"""The render result of one view layer while it is filled: a coarse picture first, then finished parts."""
+"""The render result of one view layer: a coarse picture first, then finished parts."""
 
 import numpy as np
 
@@ -8,10 +8,10 @@ from ..scene.film import over
 
 
 class RenderResult:
-    """What the engine hands to Blender for one view layer.
+    """Writes one view layer's layer to Blender's render result.
 
-    engine: the RenderEngine. camera: whose window is rendered. background: a film.Background, or None for a transparent
-    film. Nothing is handed over before the first picture, so that a render that fails shows none.
+    engine: the RenderEngine. camera: its window is rendered. background: a `film.Background`; None for a transparent
+    film. A render that fails before the first picture shows none.
     """
 
     def __init__(self, engine, view_layer, camera, background):
@@ -21,7 +21,7 @@ class RenderResult:
         self._extras = extra_passes(view_layer)
 
     def show_coarse(self, layer) -> None:
-        """Show a layer of fewer pixels in the whole window."""
+        """Show a layer of lower resolution in the whole window."""
         height, width = self._image.shape[:2]
         rows = np.arange(height) * layer.alpha.shape[0] // height
         columns = np.arange(width) * layer.alpha.shape[1] // width
@@ -29,24 +29,24 @@ class RenderResult:
         self._show()
 
     def show_part(self, window, layer) -> None:
-        """Show a finished part; window: (x0, y0, x1, y1) of the image."""
+        """Show a finished part. window: (x0, y0, x1, y1) in the image."""
         self._put(window, rgba(layer))
         self._show()
 
     def finish(self, layer, stamped) -> None:
-        """Hand over the whole layer with all passes; stamped: names and values for the file's metadata."""
+        """Write the whole layer with all passes. stamped: names and values for the file's metadata."""
         self._put(self._camera.window, rgba(layer))
         result = self._begin()
         for extra in self._extras:
             _fill(result.layers[0].passes[extra.name], extra.pixels(layer))
         self.end()
-        # What is stamped on the part that was handed over gets lost; the whole keeps it.
+        # Only the complete result keeps stamped metadata.
         whole = self._engine.get_result()
         for name, value in stamped.items():
             whole.stamp_data_add_field(f"mrpnn.{self._view_layer.name}.{name}", value)
 
     def end(self) -> None:
-        """Leave the result as it is shown: what is finished stays where a render is stopped."""
+        """Close the result; a stopped render keeps its finished parts."""
         if self._result is not None:
             _fill(self._result.layers[0].passes["Combined"], self._image)
             self._engine.end_result(self._result)

@@ -1,6 +1,5 @@
-"""Rendered shading: pictures of the viewport that get finer while nothing changes."""
+"""Rendered viewports: progressive pictures while nothing changes."""
 
-from typing import Optional
 
 import bpy
 import numpy as np
@@ -18,21 +17,21 @@ from .backdrop import Backdrop, texture, view_key
 from .preview import Prepared, Preview
 from .viewport_region import WHOLE, Part, part_pixels
 
-SECONDS_A_LOOK = 0.05
-# Of waiting for volumes before a picture without them is drawn.
-MOMENT = 0.05
+POLL_INTERVAL = 0.05
+# Seconds to wait for volumes before drawing without them.
+LOADING_GRACE = 0.05
 
 
 def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_end: float, part: Part = WHOLE) -> Camera:
     """The camera of a 3D viewport, or of a part of it.
 
-    view_matrix, window_matrix: (4, 4), as of RegionView3D; size: (width, height) in pixels;
-    clip_end: the far distance of its space.
+    view_matrix, window_matrix: (4, 4), see RegionView3D. size: (width, height) in pixels. clip_end: far distance of its
+    space.
 
-    Raises SceneError where the view is none.
+    Raises SceneError where the view is degenerate.
     """
     view, window = np.array(view_matrix), np.array(window_matrix)
-    # What follows a camera of scale 0 has no inverse; Camera refuses it.
+    # A view through a camera of scale 0 has no inverse; Camera rejects it.
     world = np.linalg.inv(view) if np.isfinite(view).all() and np.linalg.det(view) else np.full((4, 4), np.nan)
     width, height = size
     left, bottom, right, top = part
@@ -41,10 +40,10 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
     centre = window[:2, 2] if perspective else -window[:2, 3]
     near = 1e-3
     if not perspective:
-        # An orthographic view shows what is behind its own place, too.
+        # An orthographic view includes what is behind its origin.
         world[:3, 3] += world[:3, 2] * clip_end
         near, clip_end = 0.0, 2.0 * clip_end
-    # Of the part, in units of the region's width.
+    # Shift of the part, relative to the region's width.
     shift_x = (centre[0] + left + right - 1.0) / 2.0
     shift_y = (centre[1] + bottom + top - 1.0) / 2.0 * height / width
     return Camera(
@@ -54,10 +53,9 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
 
 
 class Viewport:
-    """What one viewport shows; owned by the engine that draws it.
+    """The contents of one viewport, owned by its engine.
 
-    reader: of volumes; what it has read is good until a volume's data or material changes.
-    backdrop: the World behind them.
+    reader: of volumes; valid until a volume's data or material changes. backdrop: the World behind the volumes.
     """
 
     def __init__(self):
@@ -66,17 +64,17 @@ class Viewport:
         self.description, self.message, self._unrendered = None, "", ""
         self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
         self._loading, self._before, self._shown = None, None, None
-        # Of the view, and of the texture.
+        # Parts of the region: of the view and of the texture.
         self._part, self._place = WHOLE, WHOLE
 
     def shows(self, depsgraph, space) -> bool:
-        """Whether it has described the scene, and the space hides, and makes of objects, what it did then."""
+        """Whether it has a description of the scene with the current visibility."""
         return self.description is not None and self._shown == _state(depsgraph, space)
 
     def read(self, depsgraph, space) -> None:
-        """The scene, or what a SpaceView3D shows of it, has changed: describe it.
+        """Describe the scene after a change of it or of its visibility in a SpaceView3D.
 
-        First a thread reads its volumes, where that takes a while.
+        A thread reads volumes first where that takes long.
         """
         self._shown = _state(depsgraph, space)
         sources, loading = self.reader.wanted(depsgraph, space), self._loading
@@ -87,16 +85,16 @@ class Viewport:
         if sources:
             self._stop_preview()
             self._loading = VolumeLoading(self.reader, sources)
-            self._loading.wait(MOMENT)
+            self._loading.wait(LOADING_GRACE)
             if not self._loading.done:
-                # The last picture stays meanwhile, and what it was made of in use.
+                # Keep the previous picture, and its data in use, meanwhile.
                 self._before = self.description or self._before
                 self.description, self.message, self._view = None, "", None
                 return _watch(self._loading)
         self._describe(depsgraph, space)
 
     def read_on(self, depsgraph, space) -> None:
-        """Describe the scene where its volumes have been read meanwhile."""
+        """Describe the scene once its volumes are read."""
         if self._loading is not None and self._loading.done:
             self._describe(depsgraph, space)
 
@@ -117,18 +115,18 @@ class Viewport:
             self._loading = None
 
     def describe(self, description, message: str = "") -> None:
-        """The scene has changed; `description` is None where it cannot be rendered, for the reason in `message`."""
+        """Set the description of the scene; None where it cannot be rendered, for the reason in `message`."""
         self._stop_preview()
         self.description, self.message, self._view, self._before = description, message, None, None
         if description is None or not description.volumes:
             self._texture = None
 
-    def look(self, camera: Optional[Camera], settings: Settings, part: Part = WHOLE) -> None:
-        """Start over where the view or the settings differ; the scene that was read is kept.
+    def update(self, camera: Camera | None, settings: Settings, part: Part = WHOLE) -> None:
+        """Start over where the view or the settings differ, with the scene as described.
 
-        camera: of the part of the region that is rendered; None where nothing is.
+        camera: of the rendered part of the region; None where nothing is rendered.
         """
-        self.backdrop.look(camera, part)
+        self.backdrop.update(camera, part)
         view = camera and (view_key(camera), settings, part)
         if self.description is None or view is not None and view == self._view:
             return
@@ -141,7 +139,9 @@ class Viewport:
         _watch(self._preview)
 
     def draw(self, size) -> None:
-        """Draw the latest picture over its part of the region, and the World behind it; the one before until there is one."""
+        """Draw the World and the latest picture over their parts of the region; the previous ones until the first are
+        done.
+        """
         self.backdrop.draw(size)
         preview = self._preview
         if preview is not None and preview.picture is not None and self._drawn != (preview, preview.number):
@@ -153,7 +153,7 @@ class Viewport:
 
     @property
     def status(self) -> str:
-        """A line over the viewport: what it is doing, and what of the scene it cannot render."""
+        """The status line: current step, and objects that cannot be rendered."""
         if self._loading is not None:
             return self._loading.message.capitalize()
         if self.message or self.description is None:
@@ -163,7 +163,7 @@ class Viewport:
         return " | ".join(filter(None, [doing, _left_out(self.description), self._unrendered]))
 
     def close(self) -> None:
-        """Stop what is at work."""
+        """Stop all threads."""
         self._stop_loading()
         self._stop_preview()
         self.backdrop.stop()
@@ -175,34 +175,35 @@ class Viewport:
 
 
 def _state(depsgraph, space):
-    """What differs where another description is due although no object has changed."""
-    return visibility_state(depsgraph, space), depsgraph.scene.mrpnn.world_directions
+    """A value that changes where the scene must be described again although no object has changed."""
+    world = depsgraph.scene.world
+    return visibility_state(depsgraph, space), depsgraph.scene.mrpnn.world_directions, world and world.name_full
 
 
 def _left_out(description) -> str:
-    """The first of what cannot be rendered, and how many more there are."""
+    """The first object that cannot be rendered, and how many more there are."""
     more = f", and {len(description.refused) - 1} more" if len(description.refused) > 1 else ""
     return description.refused[0] + more if description.refused else ""
 
 
-# Previews and readings at work, and how many pictures of each the windows have been told of.
+# Active previews and loadings, and the number of pictures drawn of each.
 _watched = {}
 
 
 def _watch(preview) -> None:
-    """Redraw viewports for each new picture until the Preview ends, or once a VolumeLoading has.
+    """Redraw viewports for each new picture of a Preview, or when a VolumeLoading ends.
 
-    By a timer: its thread must not do it, since Blender frees engines while threads run.
+    A timer does this, because Blender may free an engine while its thread runs.
     """
     _watched[preview] = 0
     if not bpy.app.timers.is_registered(_redraw):
-        bpy.app.timers.register(_redraw, first_interval=SECONDS_A_LOOK)
+        bpy.app.timers.register(_redraw, first_interval=POLL_INTERVAL)
 
 
 def _redraw():
     new = False
     for preview, shown in list(_watched.items()):
-        # `done` is read before `number`: else the last picture could come between.
+        # Read `done` before `number`, or the last picture could be missed.
         done = preview.done or preview.stopped
         if not preview.stopped and (preview.number > shown or done):
             _watched[preview], new = preview.number, True
@@ -213,11 +214,11 @@ def _redraw():
             for area in window.screen.areas:
                 if area.type == 'VIEW_3D':
                     area.tag_redraw()
-    return SECONDS_A_LOOK if _watched else None
+    return POLL_INTERVAL if _watched else None
 
 
 def unregister():
-    """Stop what is at work."""
+    """Stop all threads."""
     for preview in _watched:
         preview.stop()
     _watched.clear()

@@ -1,25 +1,24 @@
 """The render region of a 3D viewport."""
 
-from typing import Optional, Tuple
 
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
-# Left, bottom, right and top, 0 to 1 from a region's lower left.
-Part = Tuple[float, float, float, float]
+# Left, bottom, right and top of a part, 0 to 1 from a region's lower left.
+Part = tuple[float, float, float, float]
 WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
 
 
-def part_pixels(part: Part, size) -> Tuple[int, int]:
-    """Width and height of a part of a region of `size` pixels."""
+def part_pixels(part: Part, size) -> tuple[int, int]:
+    """Width and height in pixels of a part of a region of `size` pixels."""
     (left, bottom, right, top), (width, height) = part, size
     return round((right - left) * width), round((top - bottom) * height)
 
 
-def render_region(context, scene) -> Optional[Part]:
-    """The part of a viewport's region that its render region leaves, on whole pixels; None where it leaves nothing.
+def render_region(context, scene) -> Part | None:
+    """The part of a viewport's region inside its render region, on whole pixels; None where it is empty.
 
-    As in Cycles: in the camera's view that of the render, within the camera's frame, and else the viewport's own.
+    As in Cycles: in camera view the render's region within the camera's frame, otherwise the viewport's own.
     """
     space, view, render = context.space_data, context.region_data, scene.render
     part = WHOLE
@@ -39,7 +38,7 @@ def render_region(context, scene) -> Optional[Part]:
 
 
 def _camera_frame(context, scene):
-    """Lower left and upper right corner of the camera's image, in shares of the region; None without one."""
+    """Lower left and upper right corners of the camera's image, as fractions of the region; None without one."""
     space = context.space_data
     camera = space.camera if space.use_local_camera else scene.camera
     if camera is None or camera.type != 'CAMERA':

@@ -1,1 +1,1 @@
-"""Shader nodes, evaluated at many points as Cycles evaluates them, and the materials they make."""
+"""Shader nodes and volume materials, evaluated at many points as Cycles evaluates them."""

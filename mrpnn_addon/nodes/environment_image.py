@@ -1,4 +1,4 @@
-"""Images that surround the scene, at the little resolution that light from all around needs."""
+"""Equirectangular images at the low resolution that lighting from all directions needs."""
 
 import math
 
@@ -9,9 +9,9 @@ LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 
 
 def environment_image(image):
-    """A function of directions (n, 3) that gives linear colours (n, 3) of an equirectangular image.
+    """A function from directions (n, 3) to linear colours (n, 3) of an equirectangular image.
 
-    Raises ValueError, saying why, where the image cannot be read.
+    Raises ValueError, with the reason, where the image cannot be read.
     """
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
@@ -27,11 +27,11 @@ def environment_image(image):
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     elif space not in LINEAR and not image.is_float:
         raise ValueError(f"colour space {space}")
-    return sampler(_shrunk(_shrunk(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
+    return sampler(_downsampled(_downsampled(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
 
 
 def sampler(small):
-    """A function of directions (n, 3) that gives colours (n, 3), linear between pixels (rows, columns, 3)."""
+    """A function from directions (n, 3) to bilinear samples (n, 3) of pixels (rows, columns, 3)."""
     def colour(directions):
         x, y, z = directions.T
         u = (0.5 - np.arctan2(y, x) / (2.0 * math.pi)) * small.shape[1] - 0.5
@@ -46,8 +46,8 @@ def sampler(small):
     return colour
 
 
-def _shrunk(values, axis: int, most: int):
-    """Means over equal parts along an axis of more than `most` cells, so that no bright pixel is lost."""
+def _downsampled(values, axis: int, most: int):
+    """Box-filtered to at most `most` cells along an axis, so that no bright pixel is lost."""
     count = values.shape[axis]
     if count <= most:
         return values

@@ -1,7 +1,7 @@
-"""Shader node trees evaluated as Cycles evaluates them, at many points at once.
+"""Shader node trees, evaluated as Cycles evaluates them, at many points at once.
 
-A value is a float64 array (n, k): n points or 1 where it is the same everywhere, k = 1 for a number
-and 3 for a colour or a vector.
+A value is a float64 array (n, k): one row per point, or one row where it is uniform; k is 1 for a number and 3 for a
+colour or vector.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from .sockets import Source, Unsupported, input_of, source_of
 LUMA = np.array([[0.2126], [0.7152], [0.0722]])
 
 
-class NodeValues:
-    """Evaluates sockets at the points of one set of `points`.
+class NodeEvaluator:
+    """Evaluates sockets at one set of points, each output once.
 
-    points: what nodes read besides other nodes: `attribute(name, node)` (n, 1),
-    `coordinates(kind, node)` (n, 3). See `voxel_points`.
+    points: what nodes read besides other nodes, `attribute(name, node)` (n, 1) and `coordinates(kind, node)` (n, 3);
+    see `volumes.voxel_points`.
     """
 
     def __init__(self, points):
@@ -24,27 +24,27 @@ class NodeValues:
         self._known = {}
 
     def number(self, node, identifier: str, groups=()) -> np.ndarray:
-        """(n, 1) of an input socket, converted to a number as Cycles does.
+        """(n, 1) value of an input socket, converted to a number as in Cycles.
 
         Raises Unsupported, naming the node, where it cannot be evaluated.
         """
         return as_number(*self._value(input_of(node, identifier), groups))
 
     def colour(self, node, identifier: str, groups=()) -> np.ndarray:
-        """(n, 3) of an input socket as colour or vector. Raises as `number`."""
+        """(n, 3) value of an input socket as a colour or vector. Raises as `number`."""
         return as_colour(self._value(input_of(node, identifier), groups)[0])
 
     def is_linked(self, node, identifier: str, groups=()) -> bool:
-        """Whether another node feeds the socket."""
+        """Whether another node drives the socket."""
         return source_of(input_of(node, identifier), groups).node is not None
 
     def _value(self, socket, groups):
-        """The array and the type of what it comes from."""
+        """The value of a socket and the type of its source."""
         source = source_of(socket, groups)
         if source.node is None:
             return _own_value(source.socket), source.socket.type
         value = self._output(source)
-        # The socket that the link enters converts first: a colour through a number is grey.
+        # The linked socket converts first: a colour that passes through a number becomes grey.
         if socket.type in ('VALUE', 'INT', 'BOOLEAN'):
             return as_number(value, source.output.type), 'VALUE'
         return as_colour(value), socket.type
@@ -63,7 +63,7 @@ class NodeValues:
 
 
 def as_number(value: np.ndarray, kind: str) -> np.ndarray:
-    """(n, 1): of a colour its luminance, of a vector the mean of its components."""
+    """(n, 1): the luminance of a colour, the mean component of a vector."""
     if value.shape[1] == 1:
         return value
     return value @ LUMA if kind == 'RGBA' else value.mean(axis=1, keepdims=True)
@@ -84,16 +84,16 @@ def _own_value(socket) -> np.ndarray:
 
 
 def constant(socket, groups=()) -> np.ndarray:
-    """(k,): the value of a socket that is the same everywhere.
+    """(k,) uniform value of a socket.
 
-    Raises Unsupported, naming the node, where it depends on the place or cannot be evaluated.
+    Raises Unsupported, naming the node, where the value depends on position or cannot be evaluated.
     """
-    value, _ = NodeValues(Nowhere())._value(socket, groups)
+    value, _ = NodeEvaluator(Nowhere())._value(socket, groups)
     return value[0]
 
 
 class Nowhere:
-    """Points of which nothing is known: nodes that ask for a place cannot be evaluated."""
+    """Points without positions or attributes: nodes that read either cannot be evaluated."""
 
     def attribute(self, name, node):
         raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) varies in space, which is not supported here; "

@@ -1,7 +1,7 @@
-"""Nodes that give numbers, colours and vectors, by Cycles' definitions.
+"""Nodes that output numbers, colours and vectors, by Cycles' definitions.
 
-Each function takes (values, node, output, groups) with `values` a NodeValues and gives the array of one
-output. Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
+Each function takes (values, node, output, groups), with `values` a NodeEvaluator, and returns one output's array.
+Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
 """
 
 import numpy as np
@@ -86,14 +86,14 @@ def _float_curve(values, node, output, groups):
     share = divide(value - low, np.float64(high - low))
     curved = _look_up(table, clamp(share, 0.0, 1.0))
     if mapping.extend == 'EXTRAPOLATED':
-        # Straight on with the slopes of the ends.
+        # Linear, with the slopes at the ends.
         curved = curved + CURVE_CELLS * (np.minimum(share, 0.0) * (table[1] - table[0])
                                          + np.maximum(share - 1.0, 0.0) * (table[-1] - table[-2]))
     return value + factor * (curved - value)
 
 
 def _look_up(table, place, stepped=False):
-    """Rows of a table (m, k) at places (n, 1) in [0, 1], interpolated between them unless stepped."""
+    """Rows of a table (m, k) at positions (n, 1) in [0, 1], linearly interpolated unless stepped."""
     position = place[:, 0] * (len(table) - 1)
     first = np.minimum(position.astype(np.int64), len(table) - 1)
     if stepped:
@@ -125,19 +125,21 @@ def _mix(values, node, output, groups):
         factor = values.number(node, "Factor_Float", groups)
     read = values.number if kind == "Float" else values.colour
     blend = node.blend_type if kind == "Color" else 'MIX'
+    factor = clamp(factor, 0.0, 1.0) if node.clamp_factor else factor
     return _blend(node, blend, factor, read(node, f"A_{kind}", groups), read(node, f"B_{kind}", groups),
-                  node.clamp_factor, kind == "Color" and node.clamp_result)
+                  kind == "Color" and node.clamp_result)
 
 
 def _mix_rgb(values, node, output, groups):
-    return _blend(node, node.blend_type, values.number(node, "Fac", groups), values.colour(node, "Color1", groups),
-                  values.colour(node, "Color2", groups), True, node.use_clamp)
+    factor = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
+    return _blend(node, node.blend_type, factor, values.colour(node, "Color1", groups),
+                  values.colour(node, "Color2", groups), node.use_clamp)
 
 
-def _blend(node, blend, factor, first, second, clamp_factor, clamp_result):
+def _blend(node, blend, factor, first, second, clamp_result):
     if blend not in BLENDS:
         raise _unsupported(node, f"blending mode {blend}")
-    result = BLENDS[blend](clamp(factor, 0.0, 1.0) if clamp_factor else factor, first, second)
+    result = BLENDS[blend](factor, first, second)
     return clamp(result, 0.0, 1.0) if clamp_result else result
 
 
@@ -206,8 +208,8 @@ def _geometry(values, node, output, groups):
 
 
 def _light_path(values, node, output, groups):
-    # Of a World alone it is known what looks.
-    seen = getattr(values.points, 'seen_by_camera', None)
+    # Only a World knows which ray evaluates it.
+    seen = getattr(values.points, 'visible_to_camera', None)
     if seen is None or output.identifier != 'Is Camera Ray':
         raise _unsupported(node, f"output {output.name}")
     return np.full((1, 1), float(seen))
@@ -232,7 +234,7 @@ def _mapping(values, node, output, groups):
 
 
 def _texture_vector(values, node, groups):
-    """Textures without a link use Generated coordinates."""
+    """A texture's coordinates; Generated where none are linked."""
     if values.is_linked(node, "Vector", groups):
         return values.colour(node, "Vector", groups)
     return values.points.coordinates("generated", node)

@@ -1,16 +1,15 @@
-"""Volume materials as scattering, absorption and emission at points, with Cycles' meaning of each shader."""
+"""Volume materials: scattering, absorption and emission at points, with Cycles' meaning of each shader."""
 
 from dataclasses import dataclass, field
-from typing import List
 
 import numpy as np
 
 from ...inference.scene import SceneError
 from ...inference.scene.phase_function import PhaseFunction
 from .emission import blackbody, reads_temperature, strength_and_colour
-from .evaluation import NodeValues
+from .evaluation import NodeEvaluator
 from .phase_functions import phase_function
-from .snapshot import copied
+from .snapshot import snapshot
 from .sockets import Unsupported, active_output, input_of, source_of
 
 SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
@@ -20,12 +19,9 @@ SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
 class Closure:
     """One volume shader at n points.
 
-    weight: float64 (n, 1) or (1, 1), what scales both coefficients.
-    scatter, absorb: (n, 3) or (1, 3), per world unit.
-    phase: its phase function.
-    grid: whose values `weight` holds as they are, or "".
-    emission: (n, 3) or (1, 3), radiance per world unit; the weight does not scale it.
-    hot: whether a grid drives the temperature of a blackbody.
+    weight: float64 (n, 1) or (1, 1), scales both coefficients. scatter, absorb: (n, 3) or (1, 3), per world unit.
+    phase: phase function. grid: name of the grid whose values are `weight`, or "". emission: (n, 3) or (1, 3), radiance
+    per world unit, not scaled by the weight. hot: whether a grid drives a blackbody's temperature.
     """
 
     weight: np.ndarray
@@ -39,13 +35,15 @@ class Closure:
 
 @dataclass
 class Shading:
-    """closures: what scatters and absorbs. emission: of all of them together, (n, 3) or (1, 3).
-    hot: whether any of them is. notes: what is not rendered as Cycles renders it.
+    """All shaders of a material at n points.
+
+    closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. hot: whether any of them is. notes:
+    deviations from Cycles.
     """
 
-    closures: List[Closure] = field(default_factory=list)
+    closures: list[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
-    notes: List[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     hot: bool = False
 
 
@@ -54,12 +52,11 @@ class EmptyMaterial(SceneError):
 
 
 class VolumeMaterial:
-    """The volume shader of one object, to be evaluated at points.
+    """The volume shader of one object, evaluated at points.
 
-    Made of Blender's nodes, on its main thread; any thread may evaluate it.
+    Copies Blender's nodes when made, on the main thread; any thread may evaluate it.
 
-    Raises SceneError, naming object, material and node, for anything that this extension would have
-    to ignore, when made or evaluated.
+    Raises SceneError, naming object, material and node, for anything that cannot be rendered, when made or evaluated.
     """
 
     def __init__(self, material, where: str):
@@ -74,29 +71,29 @@ class VolumeMaterial:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
         if self.output.inputs['Displacement'].is_linked:
             self.refuse("displacement of volumes is not supported; unlink it")
-        self.output = copied(material.node_tree, self.output)
+        self.output = snapshot(material.node_tree, self.output)
 
     def refuse(self, problem, kind=SceneError):
-        """Raise SceneError, or a kind of it, naming object and material."""
+        """Raise SceneError, or a subclass, naming object and material."""
         raise kind(f"{self.where}: {problem}") from None
 
     def at(self, points) -> Shading:
-        """The shading at `points`, an instance of one of `voxel_points`' classes."""
+        """The shading at `points`, an instance of one of the classes of `volumes.voxel_points`."""
         shading = Shading()
         try:
             if self.output is None:
-                # Cycles' default material: Principled Volume as it is when added.
+                # Cycles' default material: Principled Volume with its default values.
                 white = principled_coefficients(np.full((1, 3), 0.5), np.zeros((1, 3)))
                 shading.closures.append(Closure(points.attribute("density", None), *white, grid="density"))
             else:
-                _add(shading, NodeValues(points), source_of(input_of(self.output, "Volume")), np.ones((1, 1)))
+                _add(shading, NodeEvaluator(points), source_of(input_of(self.output, "Volume")), np.ones((1, 1)))
         except Unsupported as problem:
             self.refuse(problem)
         return shading
 
 
 def first_material(shown):
-    """The material that Cycles uses of a Volume object, or of a mesh with one material; None without."""
+    """The material that Cycles uses for a Volume object or for a mesh with one material; None without one."""
     slots = shown.material_slots
     if len(slots):
         return slots[0].material
@@ -104,7 +101,7 @@ def first_material(shown):
 
 
 def is_animated(material) -> bool:
-    """Whether keyframes or drivers change a material's nodes, or those of a group."""
+    """Whether keyframes or drivers change the nodes of a material or of its groups."""
     trees = [material and material.node_tree]
     for tree in filter(None, trees):
         found = tree.animation_data
@@ -115,9 +112,8 @@ def is_animated(material) -> bool:
 
 
 def shows_volume(shown) -> bool:
-    """Whether an object is a volume to Cycles: a Volume object, or the inside of a mesh.
-
-    A mesh is one where its materials have a volume and no surface.
+    """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
+    surface.
     """
     if shown.type == 'VOLUME':
         return True
@@ -129,7 +125,7 @@ def shows_volume(shown) -> bool:
         for output in outputs)
 
 
-def _add(shading: Shading, values: NodeValues, source, weight) -> None:
+def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
     node, groups = source.node, source.groups
     if node is None:
         return
@@ -144,7 +140,7 @@ def _add(shading: Shading, values: NodeValues, source, weight) -> None:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
         shading.emission = shading.emission + weight * closure.emission
         shading.hot = shading.hot or closure.hot
-        # One that is 0 everywhere, not only at these points.
+        # Skip closures that are 0 everywhere, not only at these points.
         if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
             closure.grid = closure.grid if np.all(weight == 1.0) else ""
             closure.weight = closure.weight * weight
@@ -167,14 +163,14 @@ def _principled(shading, values, node, groups):
     points = values.points
     if names["Color"] and points.has(names["Color"]):
         colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
-    # An attribute that is not there leaves Density as it is. In a Volume object that would fill
-    # Cycles' own boxes around the voxels: then reading it says what is missing.
+    # A missing attribute leaves Density unchanged. In a Volume object that would fill the boxes that Cycles draws
+    # around voxels: reading the attribute then raises an error that names it.
     weight, grid = np.ones((1, 1)), ""
     if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
         weight, grid = points.attribute(names["Density"], node), names["Density"]
     absorption = np.maximum(values.colour(node, "Absorption Color", groups), 0.0)
     scatter, absorb = principled_coefficients(colour, absorption)
-    # A constant density goes with the colours, so that voxels keep the file's values.
+    # A uniform density scales the coefficients, so that voxels keep the file's values.
     if len(density) > 1:
         weight, grid = weight * density, ""
     else:
@@ -185,7 +181,8 @@ def _principled(shading, values, node, groups):
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
     """(scatter, absorb) (n, 3) of Principled Volume at density 1, as Cycles 4.5 and 5.0 render it:
 
-    scatter = colour, absorb = max(1 - colour, 0) max(1 - sqrt(absorption), 0).
+    scatter = colour
+    absorb = max(1 - colour, 0) max(1 - sqrt(absorption), 0)
     """
     return colour, np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(absorption), 0.0)
 
@@ -202,7 +199,7 @@ def _density(values, node, groups):
 
 
 def _scatter(shading, values, node, groups):
-    # Volume Scatter takes nothing away.
+    # Volume Scatter does not absorb.
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
     return Closure(_density(values, node, groups), colour, np.zeros((1, 3)),
                    _phase(shading, values, node, groups))
@@ -234,7 +231,7 @@ CLOSURES = {
 
 
 def _phase(shading, values, node, groups) -> PhaseFunction:
-    """The node's phase function; notes where it is not Henyey-Greenstein."""
+    """The node's phase function; adds a note where it is not Henyey-Greenstein."""
     kind = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
     sockets = {'HENYEY_GREENSTEIN': ("Anisotropy",), 'DRAINE': ("Anisotropy", "Alpha"), 'RAYLEIGH': (),
                'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[kind]
@@ -244,6 +241,6 @@ def _phase(shading, values, node, groups) -> PhaseFunction:
     phase = phase_function(kind, *(float(value[0, 0]) for value in found))
     if kind != 'HENYEY_GREENSTEIN':
         shading.notes.append(
-            f"node \"{node.name}\" has phase function {kind.replace('_', '-').title()}; light that is scattered several "
-            f"times follows Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}")
+            f"node \"{node.name}\" has phase function {kind.replace('_', '-').title()}; multiple scattering uses "
+            f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}")
     return phase

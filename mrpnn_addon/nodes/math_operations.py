@@ -1,4 +1,4 @@
-"""The operations of the Math and Vector Math nodes, with Cycles' results where mathematics has none."""
+"""The operations of the Math and Vector Math nodes, with Cycles' results where the mathematical result is undefined."""
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def _length(a):
     return np.sqrt(_dot(a, a))
 
 
-# Of the vectors a, b, c (n, 3) and the number s (n, 1).
+# Operations on vectors a, b, c (n, 3) and a number s (n, 1).
 VECTOR_MATH = {
     'ADD': lambda a, b, c, s: a + b,
     'SUBTRACT': lambda a, b, c, s: a - b,

@@ -1,4 +1,4 @@
-"""The phase functions that Cycles' volume nodes offer."""
+"""The phase functions of Cycles' volume nodes."""
 
 import math
 
@@ -6,10 +6,10 @@ from ...inference.scene.phase_function import PhaseFunction
 
 
 def phase_function(kind: str, *parameters: float) -> PhaseFunction:
-    """What a node's `phase` and numbers say.
+    """The phase function of a node's `phase` and parameters.
 
     HENYEY_GREENSTEIN: (g). RAYLEIGH: (). DRAINE: (g, alpha). MIE: (diameter in micrometres), Jendersie and d'Eon 2023.
-    FOURNIER_FORAND: (relative index of refraction, fraction scattered backwards).
+    FOURNIER_FORAND: (relative index of refraction, backscatter fraction).
     """
     if kind == 'RAYLEIGH':
         return PhaseFunction(((1.0, "draine", (0.0, 1.0)),))
@@ -20,10 +20,10 @@ def phase_function(kind: str, *parameters: float) -> PhaseFunction:
 
 
 def mie_parameters(diameter: float):
-    """(g of Henyey-Greenstein, g and alpha of Draine, Draine's share) that fit water droplets.
+    """(g of Henyey-Greenstein, g and alpha of Draine, Draine's share) fitted to water droplets.
 
-    Jendersie and d'Eon, "An Approximate Mie Scattering Function for Fog and Cloud Rendering" (SIGGRAPH
-    Talks 2023); diameter in micrometres, held within the fit's 5 to 50, below 5 its fits for haze.
+    diameter: micrometres, clamped to the fit's maximum of 50; below 5, its fits for haze. Jendersie and d'Eon, "An
+    Approximate Mie Scattering Function for Fog and Cloud Rendering" (SIGGRAPH Talks 2023).
     """
     d = min(max(diameter, 0.01), 50.0)
     if d <= 0.1:

@@ -1,7 +1,7 @@
-"""Shader nodes as plain Python objects: what Blender's have, read once, for threads that must not ask Blender.
+"""Plain copies of shader nodes, read once, for threads that must not call bpy.
 
-Nodes and sockets keep their properties' names, so that what evaluates Blender's evaluates these. Of the data that a node
-points to it has curves, colour ramps, groups and an object's place.
+Nodes and sockets keep their property names, so the same code evaluates Blender's nodes and copies. Copies include
+curves, colour ramps, groups and object transforms that a node refers to.
 """
 
 import types
@@ -12,14 +12,14 @@ import numpy as np
 from .functions import CURVE_CELLS, RAMP_CELLS
 
 PLAIN = {'BOOLEAN', 'INT', 'FLOAT', 'STRING', 'ENUM'}
-# Sockets that hold a value.
+# Sockets with a value.
 VALUED = {'VALUE', 'INT', 'BOOLEAN', 'VECTOR', 'RGBA', 'ROTATION', 'STRING'}
 
 
 class Copy(types.SimpleNamespace):
     """A node, a socket or a link."""
 
-    # Each is itself alone, as Blender's are.
+    # Compared by identity, as Blender's objects are.
     __eq__, __hash__ = object.__eq__, object.__hash__
 
     def as_pointer(self) -> int:
@@ -27,14 +27,14 @@ class Copy(types.SimpleNamespace):
 
 
 class Ramp(Copy):
-    """A colour ramp at the places of its table."""
+    """A colour ramp, tabulated."""
 
     def evaluate(self, place):
         return self.table[round(place * (RAMP_CELLS - 1))]
 
 
 class Curve(Copy):
-    """A float curve's mapping, at the places of its table."""
+    """A float curve's mapping, tabulated."""
 
     def update(self):
         pass
@@ -44,13 +44,13 @@ class Curve(Copy):
         return self.table[round((place - low) / (high - low) * CURVE_CELLS)]
 
 
-def copied(tree, node) -> Copy:
-    """A copy of one of a tree's nodes, with all others."""
+def snapshot(tree, node) -> Copy:
+    """A copy of one node of a tree, with all nodes that it is linked to."""
     return _tree(tree, {})[node.as_pointer()]
 
 
 def _tree(tree, groups):
-    """Copies of a tree's nodes by pointer. groups: those of groups that are copied already, by pointer."""
+    """Copies of a tree's nodes, by pointer. groups: copies of group trees made so far, by pointer."""
     nodes, sockets = {}, {}
     for node in tree.nodes:
         copy = Copy(**_plain(node), name=node.name, bl_idname=node.bl_idname, bl_label=node.bl_label, mute=node.mute)
@@ -58,7 +58,7 @@ def _tree(tree, groups):
             found = [_socket(socket, copy) for socket in getattr(node, side)]
             sockets.update(zip((socket.as_pointer() for socket in getattr(node, side)), found))
             setattr(copy, side, found)
-        _point(copy, node, groups)
+        _copy_references(copy, node, groups)
         nodes[node.as_pointer()] = copy
     for node in tree.nodes:
         nodes[node.as_pointer()].internal_links = [_link(link, sockets) for link in node.internal_links]
@@ -70,7 +70,7 @@ def _tree(tree, groups):
 
 
 def _plain(node):
-    """The numbers, names and choices that nodes of this kind have and others have not."""
+    """Numbers, strings and choices that are specific to this type of node."""
     common = bpy.types.Node.bl_rna.properties
     return {p.identifier: _value(getattr(node, p.identifier)) for p in node.bl_rna.properties
             if p.type in PLAIN and p.identifier not in common and not getattr(p, "is_enum_flag", False)}
@@ -92,8 +92,8 @@ def _link(link, sockets) -> Copy:
     return Copy(is_muted=link.is_muted, is_valid=link.is_valid, from_node=start.node, from_socket=start, to_socket=end)
 
 
-def _point(copy, node, groups):
-    """What a node points to."""
+def _copy_references(copy, node, groups):
+    """Copy what a node refers to."""
     if hasattr(node, "color_ramp"):
         ramp = node.color_ramp
         copy.color_ramp = Ramp(interpolation=ramp.interpolation, table=[

@@ -1,48 +1,46 @@
-"""Where the value of a node's socket comes from: links, reroutes, groups and muted nodes."""
+"""Follows the links of node sockets through reroutes, groups and muted nodes."""
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
 
 import bpy
 
 
 class Unsupported(Exception):
-    """A node or link that cannot be evaluated here; the message names it."""
+    """A node or link that cannot be evaluated; the message names it."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What feeds a socket.
+    """What drives a socket.
 
-    node, output: the node and its output socket; both None where nothing is linked.
-    socket: the input that holds the value where nothing is linked.
-    groups: the group nodes around it, outermost first.
+    node, output: the node and its output socket; both None where nothing is linked. socket: the input that holds the
+    value where nothing is linked. groups: the enclosing group nodes, outermost first.
     """
 
-    # Quoted: see `visibility.Shown`.
-    node: "Optional[bpy.types.Node]"
-    output: "Optional[bpy.types.NodeSocket]"
+    # Quoted: see `objects.visibility.VisibleObject`.
+    node: "bpy.types.Node | None"
+    output: "bpy.types.NodeSocket | None"
     socket: "bpy.types.NodeSocket"
-    groups: Tuple = ()
+    groups: tuple = ()
 
 
 def always_has_nodes(block) -> bool:
-    """Whether a material, World or light cannot do without nodes. Asking it whether it uses them then warns."""
+    """Whether materials, Worlds or lights always have nodes; querying `use_nodes` of them is then deprecated."""
     return bpy.app.version >= (5, 0, 0) and not isinstance(block, bpy.types.Light)
 
 
 def has_nodes(block) -> bool:
-    """Whether a material, World or light is rendered by its nodes."""
+    """Whether a material, World or light is shaded by nodes."""
     return block.node_tree is not None and (always_has_nodes(block) or block.use_nodes)
 
 
 def active_output(block):
-    """The output node that Cycles uses of a material, World or light; None without nodes."""
+    """The output node that Cycles uses for a material, World or light; None without nodes."""
     return block.node_tree.get_output_node('CYCLES') if has_nodes(block) else None
 
 
 def source_of(socket, groups=()) -> Source:
-    """Follow the links of an input socket, past reroutes, muted nodes and into and out of groups."""
+    """Follow the links of an input socket, through reroutes, muted nodes and groups."""
     while socket.is_linked:
         link = socket.links[0]
         if link.is_muted or not link.is_valid:
@@ -79,10 +77,10 @@ def _group_output(group):
 
 
 def linked_node(socket):
-    """The node linked to an input socket; None where there is none."""
+    """The node linked to an input socket, or None."""
     return source_of(socket).node
 
 
 def input_of(node, identifier: str):
-    """A node's input socket by its identifier, which unlike its name is its own."""
+    """A node's input socket by its identifier, which is unique where its name is not."""
     return next(socket for socket in node.inputs if socket.identifier == identifier)

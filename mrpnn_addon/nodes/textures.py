@@ -1,26 +1,26 @@
-"""Noise and Gradient Texture in numpy.
+"""The Noise and Gradient Textures in NumPy.
 
-The noise is Perlin's improved gradient noise (SIGGRAPH 2002) with lattice gradients chosen by Bob
-Jenkins' lookup3 hash, as in OSL and Cycles, so that it gives the same values.
+The noise is Perlin's improved gradient noise (SIGGRAPH 2002) with lattice gradients chosen by Bob Jenkins' lookup3
+hash, as in OSL and Cycles, and has the same values.
 """
 
 import numpy as np
 
-# Brings gradient noise to the range [-1, 1]: OSL's constant for three dimensions.
+# Normalises gradient noise to [-1, 1]: OSL's constant for three dimensions.
 NOISE_RANGE = 0.982
-MOST_DETAIL = 15.0
+MAX_DETAIL = 15.0
 
 
 def noise(points, detail: float, roughness: float, lacunarity: float, distortion: float, normalize: bool):
-    """Fractal sum (n, 1) of gradient noise at points (n, 3), in [0, 1] where normalised.
+    """Fractal sum (n, 1) of gradient noise at points (n, 3), in [0, 1] if normalised.
 
-    detail: octaves beyond the first, a fraction fades the last one in.
+    detail: octaves beyond the first; a fraction fades in the last.
     """
     points = np.asarray(points, np.float64)
     if distortion != 0.0:
         points = points + distortion * np.concatenate(
             [gradient_noise(points + _offset(seed)) for seed in range(3)], axis=1)
-    detail = min(max(detail, 0.0), MOST_DETAIL)
+    detail = min(max(detail, 0.0), MAX_DETAIL)
     total, span, amplitude, frequency = np.zeros((len(points), 1)), 0.0, 1.0, 1.0
 
     def levelled(value, span):
@@ -59,7 +59,7 @@ def gradient_noise(points) -> np.ndarray:
 
 
 def _slope(h, f):
-    """Dot product of gradient number h with f (n, 3): the twelve edges of a cube, four of them twice."""
+    """Dot product of gradient h with f (n, 3): the twelve edges of a cube, four of them twice."""
     x, y, z = f.T
     u = np.where(h < 8, x, y)
     v = np.where(h < 4, y, np.where((h == 12) | (h == 14), x, z))
@@ -86,13 +86,13 @@ def _rotated(value, bits):
 
 
 def _offset(seed: int) -> np.ndarray:
-    """(3,) between 100 and 200, far from other seeds' noise."""
+    """(3,) between 100 and 200, decorrelates seeds."""
     keys = np.array([seed, seed, seed], np.float32).view(np.uint32), np.arange(3, dtype=np.float32).view(np.uint32)
     return 100.0 + 100.0 * _hash(*keys) / np.float64(0xFFFFFFFF)
 
 
 def gradient(points, kind: str) -> np.ndarray:
-    """(n, 1) in [0, 1] of points (n, 3): the Gradient Texture of one kind."""
+    """(n, 1) in [0, 1] at points (n, 3): the Gradient Texture of one kind."""
     x, y = points[:, :1], points[:, 1:2]
     inside = np.maximum(0.999999 - np.linalg.norm(points, axis=1, keepdims=True), 0.0)
     eased = np.clip(x, 0.0, 1.0)

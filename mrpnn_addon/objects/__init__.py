@@ -1,1 +1,1 @@
-"""Objects of a scene in plain terms: transforms, visibility, camera, lights, meshes and surfaces."""
+"""Transforms, visibility, cameras, lights, meshes and surfaces of a scene's objects."""

@@ -1,24 +1,22 @@
-"""The active camera as `Camera`."""
+"""The active camera as a `Camera`."""
 
 import math
-from typing import List, Optional, Tuple
 
 import numpy as np
 
 from ...inference.scene import Camera, SceneError
-from .placement import why_unplaced
+from .placement import placement_problem
 
 PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
 
 
-def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
-    """The scene's active camera at the render's resolution, and warnings.
+def read_camera(depsgraph) -> tuple[Camera, list[str]]:
+    """The scene's active camera at the render resolution, and warnings.
 
-    The window comes from Blender's own projection matrix, which holds lens, sensor fit, shift and
-    resolution by Blender's rules.
+    The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
 
-    Raises SceneError without a camera, for a panoramic one that is not equirectangular, for one that looks nowhere,
-    and for pixels that are not square.
+    Raises SceneError without a camera, for a panoramic camera that is not equirectangular, for one of scale 0, and for
+    non-square pixels.
     """
     scene = depsgraph.scene
     if scene.camera is None:
@@ -30,7 +28,7 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
         raise SceneError(f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
                          "equirectangular are supported")
     matrix = np.array(camera.matrix_world, dtype=np.float64)
-    problem = why_unplaced(matrix)
+    problem = placement_problem(matrix)
     if problem:
         raise SceneError(f"{where}: {problem}")
     if not np.linalg.norm(matrix[:3, :3], axis=0).all():
@@ -67,7 +65,7 @@ def read_camera(depsgraph) -> Tuple[Camera, List[str]]:
 
 
 def panorama_settings(lens):
-    """What holds the kind of a panoramic lens; None where Cycles is disabled and keeps it."""
+    """The data that holds a lens' panorama type; None where Cycles is disabled and keeps it."""
     # Before 4.3, panoramas are Cycles' own property.
     return lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
 
@@ -76,22 +74,22 @@ def _panorama(lens) -> str:
     return getattr(panorama_settings(lens), 'panorama_type', lens.type)
 
 
-def _ends(lens, name: str) -> Tuple[float, float]:
+def _ends(lens, name: str) -> tuple[float, float]:
     settings = panorama_settings(lens)
     return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
 
 
 def _orthonormal(matrix: np.ndarray) -> np.ndarray:
-    """Blender ignores the scale of a camera object: each axis has length 1."""
+    """The matrix without scale: Blender ignores the scale of cameras."""
     matrix = matrix.copy()
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return matrix
 
 
-def _region(render, width: int, height: int) -> Optional[Tuple[int, int, int, int]]:
+def _region(render, width: int, height: int) -> tuple[int, int, int, int] | None:
     if not render.use_border:
         return None
-    # Blender's border is a fraction from the lower left; it cuts to whole pixels in single precision.
+    # Blender's border is a fraction from the lower left, rounded to whole pixels in single precision.
     x0, x1 = (int(np.float32(x) * np.float32(width)) for x in (render.border_min_x, render.border_max_x))
     y0, y1 = (height - int(np.float32(y) * np.float32(height)) for y in (render.border_max_y, render.border_min_y))
     if x0 >= x1 or y0 >= y1:
@@ -99,7 +97,7 @@ def _region(render, width: int, height: int) -> Optional[Tuple[int, int, int, in
     return x0, y0, x1, y1
 
 
-def _warnings(where: str, lens, render) -> List[str]:
+def _warnings(where: str, lens, render) -> list[str]:
     warnings = []
     if lens.dof.use_dof:
         warnings.append(f"{where}: depth of field is not rendered")

@@ -1,7 +1,6 @@
-"""Sun lamps as `Sun`; a soft sun as several."""
+"""Sun lamps as `Sun`s; a soft sun as several."""
 
 import math
-from typing import List, Tuple
 
 import numpy as np
 from mathutils import Vector
@@ -9,26 +8,26 @@ from mathutils import Vector
 from ...inference.scene import SceneError, Sun
 from ..nodes.evaluation import constant
 from ..nodes.sockets import Unsupported, active_output, linked_node
-from .placement import why_unplaced
-from .visibility import Shown
+from .placement import placement_problem
+from .visibility import VisibleObject
 
-# Angles up to which a sun is one direction, a ring of four, or seven; beyond, nineteen. The real
-# sun's disc spans about half a degree.
+# Angles up to which a sun becomes one direction, a ring of four, or seven; beyond, nineteen. The real sun's angular
+# diameter is about half a degree.
 ONE, FOUR, SEVEN = (math.radians(degrees) for degrees in (2.0, 12.0, 40.0))
 
 
-def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
-    """The parallel lights that stand for a visible sun lamp, and warnings.
+def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
+    """The directional lights that represent a visible sun lamp, and warnings.
 
-    The sun shines along the object's -Z, so the direction towards it is +Z. Its irradiance is
-    strength x colour in W/m^2, times 2^exposure, the colour of its temperature and its nodes where
-    this version of Blender has them. That is what falls on a surface which faces the sun; a sun of some angle, shared among
-    directions in its disc, gives a volume more, since nothing in it lies aslant.
+    The sun shines along the object's -Z, so the direction towards it is +Z. Its irradiance is strength x colour in
+    W/m^2, times 2^exposure, the colour of its temperature and the value of its nodes where this version of Blender has
+    them. That is the irradiance of a surface facing the sun; the fluence in a volume is larger for a sun with an angle,
+    because no cosine applies.
 
-    Raises SceneError, naming the lamp, for nodes that cannot be evaluated, and where it points nowhere.
+    Raises SceneError, naming the lamp, for nodes that cannot be evaluated and for an undefined direction.
     """
     lamp, name = shown.object.data, f"sun \"{shown.name}\""
-    problem = why_unplaced(shown.matrix)
+    problem = placement_problem(shown.matrix)
     if problem:
         raise SceneError(f"{name}: {problem}")
     if not shown.matrix[:3, 2].any():
@@ -38,9 +37,10 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
     if getattr(lamp, 'use_temperature', False):
         irradiance *= np.array(lamp.temperature_color)
     if not getattr(lamp, 'normalize', True) and lamp.angle > 0.0:
-        # Then strength is radiance, spread over the projected solid angle of the disc.
+        # Strength is then radiance, over the projected solid angle of the disc.
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
-    # What falls on a surface is even radiance times pi sin^2 of half the angle; on a volume, times the solid angle.
+    # A surface's irradiance is uniform radiance times pi sin^2 of half the angle; a volume's fluence, times the solid
+    # angle.
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, name)
 
@@ -49,11 +49,12 @@ def read_suns(shown: Shown) -> Tuple[List[Sun], List[str]]:
     return suns, _warnings(shown, name)
 
 
-def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, float]]:
-    """Directions (3,) within `angle` across around the frame's z axis, and their shares of light that is even in it.
+def disc_directions(frame: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
+    """Directions (3,) in a disc of angular diameter `angle` around the frame's z axis, and their shares of its uniform
+    light.
 
-    Equal areas of a disc are equal solid angles. One, four or seven directions, which integrate polynomials up to degree
-    1, 3 and 5 over a disc (Stroud 1971, S2), or nineteen of equal area.
+    Equal areas of a disc are equal solid angles. One, four or seven directions, which integrate polynomials up to
+    degree 1, 3 and 5 over a disc (Stroud 1971, S2), or nineteen of equal area.
     """
     if angle <= ONE:
         return [(frame[:, 2], 1.0)]
@@ -75,11 +76,11 @@ def disc_directions(frame: np.ndarray, angle: float) -> List[Tuple[np.ndarray, f
     return found
 
 
-def _warnings(shown: Shown, name: str) -> List[str]:
+def _warnings(shown: VisibleObject, name: str) -> list[str]:
     lamp, linking, warnings = shown.object.data, shown.object.light_linking, []
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         warnings.append(f"{name} is linked to some objects only; it is rendered as lighting all volumes")
-    # Cycles' own property, gone while Cycles is disabled.
+    # A property of Cycles, absent while Cycles is disabled.
     settings = getattr(lamp, 'cycles', None)
     if not getattr(settings, 'cast_shadow', lamp.use_shadow):
         warnings.append(f"{name} casts no shadow; it is rendered with shadows")
@@ -87,7 +88,7 @@ def _warnings(shown: Shown, name: str) -> List[str]:
 
 
 def _node_factor(lamp, name: str) -> np.ndarray:
-    """RGB that the lamp's nodes multiply its colour by."""
+    """RGB factor of the lamp's nodes."""
     output = active_output(lamp)
     if output is None:
         return np.ones(3)

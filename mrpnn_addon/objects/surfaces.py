@@ -1,24 +1,26 @@
-"""Opaque surfaces that cover and shade volumes, in the world."""
+"""Opaque surfaces that hide and shade volumes."""
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
 from ...inference.scene import SceneError, Surface
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from .mesh_triangles import Mesh, read_mesh, require_finite
-from .placement import why_unplaced
-from .visibility import Shown
+from .placement import placement_problem
+from .visibility import VisibleObject
 
-# Kinds that Blender turns into meshes.
+# Object types that Blender converts to meshes.
 MESHES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT'}
 SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction', 'ShaderNodeHoldout'}
 
 
 @dataclass
 class OpaqueMesh:
-    """A Surface before its triangles are made. name, covers, shades, stops: as of Surface. matrix: (4, 4), to the world."""
+    """A `Surface` whose triangles are not made yet.
+
+    name, covers, shades, stops: see `Surface`. matrix: (4, 4), object to world.
+    """
 
     mesh: Mesh
     matrix: np.ndarray
@@ -28,16 +30,16 @@ class OpaqueMesh:
     stops: bool
 
     def surface(self) -> Surface:
-        """Any thread may ask. Raises SceneError where its vertices are not finite."""
+        """The `Surface`; any thread may call this. Raises SceneError where its vertices are not finite."""
         return Surface(self.mesh.triangles(self.matrix), self.name, self.covers, self.shades, self.stops)
 
 
-def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Optional[OpaqueMesh], List[str]]:
-    """A visible object's surface where it is opaque and volumes meet it, and warnings.
+def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> tuple[OpaqueMesh | None, list[str]]:
+    """A visible object's surface if it is opaque and affects volumes, and warnings.
 
-    known: meshes read before; instances share them.
+    known: meshes read so far; instances share them.
 
-    Raises SceneError, naming the object, where its transform or its vertices are not numbers to compute with.
+    Raises SceneError, naming the object, where its transform or its vertices are not finite.
     """
     where = f"{shown.object.type.lower()} object \"{shown.name}\""
     if shown.object.type not in MESHES:
@@ -46,20 +48,20 @@ def read_surface(shown: Shown, view_layer, known: Dict[tuple, Mesh]) -> Tuple[Op
     shades, stops = shown.object.visible_shadow, shown.object.visible_volume_scatter
     if not (covers or shades or stops):
         return None, []
-    if any(_see_through(slot.material) for slot in shown.object.material_slots):
-        return None, [f"{where} can be seen through and is left out; volumes behind it are rendered as if it were not there"]
+    if any(_is_transparent(slot.material) for slot in shown.object.material_slots):
+        return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
     key = (shown.object.data.name_full, shown.object.as_pointer())
     if key not in known:
         known[key] = read_mesh(shown.object)
-    mesh, problem = known[key], why_unplaced(shown.matrix)
+    mesh, problem = known[key], placement_problem(shown.matrix)
     if len(mesh.corners) and problem:
         raise SceneError(f"{where}: {problem}")
     require_finite(mesh, where)
     return (OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops) if len(mesh.corners) else None), []
 
 
-def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
-    """Says what surfaces do and what not."""
+def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
+    """Warnings of what surfaces do and do not do."""
     found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
@@ -72,28 +74,28 @@ def surface_warnings(surfaces: List[OpaqueMesh], panorama: bool) -> List[str]:
     return found
 
 
-def _names(surfaces: List[OpaqueMesh]) -> str:
+def _names(surfaces: list[OpaqueMesh]) -> str:
     more = f" and {len(surfaces) - 1} more" if len(surfaces) > 1 else ""
     return surfaces[0].name + more
 
 
-def _see_through(material) -> bool:
+def _is_transparent(material) -> bool:
     output = active_output(material) if material else None
     if output is None:
         return False
     try:
-        return _shows_behind(source_of(output.inputs['Surface']))
+        return _transmits(source_of(output.inputs['Surface']))
     except Unsupported:
         return False
 
 
-def _shows_behind(source) -> bool:
-    """Whether a shader, or one of those that it mixes, lets light through. No shader at all does."""
+def _transmits(source) -> bool:
+    """Whether a shader, or any that it mixes, transmits light. No shader does."""
     node, groups = source.node, source.groups
     if node is None or node.bl_idname in SEE_THROUGH:
         return True
     if node.bl_idname in ('ShaderNodeMixShader', 'ShaderNodeAddShader'):
-        return any(_shows_behind(source_of(socket, groups)) for socket in node.inputs if socket.type == 'SHADER')
+        return any(_transmits(source_of(socket, groups)) for socket in node.inputs if socket.type == 'SHADER')
     if node.bl_idname == 'ShaderNodeBsdfPrincipled':
         alpha, through = (input_of(node, name) for name in ("Alpha", "Transmission Weight"))
         return any(socket.is_linked for socket in (alpha, through)) or alpha.default_value < 1.0 or \

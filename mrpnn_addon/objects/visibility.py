@@ -1,7 +1,7 @@
-"""Which objects a render or a viewport shows, instances included."""
+"""The objects and instances that a render or a viewport shows."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Iterator, List, Optional
 
 import numpy as np
 
@@ -10,59 +10,58 @@ from ..nodes.material import shows_volume
 
 
 @dataclass
-class Shown:
+class VisibleObject:
     """One visible object or instance.
 
-    object: the evaluated object; valid only until the next one is asked for.
-    matrix: float64 (4, 4), object to world.
-    name: for messages.
-    source: the original object in the scene that is it, or instances it.
+    object: the evaluated object; valid only until the iterator advances. matrix: float64 (4, 4), object to world. name:
+    for messages. source: the original object, or the one that instances it.
     """
 
-    # Quoted: held by `typing` or a dataclass, Blender's types outlive
-    # Blender, and the bpy module hangs when the process ends.
+    # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then
+    # hangs when the process ends.
     object: "bpy.types.Object"
     matrix: np.ndarray
     name: str
     source: "bpy.types.Object"
 
 
-def shown_objects(depsgraph, space=None) -> Iterator[Shown]:
-    """All objects and instances of the depsgraph's view layer that renders show, or that a viewport shows.
+def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
+    """All objects and instances of the view layer that renders, or a viewport, show.
 
-    space: the viewport's SpaceView3D, or None for renders. As in Cycles, a viewport goes by what is hidden in it: by
-    the eye, local view, collections and its own filter of object types, but not by what is hidden in renders.
+    space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
+    (eye icon, local view, collections, its filter of object types) and not the visibility in renders.
     """
     in_render = None if space or depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:
         instanced = instance.object
-        # Instances carry the visibility of what makes them.
+        # Instances have the visibility of their instancer.
         if space is not None and not instanced.visible_in_viewport_get(space):
             continue
-        # An instance is there because the object that makes it is.
+        # An instance exists because of its instancer.
         source = instance.parent if instance.is_instance else instanced
         name = source.original.name
         if instance.is_instance and instanced.name != name:
             name = f"{instanced.name} in {name}"
         if in_render is not None:
-            # Geometry nodes and particles show objects that are hidden themselves.
+            # Geometry nodes and particles show instances of objects that are themselves hidden.
             from_nodes = instance.is_instance and source.instance_type == 'NONE'
             if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
-        if instance.show_self and not _used_up(instanced):
-            yield Shown(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+        if instance.show_self and not _is_replaced(instanced):
+            yield VisibleObject(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
 
 
-def _used_up(shown_object) -> bool:
-    """Whether geometry nodes have left nothing of a mesh: what else they make is shown as objects of their own."""
+def _is_replaced(shown_object) -> bool:
+    """Whether geometry nodes leave nothing of a mesh; their instances are objects of their own."""
     return shown_object.type == 'MESH' and not shown_object.data.polygons and any(
         modifier.type == 'NODES' for modifier in shown_object.modifiers)
 
 
 def visibility_state(depsgraph, space) -> tuple:
-    """What differs where a viewport comes to show other objects, or shows them otherwise, although none has changed.
+    """A value that changes when a viewport shows other objects, or shows them differently, although no object has
+    changed.
 
-    Blender tells engines of hiding, local view and collections as it does of selecting: the scene has changed.
+    Blender notifies engines of hiding, local view and collections as of selection: the scene has changed.
     """
     view_layer = depsgraph.view_layer
     return view_layer.name, frozenset(
@@ -71,17 +70,17 @@ def visibility_state(depsgraph, space) -> tuple:
         for shown in depsgraph.objects if shown.visible_in_viewport_get(space))
 
 
-def why_unseen(shown: Shown, view_layer) -> str:
-    """Why the camera does not see a volume that is in the scene, or ""."""
+def hidden_from_camera(shown: VisibleObject, view_layer) -> str:
+    """The reason why the camera does not see a volume of the scene; "" where it does."""
     if shown.source.holdout_get(view_layer=view_layer):
         return "is a holdout"
     if shown.source.indirect_only_get(view_layer=view_layer):
-        return "is in a collection that gives indirect light only"
+        return "is in an indirect-only collection"
     return "" if shown.object.visible_camera else "is hidden from the camera"
 
 
-def ignored_visibility(shown: Shown) -> List[str]:
-    """Switches of Cycles' ray visibility, set for a volume, that change nothing here."""
+def ignored_visibility(shown: VisibleObject) -> list[str]:
+    """Ray visibility settings of a volume that have no effect here."""
     rays = (("shadow", shown.object.visible_shadow), ("volume scatter", shown.object.visible_volume_scatter))
     return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
 
@@ -105,19 +104,18 @@ def _rendered_collections(layer_collection):
 
 
 def evaluated_world(depsgraph):
-    """The World of an evaluated scene as its animation has it in this frame, or None.
+    """The World of an evaluated scene in this frame, or None.
 
-    The evaluated scene itself names the original World, which F12 leaves as it was before.
+    The evaluated scene refers to the original World, which is not animated during F12.
     """
     world = depsgraph.scene.world
     return None if world is None else world.evaluated_get(depsgraph)
 
 
 def require_evaluated(depsgraph) -> None:
-    """Outside a render, Blender evaluates only what the viewport shows.
+    """Raises SceneError where a volume or sun is visible in renders but hidden in the viewport.
 
-    Raises SceneError where a volume or a sun is hidden there and yet visible in renders: it could
-    only be left out of the image.
+    Outside a render, Blender evaluates only what the viewport shows, so the image would lack it.
     """
     if depsgraph.mode == 'RENDER':
         return
@@ -130,7 +128,7 @@ def require_evaluated(depsgraph) -> None:
             )
 
 
-def _rendered_kind(candidate) -> Optional[str]:
+def _rendered_kind(candidate) -> str | None:
     if shows_volume(candidate):
         return "volume"
     if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':

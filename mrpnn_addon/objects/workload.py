@@ -1,11 +1,10 @@
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
 from dataclasses import dataclass
-from typing import FrozenSet, List, Optional
 
 import numpy as np
 
-from ...inference.marching.ray_steps import LEAST_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
+from ...inference.marching.ray_steps import MIN_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
 from ...inference.numerics.intersection import box_interval
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
@@ -20,9 +19,11 @@ RAYS = 48
 
 @dataclass
 class Box:
-    """Around one volume. name: of its object. matrix: (4, 4), from the box to the world; low, high: (3,), its ends.
-    voxel: edge of a voxel, world units. thickness: largest optical depth of a voxel. cells: along its longest edge.
-    filled: share of the voxels that hold density, None where the volume has not been read.
+    """Bounding box of one volume.
+
+    name: of its object. matrix: (4, 4), box to world. low, high: (3,), its corners. voxel: edge of a voxel, world
+    units. thickness: largest optical thickness of a voxel. cells: voxels along the longest edge. filled: share of
+    voxels that are not 0; None before the volume is read.
     """
 
     name: str
@@ -32,20 +33,20 @@ class Box:
     voxel: float
     thickness: float
     cells: float
-    filled: Optional[float] = None
+    filled: float | None = None
 
 
 @dataclass
 class Workload:
-    """What a render has to do, as its boxes tell.
+    """Work of a render, estimated from bounding boxes.
 
-    names: of the volumes. window: pixels around their boxes; pixels: in the boxes. steps: that their rays are cut into.
-    opacity: mean square root of the pixels' opacity, a guess. thickness: of a voxel; stiff: whether steps are cut
-    again. volumes, lights, samples: how many. channels: colours that are marched by themselves. filled: share of voxels
-    that hold density, None where some volume has not been read.
+    names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: ray march steps.
+    opacity: mean square root of the pixels' opacity, estimated. thickness: optical thickness of a voxel. stiff: whether
+    steps are subdivided. volumes, lights, samples: their numbers. channels: colour channels marched separately. filled:
+    share of voxels that are not 0; None where some volume has not been read.
     """
 
-    names: FrozenSet[str] = frozenset()
+    names: frozenset[str] = frozenset()
     window: int = 0
     pixels: float = 0.0
     steps: float = 0.0
@@ -56,11 +57,11 @@ class Workload:
     lights: int = 0
     samples: int = 1
     channels: int = 1
-    filled: Optional[float] = None
+    filled: float | None = None
 
 
-def estimate_workload(boxes: List[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
-    """What a render has to do; boxes may overlap."""
+def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
+    """The work of a render; boxes may overlap."""
     covered = pixels_around(boxes, camera)
     found = Workload(frozenset(box.name for box in boxes), int(covered.sum()), volumes=len(boxes), lights=lights,
                  samples=samples, channels=channels)
@@ -77,21 +78,21 @@ def estimate_workload(boxes: List[Box], camera: Camera, lights: int, samples: in
     hit = near < far
     share = (right - left) * (bottom - top) / len(hit)
     found.pixels = min(float(hit.sum()) * share, float(found.window))
-    filled = [box.filled for box in boxes]
-    found.filled = None if None in filled else float(np.mean(filled))
+    filled = [box.filled for box in boxes if box.filled is not None]
+    found.filled = float(np.mean(filled)) if len(filled) == len(boxes) else None
     found.thickness = sum(box.thickness for box in boxes)
-    a_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
+    steps_per_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
                   STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
-    found.stiff = found.thickness / a_voxel > STIFF
-    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), LEAST_VOXELS)
-    found.steps = float(np.ceil(voxels * a_voxel).sum()) * share
+    found.stiff = found.thickness / steps_per_voxel > STIFF
+    voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
+    found.steps = float(np.ceil(voxels * steps_per_voxel).sum()) * share
     if hit.any():
         found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())
     return found
 
 
-def pixels_around(boxes: List[Box], camera: Camera) -> np.ndarray:
-    """bool (H, W): pixels of the camera's window that may show a box, and those around them."""
+def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
+    """bool (H, W): pixels of the camera's window that may show a box, and their neighbours."""
     x0, y0, x1, y1 = camera.window
     covered = np.zeros((y1 - y0, x1 - x0), bool)
     for box in boxes:
@@ -101,13 +102,14 @@ def pixels_around(boxes: List[Box], camera: Camera) -> np.ndarray:
 
 
 def _corners(box: Box) -> np.ndarray:
-    """(8, 3) in the world."""
+    """(8, 3), in world space."""
     corners = np.array(np.meshgrid(*zip(box.low, box.high), indexing="ij")).reshape(3, -1)
     return (box.matrix[:3, :3] @ corners + box.matrix[:3, 3:]).T
 
 
 def _intervals(boxes, origins, directions, clip_near, clip_far):
-    """Distances (N,) at which rays enter the first box and leave the last, and optical depths (N,) if all were full."""
+    """Distances (N,) where rays enter the first box and leave the last, and optical thicknesses (N,) at peak density.
+    """
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     thickness = np.zeros(len(origins))
     for box in boxes:

@@ -1,1 +1,1 @@
-"""Finished layers in Blender and on disk: images, passes, OpenEXR files and compositing."""
+"""Layers in Blender and on disk: images, passes, OpenEXR files and compositing."""

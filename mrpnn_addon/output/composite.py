@@ -1,91 +1,91 @@
-"""A scene by Cycles whose volumes a second scene renders with MRPNN; its compositor lays them over it.
+"""Composites volumes, rendered with MRPNN in a second scene, over a scene rendered by Cycles.
 
-The first scene keeps all that it holds. Volumes are invisible to the camera in its renders only: a handler hides the
-evaluated copies of objects that Blender makes for a render and drops after it, so that instances, linked libraries and
-the viewport stay as they are. The second scene shows the same collections and takes its settings from the first one.
+The first scene keeps its objects. Volumes are invisible to the camera only in its renders: a handler hides the
+evaluated copies of objects that Blender makes for a render, so instances, linked libraries and the viewport are
+unaffected. The second scene shows the same collections and copies the first one's settings.
 """
 
 import threading
-from typing import List, Optional
 
 import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
 
 from ..nodes.material import shows_volume
-from .composite_nodes import build_nodes, remove_nodes, what_is_wrong
+from .composite_nodes import build_nodes, compositor_problems, remove_nodes
 
 ENGINE = 'MRPNN'
-# What differs between the two scenes by design.
-_OWN_RENDER = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
-_OWN_SETTINGS = {"rna_type", "name", "version", "preset"}
-# On these depend which values others of a file format may take.
+# Properties that differ between the two scenes by design.
+_OWN_RENDER_PROPERTIES = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
+_OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
+# Set before other properties of a file format, whose values depend on them.
 _FORMAT = ("media_type", "file_format", "color_mode")
-_OF_SCENE = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
-_OF_LAYER_COLLECTION = ("exclude", "holdout", "indirect_only", "hide_viewport")
+_SCENE_PROPERTIES = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
+_LAYER_COLLECTION_PROPERTIES = ("exclude", "holdout", "indirect_only", "hide_viewport")
 _RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
          "visible_shadow")
 
 
 class MRPNN_PG_composite(bpy.types.PropertyGroup):
-    """Of a composited scene: volumes, and what *Remove Composite* restores. Of the scene of its volumes: surfaces."""
+    """Of a composited scene: its volumes' scene, and what *Remove Composite* restores. Of a volumes' scene: surfaces.
+    """
 
     active: BoolProperty(name="Composited", description="Whether the volumes are composited over this scene")
     volumes: PointerProperty(name="Scene of the Volumes", type=bpy.types.Scene)
     surfaces: PointerProperty(name="Scene of the Surfaces", type=bpy.types.Scene)
     shadows: BoolProperty(
         name="Shadows on Surfaces", default=True,
-        description="Keep the volumes in Cycles, invisible to the camera, so that they shade surfaces")
+        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces")
     engine: StringProperty(name="Render Engine Before")
     compositing: BoolProperty(name="Compositing Before")
     made_tree: BoolProperty(name="Compositor Made")
 
 
 def composite(scene, shadows: bool) -> None:
-    """Composite a scene's volumes over what Cycles renders of it, or mend what differs from that.
+    """Composite a scene's volumes over its render by Cycles, or repair a composite.
 
-    Raises ValueError where another scene has the name that the volumes' scene is to have.
+    Raises ValueError where another scene has the name of the volumes' scene.
     """
-    kept = scene.mrpnn_composite
+    state = scene.mrpnn_composite
     if volume_scene(scene) is None:
         name = f"{scene.name} MRPNN"
         if name in bpy.data.scenes:
             raise ValueError(f"there is a scene \"{name}\" already; delete or rename it")
         volumes = _volume_scene(scene, name)
-        kept.volumes, volumes.mrpnn_composite.surfaces = volumes, scene
-    if not kept.active:
-        kept.engine, kept.compositing = scene.render.engine, scene.render.use_compositing
-    kept.shadows = shadows
+        state.volumes, volumes.mrpnn_composite.surfaces = volumes, scene
+    if not state.active:
+        state.engine, state.compositing = scene.render.engine, scene.render.use_compositing
+    state.shadows = shadows
     scene.render.engine, scene.render.use_compositing = 'CYCLES', True
-    kept.made_tree = build_nodes(scene, kept.volumes) or (kept.active and kept.made_tree)
-    kept.active = True
-    follow(scene)
+    state.made_tree = build_nodes(scene, state.volumes) or (state.active and state.made_tree)
+    state.active = True
+    synchronize(scene)
 
 
 def remove_composite(scene) -> None:
-    """Undo `composite`: the scene is as before, the scene of its volumes is gone."""
-    kept, volumes = scene.mrpnn_composite, volume_scene(scene)
-    remove_nodes(scene, kept.made_tree)
-    if kept.engine:
-        scene.render.engine = kept.engine
-    scene.render.use_compositing = kept.compositing
+    """Undo `composite`: restore the scene and remove the scene of its volumes."""
+    state, volumes = scene.mrpnn_composite, volume_scene(scene)
+    remove_nodes(scene, state.made_tree)
+    if state.engine:
+        scene.render.engine = state.engine
+    scene.render.use_compositing = state.compositing
     for name in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
-        kept.property_unset(name)
+        state.property_unset(name)
     if volumes is not None:
         bpy.data.scenes.remove(volumes)
-    # A render that Blender keeps between frames remembers the volumes as hidden.
+    # Persistent render data remembers the volumes as hidden.
     for shown in bpy.data.objects:
         if shows_volume(shown):
             shown.update_tag()
 
 
-def volume_scene(scene) -> Optional["bpy.types.Scene"]:
-    """The scene that renders this one's volumes; None where there is none, as for a copy of a composited scene."""
+def volume_scene(scene) -> "bpy.types.Scene | None":
+    """The scene that renders this one's volumes; None without one, as for a copy of a composited scene."""
     volumes = scene.mrpnn_composite.volumes
     return volumes if volumes is not None and volumes.mrpnn_composite.surfaces == scene else None
 
 
-def out_of_date(scene) -> List[str]:
-    """What keeps a composited scene's render from showing its volumes as it should; `composite` mends it."""
+def out_of_date(scene) -> list[str]:
+    """Reasons why a composited scene does not show its volumes; `composite` repairs them."""
     volumes, found = volume_scene(scene), []
     if volumes is None:
         other = scene.mrpnn_composite.volumes
@@ -95,13 +95,13 @@ def out_of_date(scene) -> List[str]:
         found.append("The render engine is not Cycles")
     if not scene.render.use_compositing:
         found.append("Output > Post Processing > Compositing is off")
-    return found + what_is_wrong(scene, volumes)
+    return found + compositor_problems(scene, volumes)
 
 
-def follow(scene, structure: bool = True) -> None:
-    """Bring the scene of a composited scene's volumes up to date; writes only what differs.
+def synchronize(scene, structure: bool = True) -> None:
+    """Update the scene of a composited scene's volumes; writes only what differs.
 
-    structure: whether to follow objects, collections and view layers as well, which needs Blender's main thread.
+    structure: whether to update objects, collections and view layers too, which needs Blender's main thread.
     """
     volumes = volume_scene(scene)
     if not scene.mrpnn_composite.active or volumes is None:
@@ -110,28 +110,28 @@ def follow(scene, structure: bool = True) -> None:
     _set(volumes.render, "film_transparent", True)
     _set(volumes.render, "use_compositing", False)
     _set(volumes.render, "use_sequencer", False)
-    _follow_values(scene.render, volumes.render, _OWN_RENDER)
+    _copy_values(scene.render, volumes.render, _OWN_RENDER_PROPERTIES)
     _set(volumes.render, "filepath", _beside(scene.render.filepath))
-    _follow_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS)
-    for name in _OF_SCENE:
+    _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS_PROPERTIES)
+    for name in _SCENE_PROPERTIES:
         _set(volumes, name, getattr(scene, name))
     if not structure:
         return
-    _follow_format(scene.render.image_settings, volumes.render.image_settings)
-    _follow_markers(scene, volumes)
+    _copy_format(scene.render.image_settings, volumes.render.image_settings)
+    _copy_markers(scene, volumes)
     for name in ("objects", "children"):
-        _follow_links(getattr(scene.collection, name), getattr(volumes.collection, name))
+        _copy_links(getattr(scene.collection, name), getattr(volumes.collection, name))
     for view_layer in volumes.view_layers[1:]:
         volumes.view_layers.remove(view_layer)
     layer = volumes.view_layers[0]
     _set(layer, "use", True)
     _set(layer, "use_pass_z", True)
     rendered = [one for one in scene.view_layers if one.use] or scene.view_layers[:1]
-    _follow_layer(layer.layer_collection, [one.layer_collection for one in rendered])
+    _copy_layer(layer.layer_collection, [one.layer_collection for one in rendered])
 
 
 def _volume_scene(scene, name: str):
-    """A scene of the same collections and animation."""
+    """A scene with the same collections and animation."""
     volumes = scene.copy()
     volumes.name = name
     own = volumes.mrpnn_composite
@@ -149,8 +149,8 @@ def _set(owner, name: str, value) -> None:
         setattr(owner, name, value)
 
 
-def _follow_values(source, target, own) -> None:
-    """Give `target` the values of all plain properties of `source` but those named in `own`."""
+def _copy_values(source, target, own) -> None:
+    """Copy all plain properties of `source` to `target` but those named in `own`."""
     for prop in source.bl_rna.properties:
         if prop.identifier in own or prop.is_readonly or prop.type in ('POINTER', 'COLLECTION'):
             continue
@@ -161,36 +161,36 @@ def _follow_values(source, target, own) -> None:
             try:
                 setattr(target, prop.identifier, value)
             except TypeError:
-                # A choice that this version of Blender does not know, as a later one may have left.
+                # A choice of a later version of Blender.
                 continue
 
 
-def _follow_format(source, target) -> None:
+def _copy_format(source, target) -> None:
     for name in _FORMAT:
         if hasattr(source, name):
             _set(target, name, getattr(source, name))
-    _follow_values(source, target, {"rna_type", *_FORMAT})
+    _copy_values(source, target, {"rna_type", *_FORMAT})
 
 
 def _beside(path: str) -> str:
-    """The volumes' own files lie beside the first scene's."""
+    """The path of the volumes' files, beside the first scene's."""
     start = max(path.rfind("/"), path.rfind("\\")) + 1
     return f"{path[:start]}volumes_{path[start:]}"
 
 
-def _follow_markers(scene, volumes) -> None:
-    """Markers bind cameras to frames."""
-    def told(markers):
+def _copy_markers(scene, volumes) -> None:
+    """Copy markers, which bind cameras to frames."""
+    def described(markers):
         return [(marker.name, marker.frame, marker.camera) for marker in markers]
 
-    if told(scene.timeline_markers) != told(volumes.timeline_markers):
+    if described(scene.timeline_markers) != described(volumes.timeline_markers):
         volumes.timeline_markers.clear()
-        for name, frame, camera in told(scene.timeline_markers):
+        for name, frame, camera in described(scene.timeline_markers):
             volumes.timeline_markers.new(name, frame=frame).camera = camera
 
 
-def _follow_links(source, target) -> None:
-    """Link what is in one collection's objects or children to another's, and nothing else."""
+def _copy_links(source, target) -> None:
+    """Make a collection's objects or children those of another."""
     wanted, there = set(source), set(target)
     for other in there - wanted:
         target.unlink(other)
@@ -198,7 +198,7 @@ def _follow_links(source, target) -> None:
         target.link(missing)
 
 
-def _follow_layer(target, sources) -> None:
+def _copy_layer(target, sources) -> None:
     """Show what any of the rendered view layers shows."""
     children = {}
     for source in sources:
@@ -206,39 +206,39 @@ def _follow_layer(target, sources) -> None:
             children.setdefault(child.collection, []).append(child)
     for child in target.children:
         found = children.get(child.collection, ())
-        for name in _OF_LAYER_COLLECTION:
+        for name in _LAYER_COLLECTION_PROPERTIES:
             if found:
                 _set(child, name, all(getattr(one, name) for one in found))
-        _follow_layer(child, found)
+        _copy_layer(child, found)
 
 
 def _in_main_thread() -> bool:
     return threading.current_thread() is threading.main_thread()
 
 
-def _follow_all() -> None:
+def _synchronize_all() -> None:
     for scene in bpy.data.scenes:
         if scene.library is None and scene.mrpnn_composite.active:
-            follow(scene)
+            synchronize(scene)
 
 
 @bpy.app.handlers.persistent
 def _after_change(*_):
-    # While Blender renders, its render thread reads both scenes.
+    # During a render, Blender's render thread reads both scenes.
     if _in_main_thread() and not bpy.app.is_job_running('RENDER'):
-        _follow_all()
+        _synchronize_all()
 
 
 @bpy.app.handlers.persistent
 def _before_render(scene, *_):
-    """Changes that no update of the scene has told of yet, as those of a script."""
+    """Apply changes without a depsgraph update, such as those of scripts."""
     if scene.mrpnn_composite.active:
-        follow(scene, structure=_in_main_thread())
+        synchronize(scene, structure=_in_main_thread())
 
 
 @bpy.app.handlers.persistent
 def _hide_volumes(scene, depsgraph=None):
-    """Make volumes invisible to the camera in a render of a composited scene, or where wanted to everything."""
+    """Hide volumes from the camera, or from all rays if wanted, in a render of a composited scene."""
     if depsgraph is None or depsgraph.mode != 'RENDER' or not scene.mrpnn_composite.active:
         return
     if volume_scene(scene) is None or scene.render.engine == ENGINE:

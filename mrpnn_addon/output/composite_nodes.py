@@ -1,24 +1,23 @@
 """The compositor nodes that lay the volumes' scene over a scene."""
 
-from typing import List
 
 import bpy
 
 FIVE = bpy.app.version >= (5, 0, 0)
 MATH = 'ShaderNodeMath' if FIVE else 'CompositorNodeMath'
-BEHIND, BEFORE = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
-# Of a compositor that shows the scene as it is; before 5.0 Blender makes one by itself.
+BACKGROUND, FOREGROUND = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
+# Nodes of a compositor that shows the scene unchanged; before 5.0 Blender creates one by default.
 BARE = {'NodeGroupOutput'} if FIVE else {
     'CompositorNodeComposite', 'CompositorNodeRLayers', 'CompositorNodeViewer', 'NodeReroute'}
-# A custom property that tells which of these nodes a node is.
+# Custom property with the role of each of these nodes.
 MARK = "mrpnn_composite"
-PLACES = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
+LOCATIONS = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
 TITLES = {"surfaces": "Surfaces by Cycles", "volumes": "Volumes by MRPNN", "over": "Volumes over Surfaces",
           "nearer": "Volume before surface"}
 
 
 def build_nodes(scene, volumes) -> bool:
-    """Put the volumes between what the compositor shows so far and its output, or mend what is there.
+    """Insert the volumes before the compositor's output, or repair the nodes.
 
     Returns whether the scene had no compositor before.
     """
@@ -31,11 +30,11 @@ def build_nodes(scene, volumes) -> bool:
     sockets = _sockets(over)
     if not _upstream(result, over):
         if result.is_linked:
-            tree.links.new(result.links[0].from_socket, sockets[BEHIND])
+            tree.links.new(result.links[0].from_socket, sockets[BACKGROUND])
         tree.links.new(over.outputs["Image"], result)
-    if not sockets[BEHIND].is_linked:
-        tree.links.new(_surfaces(tree, scene).outputs["Image"], sockets[BEHIND])
-    tree.links.new(layer.outputs["Image"], sockets[BEFORE])
+    if not sockets[BACKGROUND].is_linked:
+        tree.links.new(_surfaces(tree, scene).outputs["Image"], sockets[BACKGROUND])
+    tree.links.new(layer.outputs["Image"], sockets[FOREGROUND])
     _remove(tree, "nearer")
     if _panorama(scene):
         _compare_depths(tree, _surfaces(tree, scene), layer, sockets["Fac"])
@@ -43,13 +42,13 @@ def build_nodes(scene, volumes) -> bool:
 
 
 def remove_nodes(scene, made: bool) -> None:
-    """Take out what `build_nodes` put in. made: what it returned."""
+    """Remove the nodes of `build_nodes`. made: its result."""
     tree = _tree(scene)
     if tree is None:
         return
     over, surfaces = _found(tree, "over"), _found(tree, "surfaces")
     if over is not None:
-        behind = _sockets(over)[BEHIND]
+        behind = _sockets(over)[BACKGROUND]
         source = behind.links[0].from_socket if behind.is_linked else None
         for link in list(over.outputs["Image"].links):
             if source is not None and source.node != surfaces:
@@ -58,7 +57,7 @@ def remove_nodes(scene, made: bool) -> None:
         _remove(tree, role)
     if surfaces is not None and not any(socket.is_linked for socket in surfaces.outputs):
         tree.nodes.remove(surfaces)
-    # What has been added to it meanwhile stays.
+    # Keep a compositor with other nodes.
     if made and {node.bl_idname for node in tree.nodes} <= BARE:
         if FIVE:
             scene.compositing_node_group = None
@@ -67,8 +66,8 @@ def remove_nodes(scene, made: bool) -> None:
             scene.use_nodes = False
 
 
-def what_is_wrong(scene, volumes) -> List[str]:
-    """Why the compositor's output does not show the volumes as it should."""
+def compositor_problems(scene, volumes) -> list[str]:
+    """Reasons why the compositor's output does not show the volumes as it should."""
     tree = _tree(scene)
     if tree is None:
         return ["The compositor does not use nodes"]
@@ -76,24 +75,24 @@ def what_is_wrong(scene, volumes) -> List[str]:
     if layer is None or over is None or output is None or not _upstream(output.inputs[0], over):
         return ["The compositor's output does not show the volumes"]
     sockets, found = _sockets(over), []
-    if layer.mute or over.mute or not _upstream(sockets[BEFORE], layer):
+    if layer.mute or over.mute or not _upstream(sockets[FOREGROUND], layer):
         found.append("The compositor's output does not show the volumes")
-    if not sockets[BEHIND].is_linked:
+    if not sockets[BACKGROUND].is_linked:
         found.append("The compositor's output does not show the surfaces")
     if volumes is not None and layer.scene != volumes:
         found.append(f"The compositor shows the volumes of another scene than \"{volumes.name}\"")
     if (_found(tree, "nearer") is None) == _panorama(scene):
-        found.append("The camera is a panorama now" if _panorama(scene) else "The camera is no panorama any more")
+        found.append("The camera is a panorama now" if _panorama(scene) else "The camera is no longer a panorama")
     return found
 
 
 def _panorama(scene) -> bool:
-    """In panoramas volumes do not end at surfaces."""
+    """Whether the camera is a panorama, in which surfaces do not hide volumes."""
     return scene.camera is not None and scene.camera.type == 'CAMERA' and scene.camera.data.type == 'PANO'
 
 
 def _compare_depths(tree, surfaces, volumes, factor) -> None:
-    """Show volumes only where they lie before surfaces."""
+    """Show volumes only where they are in front of surfaces."""
     surfaces.scene.view_layers[surfaces.layer].use_pass_z = True
     nearer = _node(tree, "nearer", MATH)
     nearer.operation = 'LESS_THAN'
@@ -118,11 +117,11 @@ def _found(tree, role: str):
 
 
 def _node(tree, role: str, kind: str):
-    """The tree's node of this role, made if need be."""
+    """The tree's node of this role, created as needed."""
     node = _found(tree, role)
     if node is None:
         node = tree.nodes.new(kind)
-        node[MARK], node.label, node.location = role, TITLES[role], PLACES[role]
+        node[MARK], node.label, node.location = role, TITLES[role], LOCATIONS[role]
     return node
 
 
@@ -133,7 +132,7 @@ def _remove(tree, role: str) -> None:
 
 
 def _upstream(socket, sought) -> bool:
-    """Whether a node is among those that a socket shows."""
+    """Whether a node contributes to a socket."""
     ahead, seen = [socket], set()
     while ahead:
         for link in ahead.pop().links:
@@ -147,7 +146,7 @@ def _upstream(socket, sought) -> bool:
 
 
 def _tree(scene):
-    """The compositor's nodes, or None where it uses none."""
+    """The compositor's nodes; None where it uses none."""
     if FIVE:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
@@ -161,7 +160,7 @@ def _output(tree):
 
 
 def _compositor(scene):
-    """The scene's compositor tree, made if need be, and the socket that its result is linked to."""
+    """The scene's compositor tree, created as needed, and the input socket of its output."""
     if not FIVE:
         scene.use_nodes = True
         tree = scene.node_tree

@@ -1,18 +1,17 @@
 """Writes OpenEXR files: one part, float channels, ZIP-compressed scanlines.
 
-Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Written here with numpy and zlib: no EXR
-writer for Python is present in every Blender, and OpenEXR's own package cannot be shipped, since in a
-Blender program its C functions bind to those of Blender's other version of OpenEXR, which crashes.
+Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Implemented with NumPy and zlib: not every Blender has an
+EXR writer for Python, and OpenEXR's package cannot be shipped, because its C functions bind to those of Blender's
+different version of OpenEXR, which crashes.
 """
 
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
-from typing import Dict, Union
 
 import numpy as np
 
-from ..runtime.whole_file import whole_file
+from ..runtime.atomic_write import atomic_write
 
 MAGIC = 20000630
 VERSION = 2
@@ -20,18 +19,17 @@ LONG_NAMES = 0x400
 FLOAT_PIXELS = 2
 ZIP_COMPRESSION = 3
 LINES_PER_BLOCK = 16
-LONGEST_NAME = 255
+MAX_NAME_BYTES = 255
 
 
-def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, Union[str, int, float]],
+def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float],
               check=lambda: None) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 
-    attributes: go into the header as string, int and float attributes. check: called often; what it raises ends the
-    writing, and nothing is left of it.
+    attributes: written to the header as string, int and float attributes. check: called often; an exception that it
+    raises stops the writing and leaves no file.
 
-    The file appears under `path` only once it is complete. Raises OSError where it cannot be
-    written.
+    The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
     """
     names = sorted(channels)
     height, width = channels[names[0]].shape
@@ -39,20 +37,21 @@ def write_exr(path: str, channels: Dict[str, np.ndarray], attributes: Dict[str, 
 
     def block(y):
         check()
-        # Scanlines hold the channels one after another, in the order of their names: (lines, C, W).
-        return _block(np.stack([np.asarray(channels[name][y:y + LINES_PER_BLOCK], dtype="<f4") for name in names], axis=1))
+        # Scanlines store one channel after another, in the order of their names: (lines, C, W).
+        rows = [np.asarray(channels[name][y:y + LINES_PER_BLOCK], dtype="<f4") for name in names]
+        return _block(np.stack(rows, axis=1))
 
     with ThreadPoolExecutor() as pool:
         blocks = list(pool.map(block, range(0, height, LINES_PER_BLOCK)))
 
-    # After the header comes a table with the place of each block in the file.
+    # The header is followed by a table of the blocks' offsets in the file.
     place = len(header) + 8 * len(blocks)
     places = []
     for block in blocks:
         places.append(place)
         place += 8 + len(block)
 
-    with whole_file(path) as file:
+    with atomic_write(path) as file:
         file.write(header)
         file.write(struct.pack(f"<{len(places)}Q", *places))
         for index, block in enumerate(blocks):
@@ -65,18 +64,18 @@ def _block(rows: np.ndarray) -> bytes:
     """Up to 16 scanlines, compressed as OpenEXR's ZIP."""
     raw = rows.tobytes()
     data = np.frombuffer(raw, dtype=np.uint8)
-    # Bytes of even place, then of odd place; each as the difference to the one before, plus 128.
+    # Even bytes, then odd bytes, each as the difference from the previous one, plus 128.
     split = np.concatenate([data[0::2], data[1::2]])
     split[1:] = np.diff(split) + np.uint8(128)
     packed = zlib.compress(split.tobytes(), 4)
-    # A block that does not shrink is stored as it is.
+    # A block that does not shrink is stored uncompressed.
     return packed if len(packed) < len(raw) else raw
 
 
 def _header(names, width: int, height: int, attributes) -> bytes:
     longest = max(len(name.encode()) for name in [*names, *attributes])
-    if longest > LONGEST_NAME:
-        raise ValueError(f"EXR names hold at most {LONGEST_NAME} bytes, not {longest}")
+    if longest > MAX_NAME_BYTES:
+        raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
     entries = [
         ("channels", "chlist", b"".join(map(_channel, names)) + b"\0"),

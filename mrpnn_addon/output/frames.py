@@ -1,49 +1,49 @@
-"""Lists of frames, and the file of each."""
+"""Lists of frames, and the path of each frame's file."""
 
 import os
 import re
-from typing import List
 
 import bpy
 
 from ...inference.scene import SceneError
 
-# "12", "1-10" and Blender's own "1..10"; frames may be negative.
-# Blender's own largest frame.
-MOST_FRAMES = 1 << 20
-_SPAN = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
+# Blender's largest frame.
+MAX_FRAMES = 1 << 20
+# "12", "1-10" and Blender's "1..10"; frames may be negative.
+_RANGE = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
 
 
-def parse_frames(text: str) -> List[int]:
-    """Frames of e.g. "1-10,15,20..25", each once, in the order given.
+def parse_frames(text: str) -> list[int]:
+    """Frames of e.g. "1-10,15,20..25", without repetitions, in the order given.
 
     Raises SceneError for anything else.
     """
     frames = []
     for part in text.split(","):
-        match = _SPAN.fullmatch(part.strip())
+        match = _RANGE.fullmatch(part.strip())
         if match is None:
             raise SceneError(f"cannot read frames {text!r}; write them as 1-10,15")
         first = int(match[1])
         last = first if match[2] is None else int(match[2])
         if last < first:
             raise SceneError(f"frames {part.strip()} run backwards; write {last}-{first}")
-        if last - first >= MOST_FRAMES:
-            raise SceneError(f"{part.strip()} are more than {MOST_FRAMES} frames")
+        if last - first >= MAX_FRAMES:
+            raise SceneError(f"{part.strip()} has more than {MAX_FRAMES} frames")
         frames += range(first, last + 1)
     return list(dict.fromkeys(frames))
 
 
 def frame_path(pattern: str, frame: int, many: bool) -> str:
-    """The file of a frame, absolute: the last run of # becomes its number, as in Blender's output path.
+    """The absolute path of a frame's file: its number replaces the last run of #, as in Blender's output path.
 
-    many: whether there are several frames; a pattern without # then gets the number before its ending.
-    "//" at the start is the .blend file's folder.
+    many: whether there are several frames; a pattern without # then gets the number before its extension. A leading
+    "//" is the .blend file's folder.
 
-    Raises SceneError where that folder is not known yet.
+    Raises SceneError where that folder is unknown.
     """
     if pattern.startswith("//") and not bpy.data.filepath:
-        raise SceneError(f"{pattern} lies beside the .blend file, which is not saved yet; save it, or enter a full path")
+        raise SceneError(f"{pattern} is relative to the .blend file, which is not saved yet; save it, or enter a full "
+                         "path")
     path = os.path.abspath(bpy.path.abspath(pattern))
     folder, name = os.path.split(path)
     runs = list(re.finditer("#+", name))

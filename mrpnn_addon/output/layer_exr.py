@@ -1,20 +1,19 @@
 """A layer as a multi-layer OpenEXR file."""
 
-from typing import Dict, Union
 
 from ...inference.image.layer import Layer
 from .exr_file import write_exr
 from .layer_frame import finite_depth
 
 
-def write_layer(path: str, layer: Layer, view_layer: str, metadata: Dict[str, Union[str, int, float]],
+def write_layer(path: str, layer: Layer, view_layer: str, metadata: dict[str, str | int | float],
                 check=lambda: None) -> None:
     """Write Combined, Alpha, Depth, Single, Multiple, Emission and Uncertainty as layers of one file.
 
-    Channels carry Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each as
-    an output of an Image node. Colours are scene-linear and premultiplied. check: as of `write_exr`.
+    Channels have Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each layer as an output of an
+    Image node. Colours are scene-linear and premultiplied. check: as of `write_exr`.
 
-    Raises OSError where the file cannot be written; then there is none.
+    Raises OSError where the file cannot be written; no partial file is left.
     """
     channels = {"Combined.A": layer.alpha, "Alpha.A": layer.alpha, "Depth.Z": finite_depth(layer),
                 "Uncertainty.X": layer.uncertainty}

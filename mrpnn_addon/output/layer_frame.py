@@ -1,4 +1,4 @@
-"""A layer in the frame that Blender gives its images."""
+"""A layer in the frame of Blender's images."""
 
 from dataclasses import replace
 
@@ -7,12 +7,12 @@ import numpy as np
 from ...inference.image.layer import Layer
 from ...inference.scene import Camera
 
-# Where nothing scatters, Cycles writes this depth; infinity would break sums in a compositor.
+# Cycles' depth where nothing scatters; infinity would break sums in a compositor.
 NO_DEPTH = 1e10
 
 
 def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
-    """The layer at its region's size where `crop`, else in the full frame with nothing around it."""
+    """The layer at the size of its region if `crop`, else in the full frame."""
     if crop or camera.region is None:
         return layer
     width, height = camera.resolution
@@ -31,7 +31,7 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
 
 
 def finite_depth(layer: Layer) -> np.ndarray:
-    """float32 (H, W): the depth with NO_DEPTH instead of infinity."""
+    """float32 (H, W): depth, NO_DEPTH where it is infinite."""
     return np.where(np.isfinite(layer.depth), layer.depth, np.float32(NO_DEPTH))
 
 

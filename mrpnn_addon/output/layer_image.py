@@ -13,19 +13,19 @@ IMAGE_NAME = "MRPNN"
 
 
 def show_in_image(layer: Layer, name: str = IMAGE_NAME) -> bpy.types.Image:
-    """Put the layer into the float Image `name`, as `show_image`."""
+    """Show the layer in the float Image `name`, as `show_image`."""
     return show_image(rgba(layer), name)
 
 
 def show_image(values: np.ndarray, name: str) -> bpy.types.Image:
-    """Put float32 (H, W, 4), rows from the top, into the float Image `name`, made or resized as need be.
+    """Show float32 (H, W, 4), rows from the top, in the float Image `name`, which is made or resized as needed.
 
     The image is scene-linear RGBA with premultiplied alpha; Blender's rows start at the bottom.
     """
     height, width = values.shape[:2]
     image = bpy.data.images.get(name)
     if image is not None and not (image.source == 'GENERATED' and image.is_float):
-        # A packed or reloaded image of that name cannot be written to: put a new one in its place.
+        # A packed or reloaded image cannot be written to: replace it.
         image = _replaced(image, width, height)
     if image is None:
         image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True)
@@ -47,17 +47,16 @@ def _replaced(old, width, height):
 
 
 def save_view_transformed(image: bpy.types.Image, path: str, scene) -> None:
-    """Save a PNG of the image as the scene's view transform shows it, alpha included.
+    """Save the image as PNG with the scene's view transform, alpha included.
 
-    The file appears under `path` only once it is complete. Raises OSError where it cannot be
-    written.
+    The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
     """
     folder = os.path.dirname(os.path.abspath(path))
     if not os.path.isdir(folder):
         raise FileNotFoundError(f"folder not found: {folder}")
     settings = scene.render.image_settings
     wanted = {'file_format': 'PNG', 'color_mode': 'RGBA', 'color_depth': '8'}
-    # media_type, new in 5.0, decides which file formats are allowed.
+    # media_type, new in 5.0, restricts file formats.
     if hasattr(settings, 'media_type'):
         wanted = {'media_type': 'IMAGE', **wanted}
     before = {name: getattr(settings, name) for name in wanted}

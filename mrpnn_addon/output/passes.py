@@ -1,7 +1,7 @@
 """Render passes of a view layer, by Cycles' names."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable, List
 
 import bpy
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from ...inference.image.layer import Layer
 from .layer_frame import finite_depth
 
-# Cycles has spelt its passes out since 5.0.
+# Cycles abbreviates pass names before 5.0.
 DIRECT, INDIRECT, EMISSION = (
     ("Volume Direct", "Volume Indirect", "Emission") if bpy.app.version >= (5, 0, 0) else
     ("VolumeDir", "VolumeInd", "Emit"))
@@ -17,8 +17,8 @@ DIRECT, INDIRECT, EMISSION = (
 
 @dataclass
 class RenderPass:
-    """name, channels and kind: as RenderEngine.register_pass takes them.
-    pixels: of a Layer, float32 (H, W) or (H, W, 3).
+    """name, channels, kind: arguments of RenderEngine.register_pass. pixels: function from a Layer to float32 (H, W) or
+    (H, W, 3).
     """
 
     name: str
@@ -27,8 +27,8 @@ class RenderPass:
     pixels: Callable[[Layer], np.ndarray]
 
 
-def extra_passes(view_layer) -> List[RenderPass]:
-    """What a view layer asks for besides Combined."""
+def extra_passes(view_layer) -> list[RenderPass]:
+    """Passes that a view layer requests besides Combined."""
     switches = view_layer.mrpnn
     passes = [
         (view_layer.use_pass_z, RenderPass("Depth", "Z", 'VALUE', finite_depth)),

@@ -1,1 +1,1 @@
-"""Threads, processes and files: what every other room may need; nothing of the renderer."""
+"""Threads, processes and complete files, shared by the other rooms."""

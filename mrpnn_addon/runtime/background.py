@@ -1,4 +1,4 @@
-"""Work on a thread of its own, watched from Blender's main thread; no bpy."""
+"""Background threads that Blender's main thread polls; imports no bpy."""
 
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -7,15 +7,16 @@ from ...inference.scene import Cancelled
 
 
 class Worker:
-    """Runs `_work()`, of a subclass, on a thread from `_start` on.
+    """Runs a subclass's `_work()` on a thread of its own, from `_start` on.
 
-    fraction, message: how far it is. error: what ended it early, or None. stopped: whether it was asked to end.
+    fraction, message: progress. error: the exception that ended it early, or None. stopped: whether it was asked to
+    stop.
     """
 
     fraction, message, error = 0.0, "", None
 
     def _start(self, name: str, awaited: bool) -> None:
-        """name: of the thread. awaited: whether Blender, when it quits, waits for its end."""
+        """name: of the thread. awaited: whether Blender waits for the thread when it quits."""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=not awaited)
         self._thread.start()
@@ -23,7 +24,7 @@ class Worker:
     def _run(self):
         try:
             self._work()
-        except BaseException as error:  # Carried to the main thread, which knows how to show it.
+        except BaseException as error:  # The main thread shows it.
             self.error = error
 
     @property
@@ -39,18 +40,18 @@ class Worker:
         return isinstance(self.error, Cancelled)
 
     def stop(self) -> None:
-        """Ask it to end; it does within a second."""
+        """Ask the thread to stop, which takes at most a second."""
         self._stop.set()
 
     def wait(self, seconds=None) -> None:
-        """Until it is done, but no longer than that."""
+        """Block until the thread is done, or for at most so many seconds."""
         self._thread.join(seconds)
 
 
 def in_background(work) -> Future:
-    """The future of what `work()` gives, on a thread of its own."""
+    """Run `work()` on a thread of its own; returns the future of its result."""
     pool = ThreadPoolExecutor(1, "mrpnn work")
     found = pool.submit(work)
-    # The thread ends with its work.
+    # The thread ends when its work does.
     pool.shutdown(wait=False)
     return found

@@ -1,4 +1,4 @@
-"""Scripts in Blender processes of their own."""
+"""Scripts that run in separate Blender processes."""
 
 import sys
 from pathlib import Path
@@ -7,9 +7,9 @@ import bpy
 
 
 def blender_command(script: Path, arguments) -> list:
-    """A command that runs a script in a Blender of its own, as it comes from the factory."""
+    """The command that runs a script in a new Blender with factory settings."""
     if not bpy.app.binary_path:
-        # The bpy module has no program of its own.
+        # Running as the bpy module: there is no Blender program.
         return [sys.executable, str(script), *arguments]
     return [bpy.app.binary_path, "--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "1",
             "--python", str(script), "--", *arguments]

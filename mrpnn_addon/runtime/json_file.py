@@ -1,15 +1,15 @@
-"""JSON files, complete or not at all."""
+"""JSON files that are complete or absent."""
 
 import json
 
 from ...inference.scene import SceneError
-from .whole_file import whole_file
+from .atomic_write import atomic_write
 
 
 def write_json(path: str, content) -> None:
-    """Write `content` to `path`, which is replaced in one step. Raises SceneError where it cannot be written."""
+    """Write `content` to `path` atomically. Raises SceneError where the file cannot be written."""
     try:
-        with whole_file(path) as file:
+        with atomic_write(path) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
     except OSError as error:
         raise SceneError(str(error)) from None

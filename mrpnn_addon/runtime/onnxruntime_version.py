@@ -1,23 +1,22 @@
-"""Which onnxruntime this Blender would load, without loading it."""
+"""The onnxruntime that Blender would import, found without importing it."""
 
 import importlib.metadata
 import importlib.util
 import sys
 from pathlib import Path
-from typing import Optional
 
 from ...inference.network.provider import PROVIDERS
 from ...inference.scene import SceneError
 
-# The wheels in blender_manifest.toml, and the oldest release that runs the networks' ONNX opset 17.
+# The version of the wheels in blender_manifest.toml, and the oldest release that runs the networks' ONNX opset 17.
 SHIPPED = "1.24.4"
 OLDEST = (1, 12)
-# Packages that bring the module onnxruntime, with other providers.
+# Packages that contain the module onnxruntime, with different providers.
 PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
 
 
-def runtime_version() -> Optional[str]:
-    """Version of the onnxruntime that an import would find, None where there is none."""
+def runtime_version() -> str | None:
+    """Version of the onnxruntime that `import` would find; None without one."""
     folder = runtime_folder()
     for package in PACKAGES if folder else ():
         for found in importlib.metadata.distributions(name=package, path=[str(Path(folder).parent)]):
@@ -26,17 +25,17 @@ def runtime_version() -> Optional[str]:
 
 
 def runtime_folder() -> str:
-    """Folder that it would be imported from, empty where there is none."""
+    """Folder that onnxruntime would be imported from; "" without one."""
     spec = importlib.util.find_spec("onnxruntime")
     return str(Path(spec.origin).parent) if spec is not None and spec.origin else ""
 
 
 def check_runtime() -> list:
-    """Warnings about an onnxruntime that is not the shipped one.
+    """Warnings about an onnxruntime other than the shipped one.
 
     All extensions share one folder of packages, where the highest version wins.
 
-    Raises SceneError where it is missing or too old.
+    Raises SceneError where onnxruntime is missing or too old.
     """
     version, folder = runtime_version(), runtime_folder()
     if not folder:
@@ -52,7 +51,9 @@ def check_runtime() -> list:
 
 
 def missing_provider(provider: str) -> list:
-    """That the loaded onnxruntime lacks a provider of `inference.provider.PROVIDERS`; nothing while none is loaded."""
+    """A warning where the loaded onnxruntime lacks a provider of `inference.network.provider.PROVIDERS`; nothing before
+    it is loaded.
+    """
     loaded = sys.modules.get("onnxruntime")
     if loaded is None or PROVIDERS[provider] in loaded.get_available_providers():
         return []

@@ -1,1 +1,1 @@
-"""The evaluated scene as the descriptions that `inference.render` takes."""
+"""The evaluated scene as `inference.render` takes it."""

@@ -1,4 +1,4 @@
-"""Counts changes of the scene, so that what is computed for a panel is computed once a change."""
+"""Counts scene changes, so that panels recompute only after one."""
 
 import bpy
 
@@ -7,10 +7,11 @@ _changes = 0
 
 
 def scene_state(scene) -> tuple:
-    """What differs when a render of the scene may differ. Selecting something changes nothing here."""
+    """A value that differs where a render of the scene may differ. Selection does not change it."""
     render = scene.render
     return (
         _changes, scene.name, scene.frame_current, scene.camera and scene.camera.name, scene.mrpnn.settings(),
+        scene.world and scene.world.name_full, scene.mrpnn.world_directions,
         render.resolution_x, render.resolution_y, render.resolution_percentage, render.use_border,
         render.border_min_x, render.border_min_y, render.border_max_x, render.border_max_y,
     )
@@ -18,7 +19,7 @@ def scene_state(scene) -> tuple:
 
 @bpy.app.handlers.persistent
 def _changed(_scene=None, depsgraph=None):
-    # The scene itself also changes with every selection; `scene_state` looks at what matters of it.
+    # Scene data-blocks change with every selection; `scene_state` includes their relevant properties.
     if depsgraph is not None and all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
         return
     global _changes

@@ -1,15 +1,14 @@
-"""The evaluated scene as plain descriptions that `inference.render` takes."""
+"""The evaluated scene as plain descriptions for `inference.render`."""
 
 import functools
 from dataclasses import dataclass, field
-from typing import List, Set, Tuple
 
 from ...inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
-from ..objects.visibility import ignored_visibility, require_evaluated, shown_objects, why_unseen
+from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
 from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
@@ -21,59 +20,57 @@ NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add
 
 @dataclass
 class SceneDescription:
-    """volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: what the surfaces are made of.
-    crop: whether the image has the region's size, or the full frame's with nothing around it.
-    view_layer: its name.
-    frame: the scene's frame number.
-    environment: whether `suns` hold the World's light.
-    warnings: what is left out or approximated, naming each object.
-    left_out: names of the volumes and lights that are not in the description although the scene shows them.
-    unseen: which volumes, and why; empty: those of them that hold nothing in this frame. Where no other volume is
-    left, a scene with some of these is described without volumes.
-    refused: why objects, or the World, cannot be rendered and are left out: mistakes, naming each.
-    boxes: around the volumes, and how many colours differ in extinction: what a render's seconds are told by.
+    """What a render needs of a scene.
+
+    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces. crop: whether the
+    image has the region's size instead of the full frame's. view_layer: its name. frame: its number. environment:
+    whether `suns` include the World's light. warnings: what is left out or approximated, naming each object. left_out:
+    names of visible volumes and lights that are not in the description. unseen: which volumes are invisible, and why.
+    empty: those among them that are empty in this frame; a scene of only such volumes has a description without
+    volumes. refused: user errors of objects or the World, which are left out, naming each. boxes: around the volumes,
+    each with the number of colour channels that differ; for `workload`.
     """
 
-    volumes: List[Tuple[Volume, Medium]] = field(default_factory=list)
-    suns: List[Sun] = field(default_factory=list)
+    volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
+    suns: list[Sun] = field(default_factory=list)
     camera: Camera = None
-    opaque: List[OpaqueMesh] = field(default_factory=list)
+    opaque: list[OpaqueMesh] = field(default_factory=list)
     crop: bool = True
     view_layer: str = "ViewLayer"
     frame: int = 0
     environment: bool = False
-    warnings: List[str] = field(default_factory=list)
-    left_out: Set[str] = field(default_factory=set)
-    unseen: List[str] = field(default_factory=list)
-    empty: List[str] = field(default_factory=list)
-    refused: List[str] = field(default_factory=list)
-    boxes: List[Tuple[Box, int]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)
+    unseen: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    boxes: list[tuple[Box, int]] = field(default_factory=list)
 
     def workload(self, depth_samples: int) -> Workload:
-        """What a render has to do."""
+        """The work of a render."""
         boxes, channels = zip(*self.boxes)
         return estimate_workload(boxes, self.camera, len(self.suns), depth_samples, max(channels))
 
     @functools.cached_property
-    def surfaces(self) -> List[Surface]:
-        """Made when they are first asked for, which takes a while for large meshes: by the thread that renders."""
+    def surfaces(self) -> list[Surface]:
+        """Made on first use by the rendering thread, since large meshes take a while."""
         return [mesh.surface() for mesh in self.opaque]
 
 
 def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> SceneDescription:
     """Read everything that a render needs; bpy is not needed afterwards.
 
-    An object that cannot be rendered is left out with a warning that names it.
+    An object that cannot be rendered is left out, with a warning that names it.
 
-    reader: that has read volumes of this scene before, none of which has changed since. check: called before each object;
-    what it raises ends the reading.
+    reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
+    that it raises stops the reading.
 
-    Raises SceneError, saying what to add or change, where the scene cannot be rendered: where its camera cannot, or
-    where no volume or no light is left.
+    Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or where no volume or no light
+    is left.
     """
     require_evaluated(depsgraph)
     camera, warnings = read_camera(depsgraph)
-    description = _described(depsgraph, reader, check)
+    description = _describe(depsgraph, reader, check)
     description.camera, description.warnings = camera, warnings + description.warnings
     description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
     if not description.volumes and description.empty:
@@ -82,31 +79,31 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     if not description.volumes:
         raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
                          "closed mesh a material with a volume and no surface")
-    if not _lit(description):
+    if not _has_light(description):
         raise SceneError("; ".join([NO_LIGHT, *description.refused]))
     return description
 
 
 def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription:
-    """What the viewport of a SpaceView3D shows of the scene, without a camera; see `read_scene`.
+    """What a SpaceView3D's viewport shows of the scene, without a camera; see `read_scene`.
 
-    It may be nothing at all. Without light, volumes are black as they are in Cycles.
+    The description may be empty. Without light, volumes are black as in Cycles.
     """
-    description = _described(depsgraph, reader, space=space)
-    if description.volumes and not _lit(description):
+    description = _describe(depsgraph, reader, space=space)
+    if description.volumes and not _has_light(description):
         description.suns.append(Sun((0.0, 0.0, 1.0), 0.0, name="no light"))
         description.refused.append(NO_LIGHT)
         description.warnings.append(NO_LIGHT)
     return description
 
 
-def _described(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
+def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
     scene = depsgraph.scene
     description = SceneDescription(
         crop=scene.render.use_crop_to_border, view_layer=depsgraph.view_layer.name, frame=scene.frame_current,
         warnings=_view_layer_warnings(depsgraph.view_layer))
     reader = reader or VolumeReader()
-    for shown in shown_objects(depsgraph, space):
+    for shown in visible_objects(depsgraph, space):
         check()
         try:
             _add(description, shown, reader, depsgraph.view_layer)
@@ -131,26 +128,26 @@ def _refuse(description: SceneDescription, shown, problem: SceneError) -> None:
     description.warnings += _refused(description, problem)
 
 
-def _refused(description: SceneDescription, problem: SceneError) -> List[str]:
-    """Remember why something is left out; the warning, of instances only once."""
+def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
+    """Record why something is left out; returns the warning, once for all instances."""
     if str(problem) in description.refused:
         return []
     description.refused.append(str(problem))
     return [f"{problem} (left out)"]
 
 
-def _lit(description: SceneDescription) -> bool:
+def _has_light(description: SceneDescription) -> bool:
     return bool(description.suns) or any(volume.emission is not None for volume, _ in description.volumes)
 
 
 def require_volumes(description: SceneDescription) -> None:
-    """Raises SceneError where all volumes are left out, saying why."""
+    """Raises SceneError, with the reasons, where all volumes are left out."""
     if not description.volumes and description.unseen:
         raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
 
 
 def require_all(description: SceneDescription) -> None:
-    """Raises SceneError where an object that the scene shows cannot be rendered, saying why of each."""
+    """Raises SceneError, with the reasons, where visible objects cannot be rendered."""
     if description.refused:
         raise SceneError("; ".join(description.refused))
 
@@ -160,7 +157,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
     if shows_volume(shown.object):
         _add_volume(description, shown, reader, view_layer)
     elif kind == 'LIGHT' and shown.object.data.type == 'SUN':
-        # Cycles' ray visibility of a lamp: without it the sun lights surfaces only.
+        # Cycles' ray visibility of a lamp: otherwise the sun lights surfaces only.
         if not shown.object.visible_volume_scatter:
             description.warnings.append(f"sun \"{shown.name}\" is hidden from volume scattering and left out")
             return
@@ -178,7 +175,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
 
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
-    where, unseen = f"volume \"{shown.name}\"", why_unseen(shown, view_layer)
+    where, unseen = f"volume \"{shown.name}\"", hidden_from_camera(shown, view_layer)
     if not unseen:
         try:
             volume, medium, warnings = reader.read(shown)
@@ -195,12 +192,12 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
     description.warnings.append(f"{where} {unseen} and is left out")
 
 
-def _view_layer_warnings(view_layer) -> List[str]:
-    """What a view layer asks for and does not get."""
+def _view_layer_warnings(view_layer) -> list[str]:
+    """Warnings about settings of a view layer that have no effect."""
     where, found = f"view layer \"{view_layer.name}\"", []
     if view_layer.material_override is not None:
         found.append(f"{where} overrides materials; volumes keep their own")
-    # Later than Blender 4.2.
+    # Not in Blender 4.2.
     if getattr(view_layer, "world_override", None) is not None:
         found.append(f"{where} overrides the World; the scene's own is rendered")
     if not view_layer.use_volumes:

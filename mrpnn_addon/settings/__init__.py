@@ -1,1 +1,1 @@
-"""What a scene and a machine hold about rendering with MRPNN: property groups, preferences, models."""
+"""Settings of scenes, view layers and this machine."""

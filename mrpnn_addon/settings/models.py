@@ -1,20 +1,20 @@
-"""The networks as items of Blender's menus."""
+"""The available networks as items of Blender's menus."""
 
 import zlib
 
 from ...inference import available_models
 
-# Blender keeps no reference to the strings of a dynamic enum, so they live here.
+# Blender keeps no reference to the strings of a dynamic enum, so this list does.
 _items = []
 
 
 def model_number(name: str) -> int:
-    """What files hold for a network: it must not depend on which other networks there are."""
+    """The number that .blend files store for a network; it does not depend on which other networks exist."""
     return zlib.crc32(name.encode()) & 0x7FFFFFFF
 
 
 def model_items(_owner=None, _context=None):
-    """Enum items: the networks in inference/weights."""
+    """Enum items, one per network in inference/weights."""
     _items[:] = [
         (name, name.upper().replace("_", " "), "Network that predicts multiple scattering", "NONE", model_number(name))
         for name in available_models()

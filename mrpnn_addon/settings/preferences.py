@@ -1,4 +1,4 @@
-"""What holds for this machine, whatever scene is open: the extension's preferences."""
+"""The extension's preferences: settings of this machine, whatever scene is open."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,13 @@ from bpy.props import EnumProperty, IntProperty
 from ...inference import Settings
 from .models import model_items, model_number
 
-# The extension's own package, under which Blender keeps its preferences.
-# The extension's package, two above this one: bl_ext.<repository>.mrpnn.
+# The extension's package, two above this one: bl_ext.<repository>.mrpnn. Blender stores its preferences under that
+# name.
 EXTENSION = __package__.rsplit(".", 2)[0]
 DEFAULT_THREADS, DEFAULT_MEMORY = 0, 8
 
-# Names and descriptions of `inference.provider.PROVIDERS`. Numbers stand in files: new ones go to the end.
-_OTHER = "; needs an onnxruntime built for it, otherwise the network runs on the processor and a warning says so"
+# Names and descriptions of `inference.network.provider.PROVIDERS`. Files store the numbers: append new ones.
+_OTHER = "; needs an onnxruntime built for it. Without one the network runs on the processor, with a warning"
 _PROVIDER_ITEMS = [
     ('CPU', "Processor", "Always available", 0),
     ('CUDA', "CUDA", f"NVIDIA GPUs{_OTHER}", 1),
@@ -25,26 +25,28 @@ _PROVIDER_ITEMS = [
 
 
 class PreferenceProperties:
-    """Properties of the preferences; the panel that draws them is a subclass."""
+    """Properties of the preferences, without the panel that draws them."""
 
     threads: IntProperty(
         name="Threads", default=DEFAULT_THREADS, min=0, max=1024,
         description="Number of render threads, for scenes that set none; 0 uses one per core")
     memory_limit: IntProperty(
         name="Memory Limit (GiB)", default=DEFAULT_MEMORY, min=1, max=1024,
-        description="Memory that a render may use, in GiB, for scenes that set no limit; one that needs more is refused "
-        "before it starts")
+        description="Memory that a render may use, in GiB, for scenes that set no limit. A render that needs more "
+        "is refused before it starts")
     model: EnumProperty(
         name="Network", items=model_items, default=model_number(Settings.model),
-        description="Network that predicts multiple scattering, for scenes that choose none")
+        description="Network that predicts multiple scattering, for scenes that do not choose one")
     provider: EnumProperty(
         name="Provider", items=_PROVIDER_ITEMS, default='CPU',
-        description="Hardware that onnxruntime runs the network on")
+        description="Hardware on which onnxruntime runs the network")
 
 
 @dataclass
 class Machine:
-    """memory_limit: GiB. model: of a weights file. provider: of `inference.provider.PROVIDERS`."""
+    """The machine's settings. memory_limit: GiB. model: name of a weights file. provider: a key of
+    `inference.network.provider.PROVIDERS`.
+    """
 
     threads: int = DEFAULT_THREADS
     memory_limit: int = DEFAULT_MEMORY
@@ -53,13 +55,13 @@ class Machine:
 
 
 def machine() -> Machine:
-    """What the preferences say, or their defaults where there are none.
+    """The preferences, or their defaults where there are none.
 
-    Blender keeps no preferences of an extension that a script registered, or --addons enabled.
+    Blender stores no preferences for an extension that a script registered or that `--addons` enabled.
     """
     entry = bpy.context.preferences.addons.get(EXTENSION)
     if entry is None or entry.preferences is None:
         return Machine()
     found = entry.preferences
-    # A number that stands for no network, as a later version may have left, reads as "".
+    # A number of no available network, written by another version, reads as "".
     return Machine(found.threads, found.memory_limit, found.model or Settings.model, found.provider)

@@ -1,4 +1,4 @@
-"""What a scene remembers about rendering with MRPNN: `scene.mrpnn`."""
+"""Render settings of a scene: `scene.mrpnn`."""
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
@@ -8,26 +8,26 @@ from ...inference.scene.optimizations import ALL, OPTIMIZATIONS
 from .models import model_items
 from .preferences import machine
 
-# Of the properties, in files. 0: before the networks had numbers of their own.
+# Version of the properties in files. 0: networks are numbered by their position in the list.
 VERSION = 1
 
-# Blender 4.5 wants to be told that "//" may start a path; earlier versions do not know the word.
+# Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
 RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
 
 # Depth samples of each preset.
 PRESETS = {'PREVIEW': 1, 'DRAFT': 4, 'FINAL': 16}
 _PRESET_ITEMS = [
-    ('PREVIEW', "Preview", "1 depth sample: fastest, with final shape and single scattering"),
+    ('PREVIEW', "Preview", "1 depth sample: fastest; shape and single scattering are final"),
     ('DRAFT', "Draft", "4 depth samples: little sampling error"),
-    ('FINAL', "Final", "16 depth samples: no visible sampling error except in the densest clouds"),
+    ('FINAL', "Final", "16 depth samples: no visible sampling error but in the densest clouds"),
     ('CUSTOM', "Custom", "Another number of depth samples"),
 ]
 
-_LEAVE_OUT_ITEMS = [
-    (name, omission.title, omission.what, 'NONE', 1 << number)
-    for number, (name, omission) in enumerate(OPTIMIZATIONS.items())]
+_OPTIMIZATION_ITEMS = [
+    (name, optimization.title, optimization.what, 'NONE', 1 << number)
+    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())]
 
-# Of the scene's network: the preferences' one.
+# The scene's choice to follow the preferences.
 AS_PREFERRED = ('PREFERENCES', "From Preferences", "The network chosen in the preferences", 'NONE', 0)
 _model_items = []
 
@@ -63,30 +63,30 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image")
     leave_out: EnumProperty(
-        name="Optimizations", items=_LEAVE_OUT_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
-        description="Shortcuts that save time and keep the picture. Turn one off to see that it stays the same")
+        name="Optimizations", items=_OPTIMIZATION_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
+        description="Shortcuts that save time without changing the picture. Turn one off to check")
     threads: IntProperty(
         name="Threads", default=0, min=0, max=1024,
-        description="Number of render threads. 0 takes the number from the preferences")
+        description="Number of render threads. 0 uses the number in the preferences")
     memory_limit: IntProperty(
         name="Memory (GiB)", default=0, min=0, max=1024,
-        description="Memory that a render may use, in GiB; one that needs more is refused before it starts. "
-        "0 takes the limit from the preferences")
+        description="Memory that a render may use, in GiB. A render that needs more is refused before it starts. "
+        "0 uses the limit in the preferences")
     world_directions: IntProperty(
         name="World Directions", default=12, min=0, max=256,
-        description="Directions from which the World lights the volumes, half as many beside bright suns. Each takes as "
-                    "long as a sun. 0 leaves the World out")
+        description="Directions from which the World lights the volumes, halved where suns are bright. Each takes as "
+                    "long as a sun. 0 ignores the World")
     use_exr: BoolProperty(
         name="Write EXR", default=False, description="Write a multi-layer OpenEXR file after each "
-        "Render Volumes. F12 writes what the output properties say")
+        "Render Volumes. F12 follows the output properties")
     exr_path: StringProperty(
         name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
         description="Multi-layer OpenEXR file to write")
 
     def settings(self) -> Settings:
-        """As `inference.render` takes them."""
+        """The settings of `inference.render`."""
         preferred = machine()
-        # A number that stands for no network, as another version may have left, reads as "".
+        # A number of no available network, written by another version, reads as "".
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
             depth_samples=self.depth_samples, model=model, seed=self.seed, leave_out=self.leave_out,
@@ -95,18 +95,18 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
 
 
 def migrate(scene) -> None:
-    """Bring the properties of a scene from a file up to VERSION; those of a newer version stay as they are."""
+    """Bring a scene's properties up to VERSION; those of a newer version stay unchanged."""
     settings = scene.mrpnn
     if settings.version >= VERSION:
         return
-    # Networks were numbered by their place in the list, and there was one.
+    # Version 0 numbered networks by position, and there was one.
     if settings.is_property_set("model"):
         settings.model = Settings.model
     settings.version = VERSION
 
 
 def _own_scenes():
-    # What is linked from another file cannot be written to.
+    # Linked scenes are read-only.
     return [scene for scene in bpy.data.scenes if scene.library is None]
 
 

@@ -1,4 +1,4 @@
-"""Render passes that a view layer can ask for: `view_layer.mrpnn`."""
+"""Render passes of a view layer: `view_layer.mrpnn`."""
 
 import bpy
 from bpy.props import BoolProperty, PointerProperty
@@ -6,15 +6,15 @@ from bpy.props import BoolProperty, PointerProperty
 
 class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     use_pass_volume_direct: BoolProperty(
-        name="Volume Direct", description="Light scattered once; with Volume Indirect and Emission it is Combined")
+        name="Volume Direct", description="Single scattering. Combined is the sum of Volume Direct, Volume Indirect "
+        "and Emission")
     use_pass_volume_indirect: BoolProperty(
-        name="Volume Indirect", description="Light scattered more than once, which the network predicts, and "
-        "what volumes scatter of their own light")
+        name="Volume Indirect", description="Multiple scattering, predicted by the network, and scattered emission")
     use_pass_emission: BoolProperty(
-        name="Emission", description="Light that volumes emit, dimmed by what lies before it and not scattered")
+        name="Emission", description="Light that volumes emit, attenuated but not scattered on its way to the camera")
     use_pass_uncertainty: BoolProperty(
         name="Uncertainty", description="Standard error of Volume Indirect from the choice of depths along each ray; "
-        "more depth samples lower it. The network's own error is not in it")
+        "more depth samples lower it. It does not include the network's own error")
 
 
 def register():

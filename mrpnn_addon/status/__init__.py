@@ -1,1 +1,1 @@
-"""What panels say: forecasts, checks, and the last render and comparison of the open file."""
+"""What panels show: forecasts, checks, and the last render and comparison of the open file."""

@@ -1,4 +1,4 @@
-"""Forgets what was said of a file once another one is loaded."""
+"""Forgets checks, renders and comparisons of a file when another one is loaded."""
 
 import bpy
 
@@ -7,8 +7,8 @@ from . import last_comparison, last_render, scene_check
 
 @bpy.app.handlers.persistent
 def _loaded(_file):
-    for said in (last_render, last_comparison, scene_check):
-        said.forget()
+    for result in (last_render, last_comparison, scene_check):
+        result.forget()
 
 
 def register():

@@ -1,16 +1,16 @@
-"""What the panel says about the last comparison of this file."""
+"""The last comparison of the open file, for the panel."""
 
 _last = None
 
 
 def remember(comparison, page) -> None:
-    """Keep a Comparison and the path of its report."""
+    """Store a Comparison and the path of its report."""
     global _last
     _last = comparison, page
 
 
 def forget() -> None:
-    """Another file is loaded."""
+    """Called when another file is loaded."""
     global _last
     _last = None
 

@@ -1,19 +1,18 @@
-"""What the panel says about the last render of this file."""
+"""The last render of the open file, for the panel."""
 
 from dataclasses import dataclass, field
-from typing import List
 
-from .experience import learn_from
+from .calibration import calibrate_by
 
 
 @dataclass
 class LastRender:
-    """seconds of the last render, its warnings; error instead where it failed.
-    points: that the network predicted, in network_seconds. saved: seconds that omissions spared, roughly.
+    """seconds: of the render. warnings: its warnings. error: why it failed, or "". points: predictions of the network.
+    network_seconds: time they took. saved: seconds that optimizations saved, roughly.
     """
 
     seconds: float = 0.0
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     error: str = ""
     points: int = 0
     network_seconds: float = 0.0
@@ -24,21 +23,21 @@ _last = None
 
 
 def remember(last: LastRender) -> None:
-    """Keep it until the next render or another file."""
+    """Store a render until the next render or another file."""
     global _last
     _last = last
 
 
 def remember_finished(finished) -> None:
-    """Keep what a `render_job.Finished` tells."""
+    """Store the result of an `engine.render_job.Finished`."""
     report = finished.layer.report
     remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
                         network_seconds=report.seconds.get("network", 0.0), saved=sum(report.saved.values())))
-    learn_from(finished.asked, finished.layer)
+    calibrate_by(finished.workload, finished.layer)
 
 
 def forget() -> None:
-    """Another file is loaded."""
+    """Called when another file is loaded."""
     global _last
     _last = None
 

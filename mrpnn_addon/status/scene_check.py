@@ -1,7 +1,6 @@
-"""What a render of a scene would do, found by reading all of it: for the panel, before rendering."""
+"""The plan of a scene's render, found by reading the scene: for the panel, before rendering."""
 
 from dataclasses import dataclass, field
-from typing import Dict, List
 
 from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
@@ -12,18 +11,18 @@ from ..scene.reader import read_scene, require_volumes
 
 @dataclass
 class SceneCheck:
-    """error: what keeps the scene from rendering, or "". warnings: what is ignored or approximated,
-    naming each object. planned, left_out: the plan's sentences. memory: bytes. voxels: grid size by
-    volume. state: of the scene, as `scene_state` has it.
+    """error: why the scene cannot be rendered, or "". warnings: what is ignored or approximated, naming each object.
+    planned, left_out: sentences of the plan. memory: bytes. voxels: grid shape by volume. state: `scene_state` of the
+    scene.
     """
 
     state: tuple
     error: str = ""
-    warnings: List[str] = field(default_factory=list)
-    planned: List[str] = field(default_factory=list)
-    left_out: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    planned: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     memory: int = 0
-    voxels: Dict[str, tuple] = field(default_factory=dict)
+    voxels: dict[str, tuple] = field(default_factory=dict)
 
     def outdated(self, scene) -> bool:
         """Whether the scene has changed since, or is another one."""
@@ -34,7 +33,7 @@ _last = None
 
 
 def check_scene(depsgraph, reader=None) -> SceneCheck:
-    """Read the scene and plan its render; kept as `last_check`. reader: as of `read_scene`."""
+    """Read the scene and plan its render; stored as `last_check`. reader: as of `read_scene`."""
     global _last
     # The evaluated scene's name and camera are those of the original.
     state, settings = scene_state(depsgraph.scene), depsgraph.scene.mrpnn.settings()
@@ -43,15 +42,16 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
         scene = read_scene(depsgraph, reader)
         require_volumes(scene)
         plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
+        voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(state, warnings=[*scene.warnings, *warnings], planned=plan.planned, left_out=plan.left_out,
-                           memory=plan.memory, voxels={volume.name: volume.density.shape for volume, _ in scene.volumes})
+                           memory=plan.memory, voxels=voxels)
     except SceneError as error:
         _last = SceneCheck(state, str(error))
     return _last
 
 
 def forget() -> None:
-    """Another file is loaded."""
+    """Called when another file is loaded."""
     global _last
     _last = None
 

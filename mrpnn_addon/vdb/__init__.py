@@ -1,1 +1,1 @@
-"""Density grids of .vdb files, read in a process of their own."""
+"""Density grids of .vdb files, read by a separate process."""

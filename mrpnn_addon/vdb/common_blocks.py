@@ -1,6 +1,5 @@
-"""Grids of one file side by side, in the blocks in which any of them holds something."""
+"""Aligned grids of one file, in the blocks in which any of them is not 0."""
 
-from typing import Dict, Union
 
 import numpy as np
 
@@ -8,12 +7,15 @@ from ...inference.scene.sparse_grid import EDGE, SparseGrid, blocks_of
 
 
 class CommonBlocks:
-    """Of grids by name, SparseGrids and arrays; offsets: int (3,), where each lies in a box of `shape` (3,) voxels.
+    """Grids by name, SparseGrids and arrays, placed in a common box.
 
-    arrays: float32 (K, 8, 8, 8) by name. Raises ValueError where blocks of SparseGrids overlap in part.
+    offsets: int (3,) by name, position of each grid in the box. shape: (3,) voxels of the box. arrays: float32 (K, 8,
+    8, 8) by name.
+
+    Raises ValueError where blocks of SparseGrids overlap partially.
     """
 
-    def __init__(self, grids: Dict[str, Union[np.ndarray, SparseGrid]], offsets, shape):
+    def __init__(self, grids: dict[str, np.ndarray | SparseGrid], offsets, shape):
         starts = [offsets[name] - grid.first for name, grid in grids.items() if isinstance(grid, SparseGrid)]
         self.origin = -(-starts[0] % EDGE) if starts else np.zeros(3, int)
         if any(np.any((start - self.origin) % EDGE) for start in starts):
@@ -37,20 +39,23 @@ class CommonBlocks:
         self._frame = self._alone or SparseGrid.of_blocks(shape, -self.origin, count, numbers, None)
 
     def index(self, voxels: np.ndarray) -> np.ndarray:
-        """int (n, 3), where voxels int (n,) of the flattened arrays lie in the box."""
+        """int (n, 3), positions in the box of voxels int (n,) of the flattened arrays."""
         block, voxel = np.divmod(voxels, EDGE**3)
         return self.corners[block] + np.stack(np.unravel_index(voxel, (EDGE,) * 3), axis=1)
 
     def grid(self, values: np.ndarray) -> SparseGrid:
-        """Of an array (K, 8, 8, 8)."""
-        # What a grid holds in its own rows is not copied.
+        """The SparseGrid of values (K, 8, 8, 8)."""
+        # A single SparseGrid's own values need no copy.
         if self._alone is not None and values is next(iter(self.arrays.values())):
             return self._alone
         return self._frame.with_rows(values)
 
 
 def _blocks(grid, offset):
-    """Blocks of a box that hold something of a grid, int (n, 3), and float32 (n, 8, 8, 8); offset: of the grid in it."""
+    """Positions int (n, 3) and values float32 (n, 8, 8, 8) of the blocks in which a grid is not 0.
+
+    offset: int (3,), position of the grid in the box.
+    """
     if isinstance(grid, SparseGrid):
         places = np.argwhere(grid.table)
         order = np.argsort(grid.table[tuple(places.T)])

@@ -1,9 +1,8 @@
-"""One density grid of one .vdb file; no bpy, once imported."""
+"""One density grid of one .vdb file. Any thread may read it: bpy is only imported."""
 
 import os
 import weakref
 from dataclasses import dataclass, field
-from typing import List, Optional, Union
 
 import bpy
 import numpy as np
@@ -11,56 +10,55 @@ import numpy as np
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
-from .process import read_alone
+from .process import read_in_process
 from .worker import LEAF, SCALAR_GRIDS, read_grid
 
-# Of an array of all voxels, and of leaves that hold something: 2 GiB as float32.
+# Limit of voxels in an array, and in leaves that are not empty: 2 GiB as float32.
 MAX_VOXELS = 1 << 29
-# Of the box around all of them, 4096 x 2048 x 2048.
+# Limit of voxels in the bounding box, 4096 x 2048 x 2048.
 MAX_SPAN = 1 << 34
-# Smaller boxes, and those of which a larger share of leaves holds something, become an array: that is faster.
+# Smaller boxes, and those with a larger share of leaves that are not empty, become arrays, which are faster.
 DENSE_SPAN, DENSE_SHARE = 1 << 24, 0.5
-# Bytes of a file that is read here rather than by another process, once that process has read it.
+# Files up to so many bytes are read in this process once another process has read them without crashing.
 SMALL = 1 << 20
-# What OpenVDB's exceptions become in Python.
+# Python's types of OpenVDB's exceptions.
 READ_ERRORS = (OSError, LookupError, RuntimeError, ValueError, TypeError)
-# Index coordinate at which Blender draws the centre of voxel 0, on each axis. OpenVDB puts it at 0. Blender before 5.0
-# draws voxel i over [i, i + 1], so its centre lies at 1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 gives 0.
+# Index coordinate, on each axis, at which Blender draws the centre of voxel 0. OpenVDB has 0. Blender before 5.0 draws
+# voxel i over [i, i + 1], so its centre is at 1/2: measured with Cycles 4.2 and 4.5; Cycles 5.0 has 0.
 VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
 
 class EmptyGrid(SceneError):
-    """A grid without a voxel above 0."""
+    """A grid without a positive voxel."""
 
 
 @dataclass
 class DensityGrid:
-    """density: float32 (nx, ny, nz), the active bounding box, finite and >= 0; not to be written to. Or a SparseGrid.
-    low: int (3,), the file's index of its first voxel.
-    object_from_index: float64 (4, 4), index of `density` to the object's own space.
-    warnings: what was changed in the data, naming the object.
+    """density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only. low: int
+    (3,), the file's index of its first voxel. object_from_index: float64 (4, 4), from index of `density` to object
+    space. warnings: changes made to the data, naming the object.
     """
 
-    density: Union[np.ndarray, SparseGrid]
+    density: np.ndarray | SparseGrid
     object_from_index: np.ndarray
     low: np.ndarray
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
-# What was read and is in use, by file, its time and size, and grid: (weak reference to the density, matrix, low, notes).
+# Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, notes.
 _in_use = {}
-# Files that another process has read to an end, and grids that hold nothing, by the same.
-_harmless, _empty = set(), set()
+# Files that another process has read without crashing, and grids without a positive voxel, by the same key.
+_verified, _empty = set(), set()
 
 
 def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
-    """Read grid `grid_name` of the file `path` for the object named `owner`; once while the result is in use.
+    """Read grid `grid_name` of the file `path` for the object `owner`; cached while the result is in use.
 
-    Negative and non-finite voxels become 0, as Cycles clamps them when shading; the warning says
-    how many there were. started: see `read_alone`. Any thread may call; other threads run meanwhile.
+    Negative and non-finite voxels become 0, as Cycles clamps them when shading; a warning gives their number. started:
+    see `read_in_process`. Any thread may call this; other threads run meanwhile.
 
-    Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, a grid
-    that holds no scalar fog, or one too large; EmptyGrid for one that holds nothing.
+    Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a scalar fog
+    volume, or one too large; EmptyGrid for one without a positive voxel.
     """
     where = f"Volume object \"{owner}\""
     known = density_grid_in_use(path, grid_name, owner)
@@ -71,10 +69,10 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
         raise _nothing(key, grid_name, where)
     facts, leaves = _read(path, grid_name, where, key, started)
     notes = _require_density(facts["grids"], path, grid_name, where)
-    # The background is only known once the tree is read.
+    # The background is known only once the tree is read.
     if facts["background"] != 0.0:
         raise SceneError(
-            f"{where}: grid \"{grid_name}\" has background {facts['background']:g}, fog without end "
+            f"{where}: grid \"{grid_name}\" has background {facts['background']:g}, endless fog "
             "outside its voxels; save it with background 0"
         )
     _require_box(facts["shape"], grid_name, where)
@@ -92,12 +90,12 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
         _in_use.pop(old, None)
     low = np.array(facts["low"])
     _in_use[key] = weakref.ref(density), matrix, low, notes
-    _harmless.add(key)
+    _verified.add(key)
     return DensityGrid(density, matrix.copy(), low, [f"{where}: {note}" for note in notes])
 
 
-def density_grid_in_use(path: str, grid_name: str, owner: str) -> Optional[DensityGrid]:
-    """As `read_density_grid` where the grid is read already and in use, else None."""
+def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | None:
+    """As `read_density_grid` where the grid is in use, else None."""
     density, matrix, low, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, ()))
     values = density()
     if values is None:
@@ -111,7 +109,7 @@ def _nothing(key, grid_name, where) -> EmptyGrid:
 
 
 def _key(path: str, grid_name: str):
-    """Differs when a file has changed."""
+    """Differs when the file has changed."""
     try:
         facts = os.stat(path)
     except OSError:
@@ -120,7 +118,7 @@ def _key(path: str, grid_name: str):
 
 
 def unreadable(path: str, reason: str) -> str:
-    """Why a volume file cannot be read, for a message."""
+    """The reason why a volume file cannot be read, for a message."""
     if not os.path.isfile(path):
         return f"file not found: {path}"
     with open(path, "rb") as file:
@@ -129,8 +127,8 @@ def unreadable(path: str, reason: str) -> str:
     return f"cannot read {path} as OpenVDB ({reason})"
 
 
-def _require_density(grids, path, grid_name, where) -> List[str]:
-    """Raise SceneError unless a file promises a grid of density; notes. grids: as `read_grid` tells them."""
+def _require_density(grids, path, grid_name, where) -> list[str]:
+    """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
     if not found:
         names = ", ".join(f"\"{name}\"" for name, *_ in grids) or "none"
@@ -140,7 +138,7 @@ def _require_density(grids, path, grid_name, where) -> List[str]:
         )
     kind, use = found[0]
     if kind not in SCALAR_GRIDS:
-        raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a grid of float density")
+        raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a float density")
     if use == "level set":
         raise SceneError(
             f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
@@ -151,14 +149,15 @@ def _require_density(grids, path, grid_name, where) -> List[str]:
 
 
 def _read(path, grid_name, where, key, started):
-    """(facts, leaves) as `read_grid` and `_collect` have them: by another process, or here where that is not to be had
-    or a small file harmless."""
+    """(facts, leaves) of `read_grid` and `_collect`: from another process, or from this one where no process can be
+    started or the file is small and verified.
+    """
     def collect(pieces):
         return _collect(pieces, grid_name, where)
 
     found = None
-    if key not in _harmless or key[2] > SMALL:
-        found = read_alone(path, grid_name, MAX_SPAN, where, collect, started)
+    if key not in _verified or key[2] > SMALL:
+        found = read_in_process(path, grid_name, MAX_SPAN, where, collect, started)
     if found is None:
         try:
             facts, pieces = read_grid(load_openvdb(), path, grid_name, MAX_SPAN)
@@ -173,9 +172,9 @@ def _read(path, grid_name, where, key, started):
 
 
 def _collect(pieces, grid_name, where):
-    """(numbers, values) of all pieces; a row of values more, the first, which is 0.
+    """(numbers, values) of all pieces; `values` has an extra first row of zeros.
 
-    Raises SceneError where they are too many.
+    Raises SceneError where there are too many.
     """
     parts, count = [], 0
     for part in pieces:
@@ -186,7 +185,7 @@ def _collect(pieces, grid_name, where):
                              "rendered; crop or resample it")
     numbers = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in parts)])
     values = np.zeros((1 + count, LEAF, LEAF, LEAF), np.float32)
-    # Each piece is dropped once it is copied, so that memory holds them once.
+    # Pieces are freed once they are copied, so that memory holds the values once.
     while parts:
         part = parts.pop()[1]
         values[1 + count - len(part):1 + count] = part
@@ -195,7 +194,7 @@ def _collect(pieces, grid_name, where):
 
 
 def _arranged(facts, numbers, values):
-    """The grid as a SparseGrid or, where that is better, an array."""
+    """The grid as a SparseGrid or, where that is faster, an array."""
     first = np.subtract(facts["low"], facts["first"])
     sparse = SparseGrid.of_blocks(facts["shape"], first, facts["count"], numbers, values)
     span = np.prod(np.array(facts["shape"], float))
@@ -208,8 +207,8 @@ def _arranged(facts, numbers, values):
 
 
 def _require_box(shape, grid_name, where) -> None:
-    """Measured on the tree and never on metadata."""
-    # OpenVDB gives an inverted box for a grid without active voxels.
+    """Raise SceneError for a box that is too large; measured on the tree, not on metadata."""
+    # OpenVDB's box is inverted where there are no active voxels.
     if min(shape) < 1:
         return
     count = shape[0] * shape[1] * shape[2]
@@ -220,12 +219,12 @@ def _require_box(shape, grid_name, where) -> None:
         )
 
 
-def _clean(values, grid_name) -> List[str]:
-    """Make negative and non-finite voxels 0, and say so."""
-    # NaN goes through both. The values are those of `_collect`.
+def _clean(values, grid_name) -> list[str]:
+    """Set negative and non-finite voxels to 0; notes their number."""
+    # NaN fails both comparisons.
     if values.min() >= 0.0 and values.max() < np.inf:
         return []
     invalid, negative = ~np.isfinite(values), values < 0.0
     values[invalid | negative] = 0.0
     return [f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
-            f"of grid \"{grid_name}\" were taken as 0"]
+            f"of grid \"{grid_name}\" were set to 0"]

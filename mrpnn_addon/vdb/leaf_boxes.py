@@ -1,8 +1,8 @@
 """The boxes around voxels in which Cycles evaluates the shader of a Volume object.
 
-A shader that emits light where every grid is 0 fills them, which shows. Measured with Cycles 4.5: they are the leaves
-of 8 x 8 x 8 voxels that hold a voxel above 0.001, or lie beside one across a face. Cycles 5.0 has one box around
-all such voxels, from one voxel's size below the lowest's centre to two above the highest's.
+A shader that emits where every grid is 0 fills them visibly. Measured in Cycles 4.5: they are the leaves of 8 x 8 x 8
+voxels that contain a voxel above 0.001 or its neighbour across a face. Cycles 5.0 has one box around all such voxels,
+from one voxel below the lowest centre to two above the highest.
 """
 
 import bpy
@@ -14,9 +14,9 @@ CLIPPING = 1e-3
 
 
 def leaves_around(grids: dict, low):
-    """(grids, low): aligned grids by name with zeros around them up to the bounds of Cycles' leaves.
+    """(grids, low): aligned grids by name, padded with zeros to the bounds of Cycles' leaves.
 
-    low: int (3,), index of their first voxel in the file.
+    low: int (3,), the file's index of their first voxel.
     """
     shape = np.array(next(iter(grids.values())).shape)
     low, beside = np.asarray(low), 2 if FIVE else 1
@@ -27,7 +27,7 @@ def leaves_around(grids: dict, low):
 
 
 def boxes(grids: dict) -> np.ndarray:
-    """float32 (nx, ny, nz): 1 where Cycles fills its boxes, of grids from `leaves_around`."""
+    """float32 (nx, ny, nz): 1 inside Cycles' boxes, for grids from `leaves_around`."""
     filled = np.any([values > CLIPPING for values in grids.values()], axis=0)
     if FIVE:
         return _one_box(filled)
@@ -45,7 +45,7 @@ def _one_box(filled) -> np.ndarray:
         found = np.flatnonzero(filled.any(axis=tuple(a for a in range(3) if a != axis)))
         along = np.zeros(filled.shape[axis], np.float32)
         if len(found):
-            # Voxels that the box ends in the middle of count half.
+            # A box ends at the centres of its outer voxels, which count half.
             along[found[0] - 1:found[-1] + 3] = 0.5
             along[found[0]:found[-1] + 2] = 1.0
         share = share[..., None] * along

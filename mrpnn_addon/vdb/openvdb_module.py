@@ -1,4 +1,4 @@
-"""The OpenVDB Python module that ships inside Blender."""
+"""Loads the OpenVDB Python module that ships with Blender."""
 
 import importlib
 import importlib.util
@@ -10,17 +10,17 @@ import bpy
 
 from ...inference.scene import SceneError
 
-# Blender before 4.4 calls it pyopenvdb.
+# The module's name, and its name before Blender 4.4.
 MODULE_NAMES = ("openvdb", "pyopenvdb")
 
 
 def load_openvdb():
-    """The module object, imported once.
+    """The module, imported once.
 
-    The Blender program has the module on its search path. The bpy wheels carry it in a folder
-    that is not, so there it is loaded by its file; sys.path stays as it is.
+    In a Blender program it is on the search path. The bpy wheels ship it in a folder that is not, so it is then loaded
+    from its file; sys.path is not changed.
 
-    Raises SceneError where this build of Blender carries no OpenVDB module.
+    Raises SceneError where this build of Blender has no OpenVDB module.
     """
     for name in MODULE_NAMES:
         try:
@@ -42,11 +42,11 @@ def load_openvdb():
 
 
 def bundled_folders() -> list:
-    """Folders that hold the module in Blenders whose search path lacks it."""
+    """Folders of the module where Blender's search path lacks it."""
     library = Path(bpy.utils.system_resource('PYTHON') or "") / "lib"
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     return [str(library / version / "site-packages"), str(library / "site-packages")]
 
 
-# Asked of Blender once, since threads read grids.
+# Looked up once on the main thread, since other threads read grids.
 FOLDERS = bundled_folders()

@@ -1,5 +1,7 @@
-"""Grids of .vdb files, read by another process: damaged files can crash OpenVDB, or keep it busy for ever, and while it
-reads no other thread of Python runs."""
+"""Grids of .vdb files, read by another process.
+
+Damaged files can crash OpenVDB or keep it busy forever, and no other Python thread runs while it reads.
+"""
 
 import json
 import os
@@ -16,38 +18,40 @@ from .openvdb_module import FOLDERS
 from .worker import LEAF, NO_MEMORY
 
 PROGRAM = Path(__file__).with_name("worker.py")
-# Asked of Blender once, since threads read grids. One without an interpreter beside it would start another Blender.
+# Looked up once on the main thread, since other threads read grids. An interpreter that is Blender itself would start
+# another Blender.
 INTERPRETER = "" if sys.executable == bpy.app.binary_path else sys.executable
-# Processor seconds that a file may take, and how much more for each of its bytes; and of memory.
-SECONDS, SECONDS_A_BYTE = 20, 2e-7
+# Limits of processor seconds, plus seconds per byte of the file, and of memory.
+SECONDS, SECONDS_PER_BYTE = 20, 2e-7
 MEMORY = 16 << 30
-# Of waiting, on a busy machine.
-PATIENCE = 10
-# Statuses of Windows from here on are crashes.
+# Wall-clock limit as a multiple of processor seconds, for busy machines.
+WALL_CLOCK_FACTOR = 10
+# On Windows, exit statuses from here on are crashes.
 WINDOWS_CRASH = 0xC0000000
 
 
-def read_alone(path: str, grid_name: str, most_voxels: int, where: str, collect, started=lambda process: None):
-    """(facts, collect(pieces)) with `worker.read_grid`'s, facts {"error": reason} for what OpenVDB refuses.
+def read_in_process(path: str, grid_name: str, most_voxels: int, where: str, collect, started=lambda process: None):
+    """(facts, collect(pieces)) as `worker.read_grid` returns them; facts {"error": reason} where OpenVDB refuses the
+    file.
 
-    None where Python cannot be started, or has no OpenVDB module outside Blender. started: called with the process,
-    which may be killed; then this raises. Any thread may call.
+    None where no Python process can be started, or it has no OpenVDB module. started: called with the process, which
+    may be killed; this then raises. Any thread may call this.
 
-    Raises SceneError, beginning with `where`, for a grid that Blender's own process had better not read, and what
+    Raises SceneError, prefixed with `where`, for a grid that Blender's own process should not read, and whatever
     `collect` raises.
     """
     if not INTERPRETER or not os.path.isfile(path):
         return None
-    seconds = int(SECONDS + SECONDS_A_BYTE * os.path.getsize(path))
+    seconds = int(SECONDS + SECONDS_PER_BYTE * os.path.getsize(path))
     command = [INTERPRETER, "-I", str(PROGRAM), path, grid_name, str(most_voxels), str(seconds), str(MEMORY), *FOLDERS]
     try:
         process = subprocess.Popen(command, bufsize=0, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                                    stderr=subprocess.DEVNULL, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0))
     except OSError:
-        return None  # There is no Python to be started.
+        return None  # Python cannot be started.
     with process:
         started(process)
-        impatient = threading.Timer(PATIENCE * seconds, process.kill)
+        impatient = threading.Timer(WALL_CLOCK_FACTOR * seconds, process.kill)
         impatient.start()
         try:
             found = _receive(process.stdout, collect)
@@ -64,11 +68,11 @@ def read_alone(path: str, grid_name: str, most_voxels: int, where: str, collect,
 
 
 class _Short(Exception):
-    """Output that ends too early."""
+    """Output that ends early."""
 
 
 def _receive(stream, collect):
-    """(facts, collected pieces) from a process' output, None where it ends too early."""
+    """(facts, collected pieces) from a process' output; None where it ends early."""
     line = stream.readline()
     if not line.endswith(b"\n"):
         return None
@@ -79,7 +83,7 @@ def _receive(stream, collect):
 
 
 def _pieces(stream):
-    """Yield what `worker.main` wrote. Raises _Short."""
+    """Yield what `worker.main` writes. Raises _Short."""
     while count := int(_fill(stream, np.empty(1, np.int64))[0]):
         yield _fill(stream, np.empty(count, np.int64)), _fill(stream, np.empty((count, LEAF, LEAF, LEAF), np.float32))
 
@@ -95,7 +99,7 @@ def _fill(stream, array):
 
 
 def _died(status) -> bool:
-    """Whether the file ended the process; a Python that cannot start ends with a small status of its own."""
+    """Whether the file ended the process; a Python that cannot start ends with a small status."""
     return status == NO_MEMORY or status < 0 or status >= WINDOWS_CRASH
 
 

@@ -1,10 +1,10 @@
-"""Reads one grid of a .vdb file: as a module, or as a program of its own without Blender, for `process`.
+"""Reads one grid of a .vdb file: imported as a module, or run by `process` as a program without Blender.
 
     python -I worker.py FILE.vdb GRID MOST_VOXELS CPU_SECONDS BYTES [FOLDER ...]
 
-FOLDER: where to look for the OpenVDB module. Writes a line of JSON, what `read_grid` tells or {"error": OpenVDB's words},
-and then pieces: how many blocks, int64, their numbers and their voxels; the last has none. Exit status NO_MODULE where
-there is no module; NO_MEMORY where reading takes more than BYTES. A crash, or no end, speaks for itself.
+FOLDER: search path of the OpenVDB module. Writes a line of JSON, the facts of `read_grid` or {"error": OpenVDB's
+message}, and then its pieces: number of blocks, int64, their numbers and their voxels; the last piece has no blocks.
+Exit status NO_MODULE without an OpenVDB module, NO_MEMORY where reading needs more than BYTES.
 """
 
 import json
@@ -12,22 +12,21 @@ import sys
 
 NO_MODULE, NO_MEMORY = 77, 78
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
-# Voxels an edge of a leaf of OpenVDB's trees, and of the nodes that hold leaves; the depth of what lies in such a node.
+# Voxels per edge of leaves of OpenVDB's trees and of the nodes above them, and the tree depth of their contents.
 LEAF, NODE, NODE_DEPTH = 8, 128, 2
 
 
 def read_grid(openvdb, path: str, name: str, most_voxels: int):
     """(facts, pieces) of a grid.
 
-    facts: "grids": [name, type, class] of each in the file. Where the first one of that name is fog besides,
-    "background"; "low", "shape": lower index and size of the box of active voxels, inverted where there are
-    none; "first", "count": lower index of the leaves around it, and how many they are; "matrix": 4 lists of 4, index to
-    object space, None for a frustum.
-    pieces: yields numbers, int64 (n,), places in the flattened box of leaves, and values, float32 (n, 8, 8, 8), of all
-    that are not 0 within the box of voxels; nothing where that is inverted or holds more than `most_voxels`, or the
-    background is not 0.
+    facts: "grids": [name, type, class] of each grid in the file. If the first grid of that name is a fog volume, also
+    "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
+    "first", "count": lower index and number of the leaves around it; "matrix": 4 lists of 4, index to object space,
+    None for a frustum. pieces: yields numbers, int64 (n,), positions in the flattened box of leaves, and values,
+    float32 (n, 8, 8, 8), of all leaves that are not 0; none where the box is inverted or has more than `most_voxels`,
+    or the background is not 0.
 
-    Raises what OpenVDB raises.
+    Raises OpenVDB's exceptions.
     """
     # Never readAll: it can end the whole process on unusual files.
     headers = [(grid.name, type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
@@ -45,15 +44,15 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
 
 
 def _pieces(grid, low, high, first, count):
-    """As `read_grid` has them, of one node after the other."""
+    """The pieces of `read_grid`, one per node."""
     import numpy
     accessor = grid.getConstAccessor()
     spans = [range(a // NODE * NODE, b + 1, NODE) for a, b in zip(low, high)]
     for corner in ((x, y, z) for x in spans[0] for y in spans[1] for z in spans[2]):
-        # Where there is no node all has one value.
+        # Without a node, all its voxels have one value.
         if accessor.getValueDepth(corner) < NODE_DEPTH and accessor.getValue(corner) == 0.0:
             continue
-        # Of voxels in the box, and of leaves around them.
+        # Ends of the voxels in the box, and of the leaves around them.
         start, end = [max(c, a) for c, a in zip(corner, low)], [min(c + NODE - 1, b) + 1 for c, b in zip(corner, high)]
         outer, last = [a // LEAF * LEAF for a in start], [-(-b // LEAF) * LEAF for b in end]
         inside = numpy.empty([b - a for a, b in zip(start, end)], numpy.float32)
@@ -68,7 +67,7 @@ def _pieces(grid, low, high, first, count):
 
 
 def is_fog(header) -> bool:
-    """Whether a grid, as "grids" tells it, can be a density."""
+    """Whether a grid, an item of "grids", can be a density."""
     return header is not None and header[1] in SCALAR_GRIDS and header[2] != "level set"
 
 
@@ -81,7 +80,7 @@ def _matrix(transform):
 
 
 def limit(seconds: int, size: int) -> None:
-    """Let the system end this process rather than all others wait for it."""
+    """Limit processor seconds and memory, so that the system ends this process and no other."""
     try:
         import resource
     except ImportError:  # Windows
@@ -90,7 +89,7 @@ def limit(seconds: int, size: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform.startswith("linux"):
         resource.setrlimit(resource.RLIMIT_AS, (size, size))
-        # Where the machine's memory ends before, this process is the one to go.
+        # If the machine runs out of memory first, the system ends this process.
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("1000")
 
@@ -98,7 +97,7 @@ def limit(seconds: int, size: int) -> None:
 def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
     sys.path += folders
     try:
-        import numpy  # noqa: F401, before its memory is limited
+        import numpy  # noqa: F401, imported before memory is limited
         try:
             import openvdb
         except ImportError:

@@ -1,1 +1,1 @@
-"""Volume objects, closed meshes and fluid domains as grids of density."""
+"""Volume objects, closed meshes and fluid domains as density grids."""

@@ -1,26 +1,25 @@
-"""What Blender tells of a visible volume without reading it: its box, its voxels, and about how dense it is."""
+"""A volume's bounding box, voxel size and approximate density, known without reading the volume."""
 
 import weakref
 from dataclasses import dataclass
-from typing import Dict, Tuple
 
 import numpy as np
 
 from ...inference.plan.resolution import refinement
 from ...inference.scene import Medium, SceneError, Volume
 from ..nodes.material import VolumeMaterial, first_material
-from ..objects.visibility import Shown
+from ..objects.visibility import VisibleObject
 from ..objects.workload import Box
 from .fluid_domain import gas_domain
 from .mesh_fill import CELLS
 from .reader import density_scale
 from .voxel_points import Probe
 
-# Of a grid that has not been read, where none has been: clouds have 1, simulated smoke more.
+# Peak of a grid while none has been read: clouds have 1, simulated smoke more.
 USUAL_PEAK = 2.0
 
 
-class _Ones(Probe):
+class _OnesProbe(Probe):
     """One point where every grid is 1."""
 
     def has(self, name):
@@ -31,9 +30,12 @@ class _Ones(Probe):
 
 
 @dataclass
-class _Told:
-    """extinction: largest of a volume that has been read, per world unit; unit: what `_extinctions` said of it then.
-    density: refers to the grid that it is of; peak: the grid's largest value; filled: share of its voxels above 0."""
+class _Density:
+    """What reading a volume revealed.
+
+    extinction: its largest, per world unit. unit: `_extinctions` at that time. density: reference to its grid. peak:
+    the grid's maximum. filled: share of positive voxels.
+    """
 
     extinction: float
     unit: float
@@ -42,61 +44,62 @@ class _Told:
     filled: float
 
 
-_told: Dict[str, _Told] = {}
+_densities: dict[str, _Density] = {}
 
 
-def box_around(shown: Shown) -> Tuple[Box, int]:
+def box_around(shown: VisibleObject) -> tuple[Box, int]:
     """The box of a visible volume, and how many of its colour channels differ in extinction."""
     corners = np.array(shown.object.bound_box, float)
     low, high = corners.min(axis=0), corners.max(axis=0)
     edges = np.maximum((high - low) * np.linalg.norm(shown.matrix[:3, :3], axis=0), 1e-9)
     voxel, longest = _voxel(shown, edges)
     cells = max(edges.max() / longest, 1.0)
-    # As the renderer refines small grids.
+    # The renderer refines small grids.
     times = refinement((int(np.ceil(cells)),))
     unit = _extinctions(shown)
     extinction = _extinction(shown.name, float(unit.max()))
     box = Box(shown.name, shown.matrix, low, high, voxel / times, extinction * longest / times, cells * times,
-              _told[shown.name].filled if shown.name in _told else None)
+              _densities[shown.name].filled if shown.name in _densities else None)
     return box, len(set(np.round(unit, 6).tolist()))
 
 
-def remember_density(shown: Shown, volume: Volume, medium: Medium) -> None:
-    """Keep how dense a volume is that has been read."""
-    known = _told.get(shown.name)
+def remember_density(shown: VisibleObject, volume: Volume, medium: Medium) -> None:
+    """Remember the density of a volume that has been read."""
+    known = _densities.get(shown.name)
     if known is not None and known.density() is volume.density:
         peak, filled = known.peak, known.filled
     else:
         peak, values = float(volume.density.max()), getattr(volume.density, "values", volume.density)
         filled = np.count_nonzero(values) / float(np.prod(volume.density.shape, dtype=float))
-    _told[shown.name] = _Told(peak * float(np.max(medium.sigma_t)), float(_extinctions(shown).max()),
+    _densities[shown.name] = _Density(peak * float(np.max(medium.sigma_t)), float(_extinctions(shown).max()),
                               weakref.ref(volume.density), peak, filled)
 
 
 def forget_densities() -> None:
-    """As before any volume was read."""
-    _told.clear()
+    """Forget all volumes."""
+    _densities.clear()
 
 
 def _extinction(name: str, unit: float) -> float:
-    """Largest extinction per world unit of a volume: that of the one that was read, by what has changed in its material
-    since; of another one as if its grid were like those that were read."""
-    if name in _told and _told[name].unit > 0.0:
-        return _told[name].extinction * unit / _told[name].unit
-    peaks = [told.extinction / told.unit for told in _told.values() if told.unit > 0.0]
+    """Largest extinction of a volume, per world unit: of the volume as read, scaled by the change of its material
+    since; otherwise as if its grid were like those read.
+    """
+    if name in _densities and _densities[name].unit > 0.0:
+        return _densities[name].extinction * unit / _densities[name].unit
+    peaks = [known.extinction / known.unit for known in _densities.values() if known.unit > 0.0]
     return unit * (float(np.mean(peaks)) if peaks else USUAL_PEAK)
 
 
-def _extinctions(shown: Shown) -> np.ndarray:
+def _extinctions(shown: VisibleObject) -> np.ndarray:
     """(3,) extinction per world unit where all grids are 1; 1 for materials that cannot be evaluated."""
     scale = 1.0
     if shown.object.type == 'VOLUME':
         scale = density_scale(shown.object.data.render.space, shown.matrix)
     meshed = shown.object.type != 'VOLUME' and not gas_domain(shown.object)
     try:
-        shading = VolumeMaterial(first_material(shown.object), shown.name).at(_Ones((), fills_its_bounds=meshed))
+        shading = VolumeMaterial(first_material(shown.object), shown.name).at(_OnesProbe((), fills_its_bounds=meshed))
     except SceneError:
-        # A render says what is wrong with it.
+        # Rendering reports the problem.
         return np.full(3, scale)
     found = np.zeros(3)
     for closure in shading.closures:
@@ -104,7 +107,7 @@ def _extinctions(shown: Shown) -> np.ndarray:
     return scale * found
 
 
-def _voxel(shown: Shown, edges: np.ndarray) -> Tuple[float, float]:
+def _voxel(shown: VisibleObject, edges: np.ndarray) -> tuple[float, float]:
     """Shortest and longest edge of a voxel, world units."""
     domain, data = gas_domain(shown.object), shown.object.data
     if shown.object.type == 'VOLUME' and data.grids.is_loaded and len(data.grids):

@@ -1,9 +1,8 @@
-"""Volumes read and shaded, and the World shown by Cycles, on a thread.
+"""Reads volumes, and has Cycles render the World, on a thread.
 
-`read_scene` then finds them on Blender's main thread.
+`read_scene` then finds them cached on Blender's main thread.
 """
 
-from typing import List
 
 from ...inference.scene import Cancelled
 from ..runtime.background import Worker
@@ -11,20 +10,20 @@ from .source import VolumeSource
 
 
 class VolumeLoading(Worker):
-    """Reads sources one after the other for a VolumeReader, which knows then what they hold or why they cannot be read.
+    """Reads sources one after the other into a VolumeReader.
 
-    message: what it is doing. number: of pictures, as of a Preview.
+    message: the current step. number: of pictures, as of a Preview.
     """
 
     number = 0
 
-    def __init__(self, reader, sources: List[VolumeSource]):
+    def __init__(self, reader, sources: list[VolumeSource]):
         self.reader, self.sources, self._process = reader, sources, None
         self.message = sources[0].message if sources else ""
         self._start("mrpnn reading", awaited=False)
 
     def stop(self) -> None:
-        """Ask it to end; it does at once."""
+        """Ask the thread to stop, which it does at once."""
         super().stop()
         if self._process is not None:
             self._process.kill()
@@ -33,7 +32,7 @@ class VolumeLoading(Worker):
         try:
             for number, source in enumerate(self.sources):
                 self.message = source.message
-                self.reader.learn(source, self._started, self._check)
+                self.reader.load(source, self._started, self._check)
                 self.fraction = (number + 1) / len(self.sources)
         finally:
             self._check()

@@ -8,13 +8,13 @@ from ...inference.scene import SceneError
 
 # Voxels along the longest side.
 CELLS = 128
-# Columns an axis in each voxel, along which the inside is exact.
+# Columns per voxel and axis, along which the inside is exact.
 COLUMNS = 2
-# Columns lie off the middle, so that none runs through the edges of regular meshes.
+# Columns avoid voxel centres, so that none meets the edges of regular meshes.
 OFFSET = 0.5137, 0.4931
 # Share of columns, or of the surface, that may be a gap.
-OPEN = 0.005
-PAIRS_AT_ONCE = 1 << 21
+MAX_GAP = 0.005
+PAIRS_PER_BATCH = 1 << 21
 
 
 @dataclass
@@ -26,12 +26,12 @@ class Inside:
 
 
 def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None) -> Inside:
-    """The inside of a mesh; voxels are about cubes in the world.
+    """The inside of a mesh, in voxels that are about cubic in the world.
 
-    corners: float64 (T, 3, 3), of its triangles in object space. matrix: float64 (4, 4), object to world. check: called
-    often; what it raises ends the work.
+    corners: float64 (T, 3, 3), its triangles in object space. matrix: float64 (4, 4), object to world. check: called
+    often; an exception that it raises stops the work.
 
-    Raises SceneError, beginning with `where`, for a mesh that is flat or not closed.
+    Raises SceneError, prefixed with `where`, for a mesh that is flat or not closed.
     """
     if not len(corners):
         raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume")
@@ -43,9 +43,9 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None
     size = (high - low) / cells
     corners = (corners - low) / size
     share, gaps = _share(corners, cells, check)
-    # The area vectors of a closed surface add up to nothing.
+    # The area vectors of a closed surface sum to 0.
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > OPEN:
+    if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > MAX_GAP:
         raise SceneError(f"{where}: the mesh is not closed, so it has no inside; close its holes")
     index = np.eye(4)
     index[:3, :3] = np.diag(size)
@@ -54,7 +54,7 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None
 
 
 def _share(corners: np.ndarray, cells, check) -> tuple:
-    """Share inside of each voxel, and the share of columns that enter more often than they leave.
+    """Inside share of each voxel, and the share of columns whose entries and exits do not balance.
 
     corners: (T, 3, 3) in voxels.
     """
@@ -68,13 +68,13 @@ def _share(corners: np.ndarray, cells, check) -> tuple:
         level = np.clip(np.floor(height).astype(int), 0, cells[2])
         into = height - level
         flat = voxel * steps.shape[1] + level
-        # Above a crossing everything is inside, its own voxel in part.
+        # Everything above a crossing is inside, and part of its voxel.
         steps += np.bincount(flat, sign * (1.0 - into), steps.size).reshape(steps.shape)
         steps += np.bincount(flat + 1, sign * into, steps.size).reshape(steps.shape)
         crossings += np.bincount(column, sign, len(crossings))
         met[column] = True
     inside = np.cumsum(steps, axis=1)[:, :-2] / COLUMNS**2
-    # Normals that point inwards enclose as well.
+    # Inward normals are accepted, too.
     inside = np.clip(inside if inside.sum() > 0.0 else -inside, 0.0, 1.0)
     gaps = np.count_nonzero(crossings[met]) / max(np.count_nonzero(met), 1)
     return inside.reshape(cells).astype(np.float32), gaps
@@ -89,7 +89,7 @@ def _crossings(corners: np.ndarray, cells):
     counts = spans.prod(axis=1)
     start = 0
     while start < len(corners):
-        end = max(np.searchsorted(np.cumsum(counts[start:]), PAIRS_AT_ONCE, side="right"), 1) + start
+        end = max(np.searchsorted(np.cumsum(counts[start:]), PAIRS_PER_BATCH, side="right"), 1) + start
         triangle = np.repeat(np.arange(start, end), counts[start:end])
         number = np.arange(len(triangle)) - np.repeat(np.cumsum(counts[start:end]) - counts[start:end],
                                                       counts[start:end])
@@ -109,5 +109,5 @@ def _meet(flat, heights, x, y, cells):
     area = edges.sum(axis=1)
     hit = (area != 0.0) & (np.all(edges >= 0.0, axis=1) | np.all(edges <= 0.0, axis=1))
     height = (edges[hit] * heights[hit]).sum(axis=1) / area[hit]
-    # A triangle that shows its back from above is entered on the way up.
+    # A triangle whose normal points down is entered from below.
     return x[hit] * cells[1] * COLUMNS + y[hit], height, -np.sign(area[hit])

@@ -1,80 +1,73 @@
-"""A volume shader evaluated at every voxel: one density grid with one extinction and albedo, and emission."""
+"""A volume shader evaluated at every voxel: one density grid with uniform extinction and albedo, and emission."""
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Tuple, Union
 
 import bpy
 import numpy as np
 
-from ...inference.scene import ANISOTROPY_MOST
+from ...inference.scene import MAX_ANISOTROPY
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
 from ..nodes.phase_functions import phase_function
-from .voxel_points import VoxelPoints
+from .voxel_points import VoxelDomain, VoxelPoints
 
-VOXELS_AT_ONCE = 1 << 17
-# Share of a coefficient's root mean square that may differ from one colour for all voxels.
-ONE_COLOUR = 0.01
-# Whether Cycles interpolates what voxels of a temperature shine, and not the temperature: 5.0.1 does, 4.5 does not.
-VOXELS_ARE_HOT = bpy.app.version >= (5, 0, 0)
+VOXELS_PER_BATCH = 1 << 17
+# Tolerated variation of colour between voxels, relative to a coefficient's root mean square.
+COLOUR_TOLERANCE = 0.01
+# Whether Cycles interpolates a blackbody's emission, as 5.0.1 does, rather than its temperature, as 4.5 does.
+INTERPOLATES_EMISSION = bpy.app.version >= (5, 0, 0)
 
 
 @dataclass
 class ShadedGrid:
     """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t, albedo: float64 (3,), extinction per unit density.
-    anisotropy: mean cosine. phase: as of `Medium`. notes: what is not rendered as Cycles renders it. emission: as Volume
-    has it.
+    anisotropy: mean cosine. phase: see `Medium`. notes: deviations from Cycles. emission: see `Volume`.
     """
 
-    density: Union[np.ndarray, SparseGrid]
+    density: np.ndarray | SparseGrid
     sigma_t: np.ndarray
     albedo: np.ndarray
     anisotropy: float
-    notes: List[str]
-    emission: Union[None, np.ndarray, Tuple[SparseGrid, ...]] = None
-    phase: Optional[PhaseFunction] = None
+    notes: list[str]
+    emission: None | np.ndarray | tuple[SparseGrid, ...] = None
+    phase: PhaseFunction | None = None
     emission_power: int = 1
 
 
-def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside: Optional[np.ndarray] = None,
-          boxes: Optional[np.ndarray] = None, index=None, check=lambda: None):
-    """The ShadedGrid of a material, in arrays of the shape that it is given.
+def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> ShadedGrid:
+    """Evaluate a material at every voxel of a domain; density and emission have its shape.
 
-    grids: float32 arrays of one shape by name. index: see `VoxelPoints`; None for boxes of voxels. frames: see
-    `VoxelPoints`. inside: float32, the share of each voxel that a mesh encloses, None for grids. boxes: float32, 1 where
-    a shader shines that does so where all grids are 0. check: called often; what it raises ends the work.
+    check: called often; an exception that it raises stops the evaluation.
 
-    Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or
-    absorbs where every grid is 0, or has colours that vary from voxel to voxel; EmptyMaterial where it does neither
-    anywhere and does not shine either.
+    Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or absorbs where every
+    grid is 0, or has colours that vary between voxels; EmptyMaterial where it neither scatters, absorbs nor emits.
     """
-    shape = next(iter(grids.values())).shape if inside is None else inside.shape
-    index = index or (lambda voxels: np.stack(np.unravel_index(voxels, shape), axis=1))
+    grids, inside, shape = domain.grids, domain.inside, domain.shape
 
     def at(voxels):
-        points = VoxelPoints(grids, index, voxels, frames, fills_its_bounds=inside is not None)
+        points = VoxelPoints(domain, voxels)
         return points, material.at(points)
 
-    # Two voxels tell what is the same in all of them.
+    # Two voxels reveal which values are uniform.
     points, shading = at(np.zeros(2, int))
-    plain, placed = _plain(shading), points.placed
-    shines = len(shading.emission) > 1 or shading.emission.any()
-    if not shading.closures and not shines:
+    uniform, placed = _has_uniform_colour(shading), points.placed
+    emits = len(shading.emission) > 1 or shading.emission.any()
+    if not shading.closures and not emits:
         refuse_nothing(material)
-    if plain and inside is None and shading.closures[0].grid:
-        # The shader colours one grid and changes none of its voxels, of which some hold something.
+    if uniform and inside is None and shading.closures[0].grid:
+        # The shader's coefficients are one grid's values, unchanged.
         closure = shading.closures[0]
         density, phases = grids[closure.grid], {closure.phase: float(closure.scatter.mean())}
     else:
         density = np.zeros(int(np.prod(shape)), np.float32)
-        # Sums over voxels of products of the coefficients: extinction and scattering, three channels each.
+        # Sums over voxels of products of coefficients: extinction and scattering, three channels each.
         gram, reference, phases = np.zeros((6, 6)), 0, {}
         for number, voxels in enumerate(_chunks(grids, placed, inside)):
             check()
             points, shading = at(voxels)
             _sum_phases(phases, shading, len(voxels))
-            if plain:
+            if uniform:
                 density[voxels] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
             else:
                 coefficients = _coefficients(shading)
@@ -85,36 +78,37 @@ def shade(material: VolumeMaterial, grids: Dict[str, np.ndarray], frames, inside
                 _require_empty_background(material, points, density[voxels])
         if inside is not None:
             density *= inside.reshape(-1)
-        if not density.max() > 0.0 and not shines:
+        if not density.max() > 0.0 and not emits:
             _refuse_emptiness(material)
         density = density.reshape(shape)
-    if plain:
+    if uniform:
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
         extinction, scatter = _one_colour(material, gram, reference)
-    if not extinction.max() > 0.0 and not shines:
+    if not extinction.max() > 0.0 and not emits:
         _refuse_emptiness(material)
     albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
     notes = shading.notes
-    emission = _emission(at, shape, _chunks(grids, placed, inside if boxes is None else boxes), check) if shines else None
-    if emission is not None and (inside is not None or boxes is not None):
-        emission *= (inside if boxes is None else boxes)[..., None]
-    power = 4 if shading.hot and not VOXELS_ARE_HOT else 1
+    emitting = inside if domain.emitting is None else domain.emitting
+    emission = _emission(at, shape, _chunks(grids, placed, emitting), check) if emits else None
+    if emission is not None and emitting is not None:
+        emission *= emitting[..., None]
+    power = 4 if shading.hot and not INTERPOLATES_EMISSION else 1
     if emission is not None and power != 1:
         emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
     if len(phases) > 1:
-        notes = notes + ["phase functions of several shaders are mixed in the same shares everywhere, and light that is "
-                         "scattered several times follows Henyey-Greenstein with their mean cosine"]
+        notes = notes + ["phase functions of several shaders are mixed in the same shares everywhere, and multiple "
+                         "scattering uses Henyey-Greenstein with their mean cosine"]
     phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
     phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
-    anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
+    anisotropy = float(np.clip(phase.mean_cosine(), -MAX_ANISOTROPY, MAX_ANISOTROPY))
     return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, notes, emission,
                       None if phase.is_henyey_greenstein else phase, power)
 
 
-def _emission(at, shape, chunks, check) -> Optional[np.ndarray]:
-    """float32 (nx, ny, nz, 3) of the voxels in chunks, or None where all are dark."""
+def _emission(at, shape, chunks, check) -> np.ndarray | None:
+    """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0."""
     emission = np.zeros((int(np.prod(shape)), 3), np.float32)
     for voxels in chunks:
         check()
@@ -123,22 +117,25 @@ def _emission(at, shape, chunks, check) -> Optional[np.ndarray]:
 
 
 def _chunks(grids, placed: bool, inside):
-    """Yield the voxels to shade, int64 (n,) at a time: where the mesh or any grid is, or all where places count."""
+    """Yield voxels to shade, int64 (n,) at a time: where the mesh or any grid is not 0, or all where the shader reads
+    positions.
+    """
     arrays = [values.reshape(-1) for values in (grids.values() if inside is None else (inside,))]
-    for start in range(0, arrays[0].size, VOXELS_AT_ONCE):
-        parts = [values[start:start + VOXELS_AT_ONCE] for values in arrays]
+    for start in range(0, arrays[0].size, VOXELS_PER_BATCH):
+        parts = [values[start:start + VOXELS_PER_BATCH] for values in arrays]
         everywhere = placed and inside is None
-        voxels = np.arange(len(parts[0])) if everywhere else np.flatnonzero(np.any([part != 0.0 for part in parts], axis=0))
+        filled = [part != 0.0 for part in parts]
+        voxels = np.arange(len(parts[0])) if everywhere else np.flatnonzero(np.any(filled, axis=0))
         if len(voxels):
             yield start + voxels
 
 
-def _plain(shading) -> bool:
+def _has_uniform_colour(shading) -> bool:
     return len(shading.closures) == 1 and len(shading.closures[0].scatter) == len(shading.closures[0].absorb) == 1
 
 
 def _coefficients(shading) -> np.ndarray:
-    """(n, 6): extinction and scattering of all closures together."""
+    """(n, 6): summed extinction and scattering of all closures."""
     total = np.zeros((1, 6))
     for closure in shading.closures:
         weight = np.maximum(closure.weight, 0.0)
@@ -148,7 +145,7 @@ def _coefficients(shading) -> np.ndarray:
 
 
 def _sum_phases(phases, shading, voxels: int) -> None:
-    """Add to each phase function in `phases` how much scatters with it in so many voxels."""
+    """Add to `phases` the scattering of so many voxels by each phase function."""
     for closure in shading.closures:
         scattered = voxels * float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
         if scattered > 0.0:
@@ -162,16 +159,16 @@ def _one_colour(material, gram, reference: int):
         return np.zeros(3), np.zeros(3)
     share = gram[reference] / diagonal[reference]
     left = diagonal - gram[reference] ** 2 / diagonal[reference]
-    if np.any(left > ONE_COLOUR**2 * diagonal):
+    if np.any(left > COLOUR_TOLERANCE**2 * diagonal):
         material.refuse("its colour or its share of absorption varies from voxel to voxel, which is not supported; "
                         "let grids and textures drive the density alone")
     return share[:3], share[3:]
 
 
 def is_linear(material, names) -> bool:
-    """Whether twice the grids' values give twice of all coefficients: then voxels say all between them.
+    """Whether doubled grid values double all coefficients: voxel values then determine those between them.
 
-    What blackbodies shine is left aside where `VOXELS_ARE_HOT`.
+    Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
     """
     half, whole = (_coefficients_at(material, names, value) for value in (0.5, 1.0))
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
@@ -181,16 +178,15 @@ def _coefficients_at(material, names, value: float) -> np.ndarray:
     """(6,) extinction and emission where every grid has one value."""
     grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
-    points = VoxelPoints(grids, lambda voxels: np.zeros((1, 3)), np.zeros(1, int), frames, fills_its_bounds=False)
-    shading = material.at(points)
-    shines = np.zeros(3) if shading.hot and VOXELS_ARE_HOT else shading.emission[0]
-    return np.concatenate([_coefficients(shading)[0, :3], shines])
+    shading = material.at(VoxelPoints(VoxelDomain(grids, frames), np.zeros(1, int)))
+    emits = np.zeros(3) if shading.hot and INTERPOLATES_EMISSION else shading.emission[0]
+    return np.concatenate([_coefficients(shading)[0, :3], emits])
 
 
 def refine(values: np.ndarray) -> np.ndarray:
-    """Twice as many voxels an axis, at the old ones and half way between them and to the 0 outside.
+    """Twice as many voxels per axis, at the old ones, halfway between them and halfway to the 0 outside.
 
-    float32 (nx, ny, nz) to (2 nx + 1, 2 ny + 1, 2 nz + 1); the trilinear interpolant stays the same.
+    float32 (nx, ny, nz) to (2 nx + 1, 2 ny + 1, 2 nz + 1); the trilinear interpolant is unchanged.
     """
     for axis in range(3):
         padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(3)])
@@ -223,7 +219,7 @@ def _require_empty_background(material, points: VoxelPoints, density) -> None:
 
 
 def refuse_nothing(material):
-    """Raise EmptyMaterial for a shader that is nothing at all."""
+    """Raise EmptyMaterial for a shader without scattering, absorption and emission."""
     material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render", EmptyMaterial)
 
 
@@ -232,5 +228,5 @@ def _refuse_emptiness(material):
 
 
 def _refuse_background(material):
-    material.refuse("it has density where the grids are 0, fog without end that Cycles cuts off at boxes around the "
-                    "voxels; multiply by a grid at last")
+    material.refuse("it has density where the grids are 0, endless fog that Cycles cuts off at boxes around the "
+                    "voxels; multiply it by a grid last")

@@ -1,6 +1,7 @@
-"""What volume shaders read at voxels: grids by name, and places."""
+"""Grids and positions that volume shaders read at voxels."""
 
-from typing import Dict
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,9 +9,9 @@ from ..nodes.sockets import Unsupported
 
 
 class Probe:
-    """One point where every grid is 0, which notes what a shader asks for.
+    """One point where every grid is 0; records what a shader reads.
 
-    names: grids that it read. placed: whether it asked for a place.
+    names: grids that it read. placed: whether it read positions.
     """
 
     def __init__(self, available, fills_its_bounds: bool):
@@ -18,7 +19,7 @@ class Probe:
         self.names, self.placed = [], False
 
     def has(self, name: str) -> bool:
-        """Whether there is a grid of this name."""
+        """Whether a grid of this name exists."""
         return name in self.available
 
     def attribute(self, name: str, node) -> np.ndarray:
@@ -31,7 +32,7 @@ class Probe:
         return self._read(name)
 
     def coordinates(self, kind: str, node) -> np.ndarray:
-        """(n, 3) places, `kind` "world", "object" or "generated". Raises Unsupported where unknown."""
+        """(n, 3) positions; `kind` is "world", "object" or "generated". Raises Unsupported for others."""
         self.placed = True
         return self._place(kind, node)
 
@@ -42,23 +43,47 @@ class Probe:
         return np.zeros((1, 3))
 
 
-class VoxelPoints(Probe):
-    """Some voxels of aligned grids.
+@dataclass
+class VoxelDomain:
+    """Voxels at which a shader is evaluated.
 
-    grids: float32 arrays of one shape by name. voxels: int64 (n,), places in the flattened arrays. index: of such
-    places (n,), gives int (n, 3). frames: (4, 4) matrices by kind of coordinates, voxel index to place.
+    grids: float32 arrays of one shape, by name. frames: (4, 4) matrices from voxel index to position, by kind of
+    coordinates. inside: float32, share of each voxel inside a mesh; None for grids. emitting: float32, 1 in voxels that
+    emit where all grids are 0; None where none do. index_of: maps positions (n,) in the flattened arrays to voxel
+    indices, int (n, 3); None for dense arrays.
     """
 
-    def __init__(self, grids: Dict[str, np.ndarray], index, voxels: np.ndarray, frames, fills_its_bounds: bool):
-        super().__init__(grids, fills_its_bounds)
-        self.grids, self.index, self.voxels, self.frames = grids, index, voxels, frames
+    grids: dict[str, np.ndarray]
+    frames: dict[str, np.ndarray]
+    inside: np.ndarray | None = None
+    emitting: np.ndarray | None = None
+    index_of: Callable[[np.ndarray], np.ndarray] | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of every array."""
+        return (next(iter(self.grids.values())) if self.inside is None else self.inside).shape
+
+    def index(self, voxels: np.ndarray) -> np.ndarray:
+        """Voxel indices, int (n, 3), of positions (n,) in the flattened arrays."""
+        if self.index_of is not None:
+            return self.index_of(voxels)
+        return np.stack(np.unravel_index(voxels, self.shape), axis=1)
+
+
+class VoxelPoints(Probe):
+    """Some voxels of a domain: int64 (n,) positions in its flattened arrays."""
+
+    def __init__(self, domain: VoxelDomain, voxels: np.ndarray):
+        super().__init__(domain.grids, fills_its_bounds=domain.inside is not None)
+        self.grids, self.domain, self.voxels = domain.grids, domain, voxels
 
     def _read(self, name):
         return self.grids[name].reshape(-1)[self.voxels].astype(np.float64)[:, None]
 
     def _place(self, kind, node):
-        if kind not in self.frames:
+        if kind not in self.domain.frames:
             raise Unsupported(f"node \"{node.name}\" uses {kind} coordinates, which are not supported in a Volume "
                               "object; link Object coordinates")
-        frame = self.frames[kind]
-        return self.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]
+        frame = self.domain.frames[kind]
+        return self.domain.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]

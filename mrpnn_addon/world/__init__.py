@@ -1,1 +1,1 @@
-"""The World: its light as a few directions, and its picture, which Cycles renders in a process of its own."""
+"""The World: its light as a few directions, and its picture, rendered by Cycles in another process."""

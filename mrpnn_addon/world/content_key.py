@@ -1,26 +1,28 @@
-"""What a World holds, as text: equal where it looks the same."""
+"""A World's content as text: equal where it looks the same."""
 
 import os
 
 import bpy
 
-# Of the editor, or of how a node came to be; not of what it gives.
-UNSEEN = {'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
-          'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
-          'outputs', 'node_preview', 'users', 'is_evaluated'}
-# Structs within nodes that are followed: ramps, curves, mappings, image users.
-DEEPEST = 6
+# Properties of the editor or of a node's history, without effect on its output.
+IRRELEVANT = {
+    'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
+    'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
+    'outputs', 'node_preview', 'users', 'is_evaluated',
+}
+# Nesting limit of structs in nodes: ramps, curves, mappings, image users.
+MAX_DEPTH = 6
 
 
 def world_key(world) -> str:
-    """Of a World as it is evaluated: its nodes, their values and links, and those of groups."""
+    """The key of an evaluated World: its nodes, their values and links, and those of groups."""
     if world.node_tree is None:
         return repr(tuple(world.color))
     return repr(_tree(world.node_tree, {}))
 
 
 def trees(world) -> list:
-    """The node trees of a World: its own and those of groups."""
+    """The node trees of a World: its own and its groups'."""
     found = [world.node_tree] if world.node_tree else []
     for tree in found:
         groups = (getattr(node, 'node_tree', None) for node in tree.nodes)
@@ -40,7 +42,7 @@ def _tree(tree, seen):
 def _values(struct, seen, depth):
     found = [struct.bl_rna.identifier]
     for prop in struct.bl_rna.properties:
-        if prop.identifier in UNSEEN or depth > DEEPEST:
+        if prop.identifier in IRRELEVANT or depth > MAX_DEPTH:
             continue
         value = getattr(struct, prop.identifier, None)
         if prop.type == 'COLLECTION':
@@ -50,7 +52,7 @@ def _values(struct, seen, depth):
         elif isinstance(value, bpy.types.ID):
             value = _block(value)
         elif isinstance(value, bpy.types.bpy_struct):
-            value = _values(value, seen, depth + 1) if depth < DEEPEST else None
+            value = _values(value, seen, depth + 1) if depth < MAX_DEPTH else None
         elif getattr(prop, 'is_array', False):
             value = [float(number) for number in value] if prop.type == 'FLOAT' else list(value)
         found.append((prop.identifier, value))
@@ -58,14 +60,14 @@ def _values(struct, seen, depth):
 
 
 def _block(block):
-    """A block that a node names: an image, or an object whose coordinates it reads."""
+    """A data-block that a node refers to: an image, or an object whose coordinates it reads."""
     more = _image(block) if isinstance(block, bpy.types.Image) else getattr(block, 'filepath', None)
     matrix = getattr(block, 'matrix_world', None)
     return block.name_full, more, [tuple(row) for row in matrix] if matrix is not None else None
 
 
 def _image(image):
-    """Where an image comes from and how it is read; painted or written again it is another one."""
+    """An image's origin, interpretation and last change."""
     path = bpy.path.abspath(image.filepath, library=image.library)
     try:
         status = os.stat(path)

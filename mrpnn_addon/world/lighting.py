@@ -1,13 +1,12 @@
-"""The World's light as a few directions of parallel light."""
+"""The World's light as a few directional lights."""
 
-from typing import List, Tuple
 
 import bpy
 import numpy as np
 from mathutils import Vector
 
 from ...inference.scene import Sun
-from ..nodes.evaluation import NodeValues, Nowhere
+from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from ..objects.lights import disc_directions
 from ..objects.visibility import evaluated_world
@@ -15,13 +14,13 @@ from .picture import WorldSource, is_known, world_picture, world_source
 from .process import PictureFailed
 from .quadrature import Sphere, quadrature
 
-# A World hardly counts where it gives less than this share of the suns' light: half the directions do.
-HARDLY = 0.1
+# Below this share of the suns' light, the World gets half the directions.
+MINOR = 0.1
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
-def wanted_world(depsgraph) -> List[WorldSource]:
-    """What Cycles has to show of the World before `read_world` can tell its light: one or none."""
+def wanted_world(depsgraph) -> list[WorldSource]:
+    """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
         return []
@@ -32,13 +31,13 @@ def wanted_world(depsgraph) -> List[WorldSource]:
     return []
 
 
-def read_world(depsgraph, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun], List[str]]:
-    """Parallel lights that stand for the World's light in volumes, and warnings.
+def read_world(depsgraph, suns: list[Sun], check=lambda: None) -> tuple[list[Sun], list[str]]:
+    """Directional lights that represent the World's light in volumes, and warnings.
 
-    suns: of the scene; beside bright ones the World needs fewer directions. check: called often while Cycles shows it.
+    suns: of the scene; beside bright suns the World gets fewer directions. check: called often while Cycles renders.
 
-    A World with nodes that cannot be evaluated is as Cycles shows it. Where that fails, or the World has light that cannot
-    be read, it is left out with a warning that names it.
+    Cycles renders a World whose nodes cannot be evaluated. Where that fails, or its light cannot be read, it is left
+    out with a warning that names it.
     """
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     directions = scene.mrpnn.world_directions
@@ -72,7 +71,7 @@ def read_world(depsgraph, suns: List[Sun], check=lambda: None) -> Tuple[List[Sun
 
 
 def _picture(world, scene, sphere, name, check):
-    """Radiance (n, 3) at the sphere's directions and the Suns of discs, as Cycles shows them. Raises PictureFailed."""
+    """Radiance (n, 3) at the sphere's directions and the Suns of discs, rendered by Cycles. Raises PictureFailed."""
     picture, discs = world_picture(world, scene, check), []
     for x, y, z, red, green, blue, angle in picture.suns:
         frame = np.array(Vector((x, y, z)).to_track_quat('Z', 'Y').to_matrix())
@@ -81,8 +80,8 @@ def _picture(world, scene, sphere, name, check):
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
-def expected_lights(world, suns: List[Sun], directions: int) -> int:
-    """About how many lights `read_world` gives; looks at no image, so that a panel may ask."""
+def expected_lights(world, suns: list[Sun], directions: int) -> int:
+    """Approximate number of lights of `read_world`, without reading images: fast enough for a panel."""
     if world is None or not _lights_volumes(world):
         return 0
     try:
@@ -96,19 +95,19 @@ def _count(fluence: float, suns, directions: int) -> int:
     if not fluence > 0.0:
         return 0
     others = sum(float(sun.irradiance @ LUMA) for sun in suns)
-    return (directions + 1) // 2 if fluence < HARDLY * others else directions
+    return (directions + 1) // 2 if fluence < MINOR * others else directions
 
 
 def _lights_volumes(world) -> bool:
-    # Cycles' own properties, gone while Cycles is disabled.
+    # Properties of Cycles, absent while Cycles is disabled.
     visibility = getattr(world, 'cycles_visibility', None)
     return visibility is None or visibility.scatter
 
 
 def constant_background(world) -> np.ndarray:
-    """(3,): the radiance of an evaluated World that cameras see as one colour.
+    """(3,) radiance of an evaluated World that cameras see as one colour.
 
-    Raises Unsupported, naming the node, where it is not known to be one.
+    Raises Unsupported, naming the node, where it is not known to be uniform.
     """
     return _radiance(world, active_output(world), _Anywhere())[0]
 
@@ -116,20 +115,20 @@ def constant_background(world) -> np.ndarray:
 class _Anywhere(Nowhere):
     """Every direction that a camera sees."""
 
-    directions, seen_by_camera = np.zeros((1, 3)), True
+    directions, visible_to_camera = np.zeros((1, 3)), True
 
 
 def _radiance(world, output, points) -> np.ndarray:
-    """(n, 3) at the directions of `points`."""
+    """(n, 3) radiance at the directions of `points`."""
     if output is None:
-        # Without nodes, Blender before 5.0 shows the World's own colour.
+        # Without nodes, Blender before 5.0 renders the World's colour.
         plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
         return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
-    light = _surface(NodeValues(points), source_of(output.inputs['Surface']))
+    light = _surface(NodeEvaluator(points), source_of(output.inputs['Surface']))
     return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
 
 
-def _surface(values: NodeValues, source) -> np.ndarray:
+def _surface(values: NodeEvaluator, source) -> np.ndarray:
     node, groups = source.node, source.groups
     if node is None:
         return np.zeros((1, 3))
@@ -140,7 +139,7 @@ def _surface(values: NodeValues, source) -> np.ndarray:
         return first + second
     if node.bl_idname == 'ShaderNodeMixShader':
         factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
-        # A shader that nothing is taken of need not be one that can be evaluated.
+        # A shader of weight 0 need not be supported.
         shares = (("Shader", 1.0 - factor), ("Shader_001", factor))
         return sum((share * _surface(values, source_of(input_of(node, name), groups)) for name, share in shares
                     if share.any()), np.zeros((1, 3)))

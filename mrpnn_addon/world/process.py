@@ -1,6 +1,6 @@
-"""A Blender process of its own that holds one World and shows it by Cycles, picture after picture.
+"""A Blender process that loads one World and renders pictures of it with Cycles.
 
-bpy is asked only where a process is made.
+bpy is called only when a WorldProcess is made.
 """
 
 import json
@@ -22,16 +22,16 @@ SECONDS, POLL_INTERVAL = 120.0, 0.05
 
 
 class PictureFailed(Exception):
-    """Cycles could not show the World; the message says why."""
+    """Cycles could not render the World; the message has the reason."""
 
 
 class WorldProcess:
-    """Asked on any thread, one picture at a time. The process starts with the first, and again after it was silent for
-    long enough to end by itself.
+    """Renders one picture at a time, requested by any thread. The process starts with the first picture and again after
+    it has ended for lack of requests.
     """
 
     def __init__(self, world, scene):
-        """world: evaluated; scene: whose frame it is. Made where bpy may be asked."""
+        """world: evaluated. scene: gives the frame. Call on Blender's main thread."""
         folder = tempfile.mkdtemp(prefix="mrpnn-")
         self._folder, self._running, self._turn = Path(folder), [], threading.Lock()
         weakref.finalize(self, _clean, folder, self._running)
@@ -40,15 +40,15 @@ class WorldProcess:
         self._command = blender_command(WORKER, [blend, *frame])
 
     def ask(self, job: dict, check=lambda: None, seconds: float = SECONDS) -> dict:
-        """The arrays that a job of worker.py is answered with. Raises PictureFailed where there are none.
+        """The arrays that answer a job of worker.py. Raises PictureFailed where there are none.
 
-        check: called often; what it raises ends the work, and the process with it. seconds: after which it has failed.
+        check: called often; an exception that it raises stops the work and the process. seconds: time limit.
         """
         while not self._turn.acquire(timeout=POLL_INTERVAL):
             check()
         try:
             target = self._folder / "picture.npz"
-            # One that has ended by itself may have done so just when it was asked.
+            # An idle process may have ended just as it was asked: ask again once.
             for last in (False, True):
                 process = self._send({**job, "target": str(target)})
                 self._wait(process, target, check, seconds)
@@ -56,7 +56,7 @@ class WorldProcess:
                     with np.load(target) as found:
                         return dict(found)
                 if last or process.poll() != 0:
-                    raise PictureFailed(f"Cycles could not show it: {self._last_words()}")
+                    raise PictureFailed(f"Cycles could not render it: {self._last_words()}")
         except BaseException:
             self.stop()
             raise
@@ -65,7 +65,7 @@ class WorldProcess:
             self._turn.release()
 
     def stop(self) -> None:
-        """End the process at once; the next picture starts another."""
+        """End the process; the next picture starts another."""
         _end(self._running)
 
     def _send(self, job):
@@ -79,7 +79,7 @@ class WorldProcess:
             process.stdin.write(json.dumps(job) + "\n")
             process.stdin.flush()
         except OSError:
-            pass  # It has ended, which `ask` finds.
+            pass  # The process has ended; `ask` notices.
         return process
 
     def _wait(self, process, target, check, seconds):
@@ -87,13 +87,13 @@ class WorldProcess:
         while process.poll() is None and not target.is_file():
             check()
             if time.monotonic() > end:
-                raise PictureFailed(f"Cycles had not shown it after {seconds:.0f} seconds")
+                raise PictureFailed(f"Cycles did not render it within {seconds:.0f} seconds")
             time.sleep(POLL_INTERVAL)
         check()
 
     def _last_words(self):
         lines = (self._folder / "log.txt").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "its process said nothing"
+        return lines[-1] if lines else "no output"
 
 
 def _end(running):
@@ -104,7 +104,7 @@ def _end(running):
         try:
             process.stdin.close()
         except OSError:
-            pass  # What it has not read is lost.
+            pass  # Unread input is lost.
 
 
 def _clean(folder, running):

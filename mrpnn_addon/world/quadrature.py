@@ -1,6 +1,5 @@
-"""Light from all around, gathered into a few directions."""
+"""Light from all directions, represented by a few."""
 
-from typing import List
 
 import numpy as np
 
@@ -10,21 +9,21 @@ from ..nodes.sockets import Unsupported
 ROWS = 128
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0]])
-# Edge of the boxes within which the directions of light are put together, radians.
+# Edge of the boxes in which directions of light are merged, radians.
 COARSE = 0.05
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
 class Sphere:
-    """Directions all over the sphere, at which a World's nodes are evaluated.
+    """Directions covering the sphere, at which a World's nodes are evaluated.
 
-    directions: float64 (n, 3) unit vectors. solid_angle: (n,), of each; they add up to 4 pi.
-    images: whether environment images may be read, which takes time.
+    directions: float64 (n, 3) unit vectors. solid_angle: (n,), of each; their sum is 4 pi. images: whether environment
+    images may be read, which takes time.
     """
 
     fills_its_bounds = False
-    # What arrives here is scattered by volumes.
-    seen_by_camera = False
+    # Volumes scatter this light; cameras do not see it.
+    visible_to_camera = False
 
     def __init__(self, rows: int = ROWS, images: bool = True):
         self.images = images
@@ -37,7 +36,7 @@ class Sphere:
         self.solid_angle = np.repeat(np.diff(edges), columns) * (2.0 * np.pi / columns)
 
     def coordinates(self, kind: str, node) -> np.ndarray:
-        """Of a World every kind of coordinates is the direction."""
+        """The directions: a World's coordinates of every kind."""
         return self.directions
 
     def attribute(self, name: str, node):
@@ -45,15 +44,15 @@ class Sphere:
         raise Unsupported(f"node \"{node.name}\" reads an attribute, which a World does not have")
 
 
-def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> List[Sun]:
-    """Up to `count` suns whose irradiances add up to the light's fluence, each spread over its part of the sphere.
+def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> list[Sun]:
+    """Up to `count` suns whose irradiances sum to the light's fluence, each with the angular extent of its cell.
 
     radiance: (n, 3) at the sphere's directions.
 
-    The sphere is divided around the vertices of a regular solid, which integrate even light exactly to
-    second (4), third (6) or fifth degree (12 or more). The cell over which light is spread the widest is then cut in
-    two, until there are enough (as Viriyothai and Debevec's variance minimization, 2009). A cell's direction is
-    its light's mean, so that a bright spot is met.
+    The sphere is divided around the vertices of a regular solid, which integrate uniform light exactly to second (4),
+    third (6) or fifth degree (12 or more). The cell with the largest variance is then split until there are enough (as
+    Viriyothai and Debevec's variance minimization, 2009). A cell's direction is the mean of its light, so bright spots
+    are met.
     """
     light = radiance * sphere.solid_angle[:, None]
     power = light @ LUMA
@@ -65,7 +64,7 @@ def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "su
     while len(cells) < count:
         spreads = [_spread(sphere.directions[cell], power[cell])[0] for cell in cells]
         widest = int(np.argmax(spreads))
-        halves = _cut(sphere.directions, power, cells[widest])
+        halves = _split(sphere.directions, power, cells[widest])
         if halves is None:
             break
         cells[widest : widest + 1] = halves
@@ -74,8 +73,8 @@ def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "su
 
 
 def _coarsened(directions, power):
-    """The light of directions (n, 3) from fewer: unit vectors (K, 3) and shares of its power (K,), as `Sun.spread`."""
-    # Boxes of space, of which those that the sphere meets hold directions close together.
+    """The light of directions (n, 3) merged: unit vectors (K, 3) and shares of its power (K,), as `Sun.spread`."""
+    # Boxes in space, so that each holds neighbouring directions.
     boxes, box = np.unique(np.floor(directions / COARSE).astype(int), axis=0, return_inverse=True)
     box = box.reshape(-1)
     share = np.bincount(box, power, len(boxes))
@@ -86,18 +85,18 @@ def _coarsened(directions, power):
 def _mean(directions, power):
     mean = power @ directions
     length = np.linalg.norm(mean)
-    # One cell of even light from everywhere has no middle: from above.
+    # A cell of uniform light has no mean direction: use the zenith.
     return mean / length if length > 1e-6 * power.sum() else np.array([0.0, 0.0, 1.0])
 
 
 def _spread(directions, power):
-    """Power times variance of the directions, and the axis along which it is largest."""
+    """Power times variance of the directions, and their principal axis."""
     off = directions - (power @ directions) / power.sum()
     values, axes = np.linalg.eigh((off * power[:, None]).T @ off)
     return values.sum(), axes[:, -1]
 
 
-def _cut(directions, power, cell):
+def _split(directions, power, cell):
     if len(cell) < 2:
         return None
     along = directions[cell] @ _spread(directions[cell], power[cell])[1]
@@ -107,7 +106,7 @@ def _cut(directions, power, cell):
 
 
 def _octahedron():
-    # Turned, so that no face looks straight at the horizon.
+    # Rotated so that no face looks at the horizon.
     turn = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [2.0, 1.0, -2.0]]) / 3.0
     return np.concatenate([turn, -turn])
 
@@ -116,6 +115,6 @@ def _icosahedron():
     half = np.array([[0.0, 1.0, GOLDEN], [0.0, -1.0, GOLDEN]])
     corners = np.concatenate([half, -half])
     corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])
-    # Turned, so that one looks up and none at the horizon: half of even light comes from above a ground.
+    # Rotated so that one vertex is the zenith and none is on the horizon: half of uniform light comes from above.
     y, z = np.array([[0.0, GOLDEN, -1.0], [0.0, 1.0, GOLDEN]])
     return corners @ np.stack([[np.linalg.norm(z), 0.0, 0.0], y, z], axis=1) / (z @ z)

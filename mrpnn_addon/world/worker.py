@@ -1,16 +1,16 @@
-"""Runs in a Blender process of its own, without the extension: shows a World by Cycles, picture after picture.
+"""Renders pictures of a World with Cycles; runs in a separate Blender process without the extension.
 
-Arguments, the last three: a .blend file that holds the World; a frame and its fraction. Each line of standard input
-is a job as JSON, answered by the .npz file that its `target` names:
+Arguments, the last three: a .blend file with the World, a frame and its fraction. Each line of standard input is a job
+as JSON, answered by the .npz file that its `target` names:
 
-`light` asks for the World as volumes see it, from its middle: `sky`, float32 (ROWS, 2 ROWS, 3), an equirectangular
-picture with rows from the bottom and without sun discs, and `suns`, float64 (n, 7), of each disc direction, irradiance
-and angle across in radians.
+A job without `view` requests the World as volumes see it, from the origin: `sky`, float32 (ROWS, 2 ROWS, 3), an
+equirectangular picture with rows from the bottom and without sun discs, and `suns`, float64 (n, 7), direction,
+irradiance and angular diameter in radians of each disc.
 
-`view` asks for the World as a camera sees it: `pixels`, float32 (h, w, 3), rows from the bottom. It holds the fields of
-`inference.Camera`, `samples`, and the `filter` of pixels with its width.
+`view` requests the World as a camera sees it: `pixels`, float32 (h, w, 3), rows from the bottom. It holds the fields of
+`inference.Camera`, `samples`, and the pixel `filter` with its width.
 
-The process ends with its input, or when nothing was asked for IDLE seconds.
+The process ends with its input, or after IDLE seconds without a job.
 """
 
 import json
@@ -25,16 +25,17 @@ from mathutils import Matrix, Vector
 
 IDLE = 30.0
 ROWS, SAMPLES = 128, 16
-# A disc is looked for at no smaller size, in radians, and then seen at its own through a lens so many times as wide.
-LOCATED, AROUND = math.radians(3.0), 4.0
+# Discs are located at this minimum size, in radians, and then rendered at their own size through a lens so many times
+# as wide.
+LOCATING_SIZE, LENS_WIDTHS = math.radians(3.0), 4.0
 DISC_PIXELS, DISC_SAMPLES = 96, 32
 LUMA = np.array([0.2126, 0.7152, 0.0722])
-# Samples of a view where neighbouring pixels differ by no more than a share of UNEVEN. Bands of others lie so many rows
-# apart, have a rim as wide as the filter of pixels, and are no more than MOST_BANDS: each is an image that begins anew.
-FEW, UNEVEN, APART, RIM, MOST_BANDS = 4, 0.02, 32, 2, 4
-# Kinds of sky that have no disc.
-WITHOUT_DISC = {'PREETHAM', 'HOSEK_WILKIE'}
-# Focal lengths over sensor widths that Blender's lenses reach: one of 1 mm before 100 mm, one of 5000 mm before 1 mm.
+# Samples of a view whose neighbouring pixels differ by at most a share VARIATION. Other pixels form bands so many rows
+# apart, with a rim of the pixel filter's width, at most MAX_BANDS: each band is a render of its own.
+FEW_SAMPLES, VARIATION, BAND_GAP, BAND_RIM, MAX_BANDS = 4, 0.02, 32, 2, 4
+# Sky types without a sun disc.
+DISCLESS_SKIES = {'PREETHAM', 'HOSEK_WILKIE'}
+# Range of focal length over sensor width: 1 mm over 100 mm, 5000 mm over 1 mm.
 WIDEST, LONGEST = 0.01, 5000.0
 
 
@@ -55,7 +56,7 @@ def main(blend, frame, fraction):
 
 
 def _jobs():
-    """Lines of the standard input, until it has been silent for too long."""
+    """Lines of standard input, until none arrives for too long."""
     while True:
         idle = threading.Timer(IDLE, os._exit, [0])
         idle.daemon = True
@@ -68,7 +69,7 @@ def _jobs():
 
 
 def _loaded(blend, frame, fraction):
-    """A scene with a World of its own, and the World's node trees."""
+    """A scene with the World, and the World's node trees."""
     groups = set(bpy.data.node_groups)
     with bpy.data.libraries.load(blend) as (found, wanted):
         wanted.worlds = found.worlds[:1]
@@ -91,19 +92,19 @@ def _without_fog(tree):
 
 def _light(scene, trees, target):
     discs = [node for tree in trees for node in tree.nodes if node.bl_idname == 'ShaderNodeTexSky'
-             and node.sky_type not in WITHOUT_DISC and node.sun_disc]
+             and node.sky_type not in DISCLESS_SKIES and node.sun_disc]
     for tree in trees:
         _as_volumes_see(tree)
     scene.world.cycles_visibility.camera = True
     for node in discs:
         node.sun_disc = False
-    sky = _rendered(scene, _panorama(scene), 2 * ROWS, ROWS, SAMPLES, target)
+    sky = _rendered(scene, _panorama(scene), (2 * ROWS, ROWS), SAMPLES, target)
     suns = [sun for node in discs for sun in _disc(scene, node, sky, target)]
     return {"sky": sky, "suns": np.array(suns).reshape(-1, 7)}
 
 
 def _as_volumes_see(tree):
-    """Take out what light paths tell apart: light here is what volumes scatter."""
+    """Replace light path queries by their values for light that volumes scatter."""
     for link in list(tree.links):
         node, socket = link.from_node, link.to_socket
         if node.bl_idname == 'ShaderNodeLightPath' and hasattr(socket, 'default_value'):
@@ -122,11 +123,11 @@ def _set_up(scene):
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
     scene.render.image_settings.color_mode, scene.render.image_settings.exr_codec = 'RGB', 'NONE'
     scene.render.resolution_percentage = 100
-    settings = {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0, "seed": 0,
-                "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX'}
+    settings = {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0,
+                "seed": 0, "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX'}
     for name, value in settings.items():
         setattr(scene.cycles, name, value)
-    # Cameras see the World without its importance map, which takes a while to build.
+    # Cameras do not need the World's importance map, which takes long to build.
     scene.world.cycles.sampling_method = 'NONE'
 
 
@@ -136,21 +137,21 @@ def _view(scene, view, target):
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
     camera = _aimed(scene, view)
     x0, y0, x1, y1 = view["region"] or (0, 0, width, height)
-    pixels = _rendered(scene, camera, width, height, min(view["samples"], FEW), target, (x0, y0, x1, y1))
-    if view["samples"] > FEW:
-        # Most of a sky is so even that few samples do.
+    pixels = _rendered(scene, camera, (width, height), min(view["samples"], FEW_SAMPLES), target, (x0, y0, x1, y1))
+    if view["samples"] > FEW_SAMPLES:
+        # Few samples suffice for most of a sky.
         for low, high, left, right in _uneven(pixels):
             part = x0 + left, y1 - high, x0 + right, y1 - low
-            pixels[low:high, left:right] = _rendered(scene, camera, width, height, view["samples"], target, part)
+            pixels[low:high, left:right] = _rendered(scene, camera, (width, height), view["samples"], target, part)
     return pixels
 
 
 def _uneven(pixels):
-    """Bands of an image (h, w, 3) in which pixels differ from their neighbours: ends of rows, then of columns."""
+    """Bands of an image (h, w, 3) whose pixels differ from their neighbours: ends of rows, then of columns."""
     level = np.maximum(np.abs(pixels).max(axis=2), 1e-3 * np.abs(pixels).mean())
     uneven = np.zeros(level.shape, bool)
     for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-        steps = np.abs(pixels[one] - pixels[other]).max(axis=2) > UNEVEN * np.minimum(level[one], level[other])
+        steps = np.abs(pixels[one] - pixels[other]).max(axis=2) > VARIATION * np.minimum(level[one], level[other])
         uneven[one] |= steps
         uneven[other] |= steps
     rows = np.flatnonzero(uneven.any(axis=1))
@@ -158,15 +159,15 @@ def _uneven(pixels):
         return []
     height, width = level.shape
     bands = []
-    for band in np.split(rows, np.flatnonzero(np.diff(rows) > APART) + 1):
+    for band in np.split(rows, np.flatnonzero(np.diff(rows) > BAND_GAP) + 1):
         columns = np.flatnonzero(uneven[band].any(axis=0))
-        bands.append((max(band[0] - RIM, 0), min(band[-1] + 1 + RIM, height),
-                      max(columns[0] - RIM, 0), min(columns[-1] + 1 + RIM, width)))
-    return np.array(bands if len(bands) <= MOST_BANDS else [(0, height, 0, width)]).tolist()
+        bands.append((max(band[0] - BAND_RIM, 0), min(band[-1] + 1 + BAND_RIM, height),
+                      max(columns[0] - BAND_RIM, 0), min(columns[-1] + 1 + BAND_RIM, width)))
+    return np.array(bands if len(bands) <= MAX_BANDS else [(0, height, 0, width)]).tolist()
 
 
 def _aimed(scene, view):
-    """The scene's camera, with the fields of an `inference.Camera`."""
+    """The scene's camera with the fields of an `inference.Camera`."""
     camera = _camera(scene)
     lens = camera.data
     camera.matrix_world = Matrix(view["matrix"])
@@ -178,7 +179,7 @@ def _aimed(scene, view):
     lens.ortho_scale = view["ortho_scale"]
     lens.shift_x, lens.shift_y = view["shift"]
     if lens.type == 'PANO':
-        # These properties moved in 5.0.
+        # Properties of Cycles before 5.0.
         panorama = lens if hasattr(lens, 'panorama_type') else lens.cycles
         panorama.panorama_type = 'EQUIRECTANGULAR'
         for name in ("longitude", "latitude"):
@@ -189,7 +190,7 @@ def _aimed(scene, view):
 
 
 def _panorama(scene):
-    """The scene's camera, whose picture has +X in its middle and +Z above."""
+    """The scene's camera as a panorama, +X at its centre and +Z up."""
     turn = Matrix.Rotation(-math.pi / 2.0, 4, 'Z') @ Matrix.Rotation(math.pi / 2.0, 4, 'X')
     return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0,
                           "shift": (0.0, 0.0), "longitude": (-math.pi, math.pi),
@@ -203,18 +204,18 @@ def _camera(scene):
     return scene.camera
 
 
-def _rendered(scene, camera, width, height, samples, target, region=None):
+def _rendered(scene, camera, size, samples, target, region=None):
     """Radiance (h, w, 3), rows from the bottom.
 
-    region: (x0, y0, x1, y1) in pixels from the upper left, as of `inference.Camera`; None for the whole image.
+    region: (x0, y0, x1, y1) in pixels from the upper left, as `inference.Camera.region`; None for the whole image.
     """
     scene.camera, scene.cycles.samples = camera, samples
-    render = scene.render
+    render, (width, height) = scene.render, size
     render.resolution_x, render.resolution_y = width, height
     render.use_border = render.use_crop_to_border = region is not None
     if region is not None:
         x0, y0, x1, y1 = region
-        # Blender cuts to whole pixels: a quarter keeps rounding away from them.
+        # Blender truncates to whole pixels; a quarter avoids rounding errors.
         render.border_min_x, render.border_max_x = (x0 + 0.25) / width, (x1 + 0.25) / width
         render.border_min_y, render.border_max_y = (height - y1 + 0.25) / height, (height - y0 + 0.25) / height
         width, height = x1 - x0, y1 - y0
@@ -231,13 +232,14 @@ def _rendered(scene, camera, width, height, samples, target, region=None):
 
 
 def _disc(scene, node, sky, target):
-    """The disc of one Sky Texture: direction, irradiance and angle; none where it does not show."""
+    """The disc of one Sky Texture: direction, irradiance and angular diameter; none where it is not visible."""
     size = node.sun_size
-    node.sun_disc, node.sun_size = True, max(size, LOCATED)
-    found = _rendered(scene, _panorama(scene), 2 * ROWS, ROWS, SAMPLES, target) - sky
+    node.sun_disc, node.sun_size = True, max(size, LOCATING_SIZE)
+    found = _rendered(scene, _panorama(scene), (2 * ROWS, ROWS), SAMPLES, target) - sky
     latitude = (np.arange(ROWS) + 0.5) / ROWS * math.pi - math.pi / 2.0
     longitude = (0.5 - (np.arange(2 * ROWS) + 0.5) / (2 * ROWS)) * 2.0 * math.pi
-    directions = _directions(np.cos(latitude)[:, None] * np.cos(longitude), np.cos(latitude)[:, None] * np.sin(longitude),
+    flat = np.cos(latitude)[:, None]
+    directions = _directions(flat * np.cos(longitude), flat * np.sin(longitude),
                              np.sin(latitude)[:, None] * np.ones(2 * ROWS))
     light = np.maximum(found, 0.0) @ LUMA * np.cos(latitude)[:, None]
     if not light.max() > 0.0:
@@ -245,13 +247,13 @@ def _disc(scene, node, sky, target):
         return []
     middle = np.einsum("ij,ijk->k", np.where(light > 0.2 * light.max(), light, 0.0), directions)
     node.sun_size = size
-    extent = min(max(AROUND * size, AROUND * LOCATED / 2.0), 2.0)
+    extent = min(max(LENS_WIDTHS * size, LENS_WIDTHS * LOCATING_SIZE / 2.0), 2.0)
     turn = Vector(-middle).to_track_quat('Z', 'Y').to_matrix()
     camera = _aimed(scene, {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0,
                             "shift": (0.0, 0.0)})
-    bright = _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
+    bright = _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)
     node.sun_disc = False
-    light = bright - _rendered(scene, camera, DISC_PIXELS, DISC_PIXELS, DISC_SAMPLES, target)
+    light = bright - _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)
     place = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS - 0.5) * 2.0 * math.tan(extent / 2.0)
     x, y = np.meshgrid(place, place)
     light *= ((place[1] - place[0]) ** 2 / (1.0 + x * x + y * y) ** 1.5)[..., None]
@@ -261,7 +263,7 @@ def _disc(scene, node, sky, target):
     seen = _directions(x, y, -np.ones_like(x)) @ np.array(turn).T
     middle = np.einsum("ij,ijk->k", power, seen)
     middle /= np.linalg.norm(middle)
-    # The mean square distance from the middle of a disc is half its radius squared.
+    # The mean squared distance from a disc's centre is half its squared radius.
     spread = (power * (1.0 - (seen @ middle) ** 2)).sum() / power.sum()
     return [[*middle, *np.maximum(irradiance, 0.0), 2.0 * math.asin(min(math.sqrt(2.0 * max(spread, 0.0)), 1.0))]]
 

@@ -1,4 +1,4 @@
-"""The benchmark of error against time: its cases, and what its page says of planted figures."""
+"""The benchmark of error against time: its cases, and its page for planted figures."""
 
 from dataclasses import asdict
 
@@ -19,7 +19,7 @@ def rung(method, samples, seconds, error, spread=0.1, once=0.0):
 
 
 def result(error=0.1, spread=0.1, **case):
-    """A case whose path tracing has variance 10 and takes 1 + 0.5 a sample; denoised, 0.2 at the most measured."""
+    """A case whose path tracer has variance 10 and takes 1 + 0.5 seconds per sample; denoised error 0.2 at best."""
     judged = rung("mrpnn", 8, 2.0, error, spread, once=1.5)
     rungs = [judged, rung("single-scattering", 1, 0.1, 0.9), rung("cycles", 4, 3.0, 1.58),
              rung("cycles denoised", 1, 1.5, 0.4), rung("cycles denoised", 4, 3.0, 0.2)]
@@ -42,11 +42,11 @@ def test_ratios_follow_from_noise_and_cost():
 
 @pytest.mark.parametrize("error, spread, said", [(0.05, 0.1, "300: yes"), (0.1, 0.1, "300: no"),
                                                  (0.07, 2.0, "300: not certain"), (0.07, 0.0, "300: yes")])
-def test_an_aim_counts_as_reached_where_the_upper_ends_reach_it(error, spread, said):
+def test_a_goal_is_reached_where_upper_bounds_reach_it(error, spread, said):
     assert said in headline([result(error, spread)], [result(error, spread)]).splitlines()[4]
 
 
-def test_larger_images_count_their_own_seconds_and_the_samples_of_the_small_ones():
+def test_larger_images_use_their_own_seconds_and_the_small_ones_samples():
     large = result(error=0.5, growth="image", size=512)
     large["judged"].update(cpu_seconds=10.0, once_cpu=2.0)
     large["path_tracing"]["cpu_seconds"] = {"start": 0.0, "each": 32.0, "variance": 7.0, "largest": 4}
@@ -57,7 +57,7 @@ def test_larger_images_count_their_own_seconds_and_the_samples_of_the_small_ones
     assert ["3.2e+03" in rows[0], "4e+03" in rows[1]] == [True, True]
 
 
-def test_denoised_images_count_where_their_error_was_measured():
+def test_denoised_images_count_only_where_measured():
     small, large = result(), result(growth="filter", size=256)
     large["rungs"][-1]["rmse"] = {"value": 0.05, "low": 0.04, "high": 0.06}
     rows = filtered([small, large]).splitlines()[-2:]
@@ -67,14 +67,14 @@ def test_denoised_images_count_where_their_error_was_measured():
     assert filtered([small]) == ""
 
 
-def test_the_headline_is_drawn_for_scenes_that_were_timed_at_both_sizes(tmp_path):
+def test_the_headline_shows_scenes_timed_at_both_sizes(tmp_path):
     small, large = result(), result(growth="image", size=512)
     save_headline([small, result(volume="smoke")], tmp_path / "none.png")
     save_headline([small, large, result(error=0.0, volume="smoke")], tmp_path / "one.png")
     assert [file.name for file in tmp_path.iterdir()] == ["one.png"]
 
 
-def test_the_page_holds_what_is_measured_and_says_what_is_not():
+def test_the_page_shows_what_is_measured_and_what_is_not():
     found = page([result(), result(volume="smoke"), result(growth="suns", suns=2)], 27)
     assert "3 of 27 scenes measured" in found and "smoke, side, G 0.857, density 100" in found
     assert "| suns | 2 |" in found and "| albedo |" not in found
@@ -86,7 +86,7 @@ def test_the_page_holds_what_is_measured_and_says_what_is_not():
     assert len(rows) == 2 * 5 and all(len(row) == len(header) for row in rows)
 
 
-def test_cases_differ_in_one_thing_from_the_first_and_have_names_of_their_own():
+def test_cases_differ_from_the_first_in_one_thing_and_have_unique_names():
     found = cases(64)
     assert len({case.name for case in found}) == len(found) and found[0] == Case()
     for case in found:

@@ -1,4 +1,4 @@
-"""The benchmark that measures systems: its views, its figures on known errors, and a small run of it all."""
+"""The fidelity benchmark: its views, its figures for known errors, and a small run."""
 
 import dataclasses
 import hashlib
@@ -22,7 +22,7 @@ RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 
 @pytest.fixture
 def weights(tmp_path, monkeypatch):
-    """Untrained networks; their errors are large, which is no matter here."""
+    """Untrained networks: their large errors do not matter here."""
     folder = tmp_path / "weights"
     folder.mkdir()
     torch.manual_seed(0)
@@ -32,7 +32,7 @@ def weights(tmp_path, monkeypatch):
     return folder
 
 
-def test_views_are_held_back_and_lit_as_they_say():
+def test_views_use_validation_seeds_and_the_stated_light():
     made = views.procedural_views(8, 1, 16, None)
     assert len({view.name for view in made}) == len(made) == 42
     assert all(seed in HELD_BACK for seed in views.VOLUMES.values())
@@ -54,6 +54,7 @@ def test_variance_is_that_of_one_path():
     assert relative_variance(a, b, mask, samples) == pytest.approx((deviation / 2.0) ** 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_references_are_traced_once(tmp_path):
     view = views.procedural_view(views.ViewSpec("cloud1", "side", size=8, samples=4), 32, tmp_path)
     halves = view.halves()
@@ -67,6 +68,7 @@ def test_references_are_traced_once(tmp_path):
     assert not np.array_equal(other.halves(), halves) and len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
     fidelity.main([
         "--out", str(tmp_path / "out"), "--references", str(tmp_path / "references"), "--views", "procedural",
@@ -99,8 +101,8 @@ def measurement(system, **facts):
     return Measurement(system=system, **{**usual, **facts})
 
 
-def test_boosts_and_means_compare_like_with_like():
-    """RPNN's seconds over a system's, the path tracer's over a system's; means over the views of both."""
+def test_speedups_and_means_compare_the_same_views():
+    """RPNN's and the path tracer's seconds over a model's; means over the views of both."""
     found = [
         measurement("mrpnn", seconds=2.0, reference_seconds=500.0, rmse=0.1),
         measurement("rpnn", seconds=60.0, reference_seconds=30.0, rmse=0.3),
@@ -123,7 +125,7 @@ def test_real_volumes_have_a_table_of_their_own():
     assert "| torus | side |" not in text and "Table 2" not in text
 
 
-def test_real_volumes_are_whole_and_in_the_middle_of_their_cubes():
+def test_real_volumes_are_complete_and_centred_in_their_cubes():
     made, absent = real_volumes.real_views(8, 1, None)
     # The plume may not be copied into the repository.
     assert {path.name for path in absent} <= {"pbrt_plume_0065.vdb"}

@@ -1,4 +1,4 @@
-"""The quick part of the stability benchmark, each case within its bound; all of them stand in docs/stability.md."""
+"""The quick cases of the stability benchmark, each within its bound; docs/stability.md lists all of them."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ QUICK = [case for case in CASES if case.quick]
 
 
 @pytest.mark.parametrize("case", QUICK, ids=[f"{case.group}: {case.name}" for case in QUICK])
-def test_an_extreme_case_keeps_its_bounds(case):
+def test_an_extreme_case_stays_within_its_bounds(case):
     if case in files.CASES:
         pytest.importorskip("bpy")
     assert violations(case, measure(case)) == []
 
 
-def test_what_is_beyond_a_bound_or_missing_is_told():
+def test_violated_bounds_and_missing_results_are_reported():
     case = Case("group", "name", "itself", None, {"error": 0.1})
     assert violations(case, Outcome({"error": 0.1})) == []
     for wrong in ({"error": 0.11}, {"error": np.nan}, {}):
@@ -29,7 +29,7 @@ def test_what_is_beyond_a_bound_or_missing_is_told():
         assert "group, name: error" in sentence and "0.1 is allowed" in sentence
 
 
-def test_the_published_table_is_of_these_cases():
+def test_the_published_table_lists_these_cases():
     published = {(row["group"], row["case"], row["quantity"]): row for row in pages.read_csv(DOCS / "stability.csv")}
     wanted = {(case.group, case.name, quantity): bound for case in CASES for quantity, bound in case.bounds.items()}
     assert set(published) == set(wanted)

@@ -1,4 +1,4 @@
-"""Pixels that take their multiple scattering from their neighbours."""
+"""Adaptive interpolation: pixels that take their multiple scattering from their neighbours."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
 from inference.plan.plan import make_tiles
-from inference.image.adaptive_interpolation import LEVELS, Squares, agreeing
+from inference.image.adaptive_interpolation import LEVELS, Squares, interpolable
 from inference.plan.resolution import BAND
 
 from tests.support.volumes import SUN, camera, cloud
@@ -21,10 +21,10 @@ STRIDES = [stride for stride, _ in LEVELS]
 
 @pytest.mark.parametrize("stride", STRIDES)
 @pytest.mark.parametrize("window", WINDOWS)
-def test_pixels_of_squares_are_looked_at_or_lie_between_places_that_are(window, stride):
+def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
     squares = Squares(window, stride)
     shared = np.ones(len(squares.known), bool)
-    look, between = squares.first_look(), squares.between(shared)
+    look, between = squares.known_pixels(), squares.interior(shared)
     inside = np.zeros(squares.size, bool)
     inside[squares.pixels] = True
     np.testing.assert_array_equal(look ^ between, inside)
@@ -36,68 +36,68 @@ def test_pixels_of_squares_are_looked_at_or_lie_between_places_that_are(window, 
     assert np.all(np.ptp(row // BAND, axis=1) == 0) and np.all(column[:, 0] % stride == 0)
 
 
-def test_what_no_square_shares_is_left_to_be_looked_at():
-    """Pixels on the edge of a square that shares with one that does not are looked at."""
+def test_pixels_outside_interpolated_squares_are_evaluated():
+    """So are those on an edge between an interpolated square and one that is not."""
     squares = Squares((0, 0, 9, 9), 4)
-    between = squares.between(np.array([True, False, True, True])).reshape(9, 9)
+    between = squares.interior(np.array([True, False, True, True])).reshape(9, 9)
     assert between[1:4, 4].sum() == 0 and between[4, 5:8].sum() == 0
     assert between[4, 1:4].all() and between[1, 1:4].all() and not between[:4, 5:].any()
 
 
-def test_squares_whose_corners_or_middle_are_settled_are_left_out():
+def test_squares_with_known_corners_or_middles_are_skipped():
     squares = Squares((0, 0, 9, 9), 4)
     settled = np.zeros(81, bool)
     # A corner of two squares, another's middle, and a pixel on an edge.
     settled[[4, 6 * 9 + 2, 5 * 9 + 4]] = True
-    np.testing.assert_array_equal(squares.apart_from(settled).pixels, squares.pixels[3:])
+    np.testing.assert_array_equal(squares.without(settled).pixels, squares.pixels[3:])
 
 
 @pytest.mark.parametrize("stride", STRIDES)
-def test_linear_functions_are_interpolated_exactly_and_do_not_stray(stride):
+def test_linear_functions_are_interpolated_exactly(stride):
     squares = Squares((2, 3, 45, 60), stride)
     y, x = np.mgrid[3:60, 2:45].astype(np.float32)
     values = (5.0 + 0.25 * x - 0.5 * y + 40.0).ravel()
     shared = np.ones(len(squares.known), bool)
-    between = squares.between(shared)
+    between = squares.interior(shared)
     found = np.where(between, np.float32(np.nan), values)
     squares.fill(found, shared, between)
     np.testing.assert_allclose(found, values, rtol=1e-6)
-    assert squares.surprise(values).max() < 1e-4
-    assert squares.straying(values, np.ones_like(values)).max() < 1e-6
+    assert squares.centre_error(values).max() < 1e-4
+    assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
 
 
-def test_only_squares_whose_middles_are_foretold_share():
+def test_only_squares_whose_middles_are_predicted_are_interpolated():
     squares = Squares((0, 0, 21, 21), 4)
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
     mean[squares.known[7, 4]] = 1.2
-    shared, surprise = agreeing(squares, mean, dark, ones, dark, None, 0.03)
+    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
-    # What hides behind a little opacity does not matter, nor beside much more light, nor what may be noise.
-    assert agreeing(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
-    assert agreeing(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
-    assert not agreeing(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
+    # Differences at low opacity, beside much more light, or within the noise do not count.
+    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
+    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
+    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
     mean[squares.known[7, 4]] = 1.02
-    assert agreeing(squares, mean, dark, ones, dark, None, 0.03)[0].all()
-    assert not agreeing(squares, mean, dark, ones, dark, None, 0.01)[0].all()
-    # A shadow's edge between the places looked at.
+    assert interpolable(squares, mean, dark, ones, dark, None, 0.03)[0].all()
+    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01)[0].all()
+    # A shadow's edge between evaluated pixels.
     ahead = ones.copy()
     ahead[squares.pixels[3, 2]] = 0.3
-    assert list(np.flatnonzero(~agreeing(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
-    # A place that shows nothing of the volume says nothing of it.
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
+    # A pixel that does not show the volume does not count.
     opacity = ones.copy()
     opacity[squares.known[12, 4]] = 0.0
-    assert list(np.flatnonzero(~agreeing(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
 
 
 @pytest.fixture(scope="module")
 def close():
-    """A view of a cloud in which a voxel is many pixels."""
+    """A view of a cloud in which a voxel covers many pixels."""
     return [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN], camera(resolution=(150, 110), fov=0.3)
 
 
-def test_sharing_spares_predictions_and_keeps_the_picture(close):
-    """Two thirds of them here; what it costs is less than what so few depths leave, and told."""
+def test_interpolation_saves_predictions_and_keeps_the_picture(close):
+    """Two thirds of them here; its error is below that of so few depth samples, and reported."""
     every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))
     shared = render(*close, Settings(4))
     many = render(*close, Settings(32, leave_out=ALL - {"shared_pixels"}))
@@ -114,8 +114,8 @@ def test_sharing_spares_predictions_and_keeps_the_picture(close):
     assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
 
 
-def test_a_part_of_the_image_shows_what_the_whole_shows(close):
-    """Squares lie where they lie in the whole image; those that the part's rim cuts are looked at."""
+def test_a_region_shows_what_the_whole_image_shows(close):
+    """Squares lie where they lie in the whole image; those cut by the region's border are evaluated."""
     volumes, suns, whole = close
     picture = render(*close, Settings(4)).rgb
     part = render(volumes, suns, replace(whole, region=(40, 33, 101, 99)), Settings(4)).rgb
@@ -123,7 +123,7 @@ def test_a_part_of_the_image_shows_what_the_whole_shows(close):
 
 
 def test_a_sharp_step_in_a_volume_stays_sharp():
-    """Two halves of one box, one dense and one thin, whose border lies between the places looked at."""
+    """A dense and a thin half of a box, whose border lies between evaluated pixels."""
     density = np.full((32, 32, 32), 0.05, np.float32)
     density[16:] = 1.0
     matrix = np.diag([1 / 32] * 3 + [1.0])

@@ -1,4 +1,4 @@
-"""Where camera rays can meet volumes."""
+"""Camera rays: which of them can hit a volume."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def hits(view, grid):
 
 
 def random_view(random):
-    """A camera near the origin, sheared, shifted and cropped, that may be inside the volume or look away."""
+    """A camera near the origin, sheared, shifted and cropped, perhaps inside the volume or looking away."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation(random.uniform(0, 6), random.normal(size=3)) + 0.2 * random.normal(size=(3, 3))
     matrix[:3, 3] = random.normal(size=3) * 1.5
@@ -30,9 +30,10 @@ def random_view(random):
                   shift=tuple(random.normal(size=2) * 0.2), region=(x0, y0, x0 + 38, y0 + 19))
 
 
-def test_no_ray_that_meets_a_volume_is_left_out():
-    random, met = np.random.default_rng(5), 0
-    for _ in range(400):
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6, 7, 8))])
+def test_no_ray_that_hits_a_volume_is_skipped(seed):
+    random, met = np.random.default_rng(seed), 0
+    for _ in range(100):
         volume = placed(random.random((4, 3, 2), np.float32))
         volume.world_from_index[:3, :3] += 0.1 * random.normal(size=(3, 3))
         view, grid = random_view(random), Grid(volume)
@@ -40,11 +41,11 @@ def test_no_ray_that_meets_a_volume_is_left_out():
         met += found.any()
         found[top - first[1] : bottom - first[1], left - first[0] : right - first[0]] = False
         assert not found.any()
-    assert met > 50
+    assert met > 12
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_little_more_than_the_volume_is_looked_at(projection):
+def test_the_window_is_little_larger_than_the_volume(projection):
     view = camera((1.7, -1.3, 6.0), pixels=200, projection=projection, ortho_scale=4.0)
     grid = Grid(placed(np.ones((4, 4, 4))))
     found, _ = hits(view, grid)

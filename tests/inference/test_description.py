@@ -1,4 +1,4 @@
-"""What the public descriptions accept and refuse, and the plan made of them."""
+"""What the scene description accepts and refuses, and the plan that is made of it."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def plan_of(media, suns):
     return make_plan(volumes, suns, Camera(np.eye(4), resolution=(4, 4)), Settings())
 
 
-def test_the_plan_leaves_out_what_the_scene_does_not_need():
+def test_the_plan_skips_what_the_scene_does_not_need():
     suns = [Sun((0, 0, 1), 1.0, "a"), Sun((0, 0, 3), 2.0, "b"), Sun((0, 1, 0), 0.0, "dark")]
     plan = plan_of([Medium(1.0, 0.5), Medium(0.0, 0.5), Medium(1.0, 0.0)], suns)
     assert [v.name for v, _ in plan.volumes] == ["v0", "v2"]

@@ -16,7 +16,7 @@ def truth():
 
 
 def halves(truth, noise, seed=1):
-    """Two independent unbiased estimates of `truth`, exponential-like noise as of a path tracer."""
+    """Two independent unbiased estimates of `truth`, with a path tracer's long-tailed noise."""
     rng = np.random.default_rng(seed)
     shape = 1.0 / noise**2
     return tuple(truth * rng.gamma(shape, 1.0 / shape, truth.shape) for _ in range(2))
@@ -42,20 +42,20 @@ def test_planted_bias_is_found_whatever_the_noise(truth, noise):
 
 @pytest.mark.parametrize("noise", [0.05, 0.3, 1.0])
 def test_planted_rmse_is_found_whatever_the_noise(truth, noise):
-    # An error pattern of known root mean square, a fifth of the image's mean.
+    # An error pattern whose RMSE is a fifth of the image's mean.
     pattern = np.sign(np.sin(np.arange(SIZE) / 5.0))[:, None, None] * 0.2 * truth.mean()
     a, b = halves(truth, noise)
     rmse = relative_rmse(truth + pattern, a, b, EVERYWHERE)
     assert rmse.value == pytest.approx(0.2, rel=0.1 if noise == 1.0 else 0.03)
     assert rmse.low <= 0.2 <= rmse.high
-    # A single reference would have read its own noise as the layer's error.
+    # A single reference would have counted its own noise as the layer's error.
     single = np.sqrt(np.mean((truth + pattern - a) ** 2)) / truth.mean()
     assert single > np.hypot(0.2, 0.9 * noise)
 
 
-def test_interval_covers_the_truth_about_95_times_in_100(truth):
+def test_the_interval_covers_the_truth_in_about_95_percent(truth):
     rng = np.random.default_rng(5)
-    # Errors constant over 8 x 8 pixels but randomly placed: a bootstrap over pixels would miss often.
+    # Errors constant over randomly placed 8 x 8 blocks: a bootstrap over pixels would often fail.
     covered = 0
     for trial in range(100):
         blocks = np.kron(rng.normal(0.0, 0.1, (SIZE // 8, SIZE // 8)), np.ones((8, 8)))[..., None]
@@ -90,7 +90,7 @@ def test_paper_metric_of_two_greys_is_the_difference_of_their_tone_mapped_values
     # The ACES fit at pi L = 1 is 2.54 / 3.16, at 0 it is 0.
     one, black = np.full((4, 4), 1 / np.pi), np.zeros((4, 4))
     assert paper_metric(one, black, black) == pytest.approx(100 * 2.54 / 3.16)
-    # Half the image wrong: the root mean square over the whole of it.
+    # Half the image is wrong: the RMSE over all of it.
     half = one.copy()
     half[:2] = 0.0
     assert paper_metric(half, black, black) == pytest.approx(100 * 2.54 / 3.16 / np.sqrt(2))

@@ -1,4 +1,4 @@
-"""Error against time: laws, ladders and verdicts against planted noise, bias and costs."""
+"""Error against time: the noise law, ladders of samples and verdicts, for planted noise, bias and cost."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from inference.evaluation.error_vs_time import (
 
 SIZE = 96
 EVERYWHERE = np.ones((SIZE, SIZE), bool)
-# Standard deviation of a pixel at one sample, over its mean.
+# Standard deviation of a pixel at one sample, relative to its mean.
 SPREAD = 2.0
 
 
@@ -21,7 +21,7 @@ def truth():
 
 
 def traced(truth, samples, seed):
-    """What a path tracer of `samples` a pixel makes of `truth`: unbiased, grey gamma noise."""
+    """A path tracer's image of `truth` at `samples` per pixel: unbiased, grey gamma noise."""
     shape = samples / SPREAD**2
     noise = np.random.default_rng(seed).gamma(shape, 1.0 / shape, truth.shape[:2])
     return truth * noise[..., None]
@@ -40,13 +40,13 @@ def test_a_bias_of_5_percent_lies_in_the_stated_intervals_and_not_0(truth):
     a, b = traced(truth, 4096, 1), traced(truth, 4096, 2)
     found = rung(1.05 * truth, a, b)
     assert found.bias.low < 0.05 < found.bias.high and found.bias.low > 0.04
-    # A constant factor is an error of 5 % of the root mean square.
+    # A constant factor is a relative RMSE of 5 %.
     expected = 0.05 * np.sqrt((truth**2).mean()) / truth.mean()
     assert found.rmse.low < expected < found.rmse.high
     assert judge(found, a, b, EVERYWHERE, 1.0).good
 
 
-def test_an_image_that_is_its_own_reference_has_no_error(truth):
+def test_an_image_against_itself_has_no_error(truth):
     image = traced(truth, 16, 1)
     found = rung(image, image, image)
     assert (found.rmse.value, found.rmse.high, found.bias.value) == (0.0, 0.0, 0.0)
@@ -74,12 +74,12 @@ def test_the_law_from_halves_predicts_the_error_of_another_render(truth):
 def test_cost_is_split_into_start_and_samples():
     samples = np.array([1, 4, 16, 64])
     assert cost(samples, 3.0 + 0.25 * samples) == pytest.approx((3.0, 0.25))
-    # Neither part is ever negative, and one measurement tells the sum alone.
+    # Neither part is ever negative, and one measurement gives only the sum.
     assert cost(samples, 0.25 * samples - 0.1)[0] == 0.0
     assert cost([8], [4.0]) == (0.0, 0.5)
 
 
-def test_a_ladder_is_read_between_its_rungs_and_marked_beyond_them():
+def test_a_ladder_is_interpolated_and_marked_where_extrapolated():
     ladder = [of_error(1, 1.0, 0.4), of_error(4, 4.0, 0.2), of_error(16, 16.0, 0.1)]
     between = seconds_on_ladder(ladder, np.sqrt(0.2 * 0.1))
     assert between.value == pytest.approx(8.0) and between.how == MEASURED
@@ -91,7 +91,7 @@ def test_a_ladder_is_read_between_its_rungs_and_marked_beyond_them():
     assert error_on_ladder(ladder, 0.5).how == AT_LEAST
 
 
-def test_a_reference_that_is_too_noisy_says_what_a_good_one_takes(truth):
+def test_a_noisy_reference_states_the_samples_of_a_good_one(truth):
     layer = 1.05 * truth
     a, b = traced(truth, 16, 1), traced(truth, 16, 2)
     exact = rung(layer, truth, truth)
@@ -106,7 +106,7 @@ def test_a_reference_that_is_too_noisy_says_what_a_good_one_takes(truth):
     assert judge(exact, a, b, EVERYWHERE, 10.0).good
 
 
-def test_a_reference_without_noise_is_good_and_one_that_hides_the_error_says_so(truth):
+def test_a_noiseless_reference_is_good_and_one_noisier_than_the_error_is_marked(truth):
     assert judge(rung(1.1 * truth, truth, truth), truth, truth, EVERYWHERE, 1.0).good
     a, b = traced(truth, 4, 1), traced(truth, 4, 2)
     hidden = judge(rung((a + b) / 2, a, b), a, b, EVERYWHERE, 1.0)

@@ -1,4 +1,4 @@
-"""Opaque surfaces in multiple scattering: conservation, closed forms, and what must not change."""
+"""Opaque surfaces in multiple scattering: energy conservation, closed forms, and what must not change."""
 
 import numpy as np
 import pytest
@@ -26,8 +26,8 @@ def spread():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_behind_a_wall_diffused_light_is_that_of_half_a_cube(axis):
-    """A wall midway between two layers of cells ends light as a face of the cube does."""
+def test_a_wall_bounds_diffusion_as_a_face_of_the_cube_does(axis):
+    """A wall midway between two layers of cells."""
     corners = np.array([[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])
     square = np.insert(corners, axis, 0.0, axis=1)
     walls = CellBoundaries([square[[0, 1, 2]], square[[0, 2, 3]]], CELLS)
@@ -35,14 +35,14 @@ def test_behind_a_wall_diffused_light_is_that_of_half_a_cube(axis):
     d, source = np.moveaxis(spread(), 0, axis), np.random.default_rng(5).random((CELLS,) * 3)
     below = tuple(slice(CELLS // 2) if a == axis else slice(None) for a in range(3))
     source[tuple(slice(CELLS // 2, None) if a == axis else slice(None) for a in range(3))] = 0.0
-    found = solve(*couple(d, 1.0 / CELLS, walls), source)
-    expected = solve(*couple(d[below], 1.0 / CELLS), source[below])
-    # CellBoundaries are looked for a little off the cells' middles.
+    found = solve(couple(d, 1.0 / CELLS, walls), source)
+    expected = solve(couple(d[below], 1.0 / CELLS), source[below])
+    # Boundaries are sought slightly off the cells' centres.
     np.testing.assert_allclose(found[below], expected, rtol=0.01)
     assert found.sum() == pytest.approx(found[below].sum(), rel=1e-12)
 
 
-def test_links_stand_for_a_balls_surface_and_inside():
+def test_cell_boundaries_match_a_balls_surface_and_volume():
     radius = 0.37
     walls = CellBoundaries(ball(radius), CELLS)
     centre = (np.arange(CELLS) + 0.5) / CELLS - 0.5
@@ -58,29 +58,29 @@ def test_all_light_leaves_through_faces_and_walls():
     d, walls = spread(), CellBoundaries(ball(0.3), CELLS)
     source = np.where(walls.inside, 0.0, 1.0)
     diagonal, couplings = couple(d, 1.0 / CELLS, walls)
-    fluence = solve(diagonal, couplings, source)
+    fluence = solve((diagonal, couplings), source)
     assert np.all(fluence[walls.inside] == 0.0) and np.all(fluence[~walls.inside] > 0.0)
     inner = sum(couplings[a] + np.roll(couplings[a], 1, a) for a in range(3))
     assert ((diagonal - inner) * fluence).sum() == pytest.approx(source.sum(), rel=5e-3)
-    free = solve(*couple(d, 1.0 / CELLS), source)
+    free = solve(couple(d, 1.0 / CELLS), source)
     assert np.all(fluence <= free * 1.01) and fluence.sum() < 0.8 * free.sum()
-    # Within the ball lookups find what is outside, in the cells next to it.
-    assert walls.spread_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
+    # Inside the ball, lookups read the nearest cells outside.
+    assert walls.extrapolate_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
 
 
-def test_lit_cells_are_the_share_of_each_that_a_wall_leaves():
-    """Light straight down past a wall over x < 0.1."""
+def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
+    """Light straight down past a wall at x < 0.1."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     shadow_map = ShadowMap([rectangle(-9, 0.1, -9, 9, 3.0)], np.array([0.0, 0.0, 1.0]), corners)
-    share = shadow_map.lit_cells(8, parts=16)
+    share = shadow_map.cell_visibility(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
-    np.testing.assert_allclose(shadow_map.lit_cells(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.lit_cells(8), atol=1e-6)
+    np.testing.assert_allclose(shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
 def test_no_light_no_scattering(model):
-    """Behind a wall that hides the sun there is nothing left to be scattered, however often."""
+    """In the shadow of a wall there is no scattering of any order."""
     settings, medium, view = Settings(model=model), Medium(4.0, 0.9, 0.4), camera()
     wall = Surface(rectangle(-9, 9, -9, 9, 6.0).triangles, covers=False)
     lit, dark = (render([(fog(), medium)], [SUN], view, settings, surfaces=surfaces) for surfaces in ([], [wall]))
@@ -88,14 +88,14 @@ def test_no_light_no_scattering(model):
     if model == "mrpnn":
         assert dark.multiple.max() < 2e-3 * lit.multiple.mean()
     else:
-        # It is told of the light at the stencil alone.
+        # It knows the light at the stencil only.
         assert dark.multiple.mean() < 0.5 * lit.multiple.mean()
 
 
 SUN = Sun((0.2, 0.1, 1.0), 2.0)
 
 
-def test_surfaces_that_meet_no_light_change_nothing():
+def test_surfaces_that_block_no_light_change_nothing():
     medium, view = Medium(4.0, 0.9, 0.4), camera()
     alone = render([(fog(), medium)], [SUN], view)
     behind = Surface(rectangle(-9, 9, -9, 9, -1.5).triangles, covers=False)
@@ -104,7 +104,7 @@ def test_surfaces_that_meet_no_light_change_nothing():
         np.testing.assert_array_equal(render([(fog(), medium)], [SUN], view, surfaces=surfaces).rgb, alone.rgb)
 
 
-def test_a_surface_that_ends_scattered_light_darkens_what_is_around_it():
+def test_a_surface_that_absorbs_scattered_light_darkens_its_surroundings():
     medium, view = Medium(4.0, 0.95, 0.4), camera(resolution=(24, 16))
     hole = Surface(ball(0.5), covers=False, shades=False)
     alone, stopped = (render([(fog(), medium)], [SUN], view, surfaces=surfaces) for surfaces in ([], [hole]))
@@ -112,7 +112,8 @@ def test_a_surface_that_ends_scattered_light_darkens_what_is_around_it():
     assert 0.3 * alone.multiple.mean() < stopped.multiple.mean() < 0.97 * alone.multiple.mean()
 
 
-def test_what_is_kept_knows_when_surfaces_and_suns_change():
+@pytest.mark.slow
+def test_the_render_cache_follows_surfaces_and_suns():
     medium, view, cache = Medium(4.0, 0.9, 0.4), camera(), RenderCache()
     first, second = ([Surface(rectangle(-9, edge, -9, 9, 6.0).triangles, covers=False)] for edge in (0.4, 0.9))
     other = Sun((-0.5, 0.1, 1.0), 2.0)
@@ -122,14 +123,15 @@ def test_what_is_kept_knows_when_surfaces_and_suns_change():
         np.testing.assert_array_equal(found.rgb, anew.rgb)
 
 
-def test_a_network_that_sees_no_light_says_so():
+def test_a_network_without_light_inputs_warns_of_surfaces():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
     layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
                    surfaces=[wall])
-    assert "fog: the network rpnn does not know of surfaces" in layer.report.warnings
+    assert "fog: the network rpnn does not account for surfaces" in layer.report.warnings
 
 
-def test_suns_below_a_ground_are_left_out():
+@pytest.mark.slow
+def test_suns_below_a_ground_are_skipped():
     ground, settings = rectangle(-9, 9, -9, 9, -2.0), Settings(2)
     pair = [(fog(), Medium(2.0, 0.9, 0.6))]
     above, below = Sun((0.3, 0.2, 0.9), 2.0), [Sun((0.1, 0.5, -0.8), 5.0), Sun((-0.6, 0.0, -0.7), 1.0)]
@@ -138,10 +140,10 @@ def test_suns_below_a_ground_are_left_out():
     assert any("2 suns" in reason for reason in found.report.left_out)
     np.testing.assert_array_equal(found.rgb, alone.rgb)
     assert found.report.counts["network points"] == alone.report.counts["network points"]
-    # A ground that ends below the volume leaves light.
+    # A ground that does not extend below the volume lets light through.
     half = rectangle(-9, 0, -9, 9, -2.0)
     lit = render(pair, [above, *below], camera(), settings, surfaces=[half])
     assert not any("suns" in reason for reason in lit.report.left_out)
-    # Where none shines there is nothing but alpha.
+    # Without light there is only alpha.
     dark = render(pair, below, camera(), settings, surfaces=[ground])
     assert dark.alpha.max() > 0.1 and dark.rgb.max() < 1e-3 * alone.rgb.max()

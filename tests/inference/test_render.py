@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
 from inference.plan import plan
-from inference.network.predictor import FLUENCE_MOST
+from inference.network.predictor import MAX_FLUENCE
 from inference.scene.optimizations import ALL
 from inference.scene.phase_function import henyey_greenstein
 from tests.support.volumes import BLACK, SUN, box, camera, cloud
@@ -17,7 +17,7 @@ from tests.support.volumes import BLACK, SUN, box, camera, cloud
 def test_alpha_of_a_box_is_one_minus_transmittance():
     layer = render([(box((1.0, 1.0, 2.0)), BLACK)], [SUN], camera(projection="orthographic", ortho_scale=0.5))
     np.testing.assert_allclose(layer.alpha, 1 - np.exp(-3.0 * 2.0), rtol=2e-4)
-    # Mean free flight in a slab of optical depth 6, from its face at distance 2.
+    # Mean free-flight distance in a slab of optical depth 6, from its face at distance 2.
     expected = 2.0 + (1 / 3.0) * (1 - 7 * np.exp(-6.0)) / (1 - np.exp(-6.0))
     np.testing.assert_allclose(layer.depth, expected, rtol=5e-3)
     assert np.all(layer.rgb == 0.0)
@@ -28,7 +28,7 @@ def test_alpha_of_a_sphere_follows_its_chords():
     voxels = 96
     axis = (np.arange(voxels) + 0.5) / voxels - 0.5
     r = np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij")))
-    # The surface crosses its voxels: density falls over one of them.
+    # The surface crosses voxels: the density falls off over one of them.
     sphere = box(voxels=voxels)
     sphere.density = np.clip((0.4 - r) * voxels + 0.5, 0.0, 1.0).astype(np.float32)
     view = camera(projection="orthographic", ortho_scale=1.0, resolution=(64, 1))
@@ -84,7 +84,7 @@ def test_same_seed_same_image_for_any_number_of_threads():
 
 
 def test_a_region_is_cut_out_of_the_whole():
-    """Where pixels share, `test_shared_pixels` does the same."""
+    """With interpolated pixels: test_adaptive_interpolation.py."""
     volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(leave_out=ALL - {"shared_pixels"})
     whole = render(volumes, [SUN], camera(), settings)
     part = render(volumes, [SUN], camera(region=(5, 3, 17, 14)), settings)
@@ -92,7 +92,7 @@ def test_a_region_is_cut_out_of_the_whole():
     np.testing.assert_allclose(part.alpha, whole.alpha[3:14, 5:17], atol=1e-6)
 
 
-def test_turning_moving_and_scaling_the_scene_changes_nothing():
+def test_rotating_translating_and_scaling_the_scene_changes_nothing():
     """Rotation, translation far from the origin, and scale at fixed optical depth."""
     medium, view = Medium(30.0, 0.9, 0.5), camera()
     still = render([(cloud(), medium)], [SUN], view)
@@ -111,8 +111,8 @@ def test_turning_moving_and_scaling_the_scene_changes_nothing():
     np.testing.assert_allclose(moved.depth[still.alpha > 0.1] / 100, still.depth[still.alpha > 0.1], rtol=1e-3)
 
 
-def test_a_volume_in_two_parts_casts_the_same_shadows():
-    """Alpha, single and multiple scattering of two overlapping parts equal those of the sum."""
+def test_two_overlapping_parts_equal_their_sum():
+    """In alpha, single and multiple scattering, shadows included."""
     whole = cloud()
     parts = []
     for share in (0.3, 0.7):
@@ -127,7 +127,7 @@ def test_a_volume_in_two_parts_casts_the_same_shadows():
 
 
 def test_one_volume_shadows_another():
-    # The upper box is the larger, so that the soft rim of its voxels shadows nothing.
+    # The upper box is larger, so that its soft boundary casts no shadow.
     lower, upper = box(name="lower"), box((2.0, 1.0, 2.0), name="upper")
     upper.world_from_index = upper.world_from_index.copy()
     upper.world_from_index[1, 3] += 1.5
@@ -155,7 +155,7 @@ def test_multiple_scattering_vanishes_in_proportion_to_thin_media():
     assert thinner == pytest.approx(thin / 100, rel=1e-3)
 
 
-def test_predictions_are_those_that_the_image_shows():
+def test_predictions_match_the_image():
     """The multiple layer of an opaque box is the prediction at its face, weighted along the ray."""
     volume, medium = box(voxels=96), Medium(10.0, 0.9, 0.5)
     view = camera(projection="orthographic", ortho_scale=0.01, resolution=(1, 1))
@@ -167,8 +167,8 @@ def test_predictions_are_those_that_the_image_shows():
     np.testing.assert_allclose(layer.multiple[0, 0], 0.9 * predicted.mean(axis=0) * (1 - np.exp(-10.0)), rtol=0.02)
 
 
-def test_uncertainty_is_the_error_that_more_depths_take_away():
-    """Over the pixels: the estimate is right in its size, and in where it is large."""
+def test_uncertainty_is_the_error_that_more_depth_samples_remove():
+    """Over the pixels: right in its size, and in where it is large."""
     def layer(samples):
         return render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(), Settings(samples))
 
@@ -184,8 +184,8 @@ def test_uncertainty_is_the_error_that_more_depths_take_away():
     assert np.all(one.uncertainty >= (1.0 - 1e-5) * one.multiple.mean(axis=2))
 
 
-def test_fewer_samples_on_faint_rays_cost_less_than_the_error_told():
-    """A thin cloud, most of whose rays are faint; turned off, every ray that meets it gets all samples."""
+def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
+    """A thin cloud, most of whose rays are faint; without this, every ray that hits it gets all samples."""
     def layer(samples, *without):
         return render([(cloud(), Medium(3.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, leave_out=ALL - {"shared_pixels", *without}))
 
@@ -198,12 +198,12 @@ def test_fewer_samples_on_faint_rays_cost_less_than_the_error_told():
     assert np.sqrt((off**2).mean()) < 0.02 * best.multiple.mean()
 
 
-def test_a_sun_without_light_leaves_the_shape_alone():
+def test_a_black_sun_leaves_alpha_unchanged():
     layer = render([(cloud(), Medium(30.0, 0.9))], [Sun((0.0, 0.0, 1.0), 0.0)], camera())
     assert np.all(layer.rgb == 0.0) and layer.alpha.max() > 0.5
 
 
-def test_it_stops_when_asked():
+def test_rendering_can_be_cancelled():
     calls = []
     with pytest.raises(Cancelled):
         render([(cloud(), Medium(30.0, 0.9))], [SUN], camera(), cancelled=lambda: calls.append(0) or len(calls) > 3)
@@ -236,27 +236,27 @@ def test_a_scene_that_cannot_be_rendered_is_named(change, message):
 def test_warnings_name_what_is_outside_the_trained_range():
     layer = render([(box(name="fog"), Medium(1e5, 0.9, 0.99))], [SUN], camera())
     assert any("fog: anisotropy" in w for w in layer.report.warnings)
-    assert any("fog: optical density" in w for w in layer.report.warnings)
+    assert any("fog: optical thickness" in w for w in layer.report.warnings)
     assert np.all(np.isfinite(layer.rgb)) and layer.rgb.min() >= 0.0
 
 
 @pytest.mark.parametrize("anisotropy", [-0.99, 0.0, 0.999])
 @pytest.mark.parametrize("sigma_t", [1e-6, 1.0, 1e7])
-def test_outside_the_trained_range_light_stays_finite_and_bounded(sigma_t, anisotropy):
-    """Never more than a conservative medium's largest fluence, all of it where the phase function peaks."""
+def test_outside_the_trained_range_radiance_stays_finite_and_bounded(sigma_t, anisotropy):
+    """At most a conservative medium's largest fluence, all of it in the peak of the phase function."""
     random = np.random.default_rng(6)
     points, directions = random.uniform(-0.4, 0.4, (300, 3)), random.normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     found = predict_multiple(cloud(), Medium(sigma_t, 1.0, anisotropy), SUN, points, directions)
     used = np.clip(anisotropy, -0.3, 0.95)
-    most = FLUENCE_MOST * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
+    most = MAX_FLUENCE * henyey_greenstein(np.sign(used), used) * SUN.irradiance[0]
     assert np.all(np.isfinite(found)) and found.min() >= 0.0 and found.max() <= most * (1 + 1e-6)
     assert found.max() > 0.0
 
 
 @pytest.mark.parametrize("suns", [1, 2])
-def test_tiles_join_without_a_seam(monkeypatch, suns):
-    """An image in tiles is that in one piece; several suns take as few tiles as memory allows."""
+def test_tiles_equal_the_whole_image(monkeypatch, suns):
+    """Several suns take as few tiles as memory allows."""
     scene = [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN, Sun((-0.6, 0.0, 0.8), 0.5)][:suns]
     scene += (camera(resolution=(24, 75)),)
     whole = render(*scene, Settings(2))
@@ -268,8 +268,8 @@ def test_tiles_join_without_a_seam(monkeypatch, suns):
         np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
 
 
-def test_a_volume_cut_by_the_clip_start_is_warned_of():
-    """From there on it is rendered, which Cycles does not do; a camera inside a volume is not meant."""
+def test_a_volume_cut_by_the_clip_start_gives_a_warning():
+    """Cycles does not clip it; a camera inside a volume gives no warning."""
     scene, view = ([(cloud(), Medium(30.0, 0.9, 0.5))], [SUN]), camera()
     distance = np.linalg.norm(view.world_matrix[:3, 3])
     cut = render(*scene, replace(view, clip=(distance, 100.0)), Settings(1))

@@ -1,4 +1,4 @@
-"""Surfaces that end camera rays, against closed forms and against rays met one by one."""
+"""Surfaces in front of and within volumes, against closed forms and brute-force ray intersection."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL
 from inference.scene.camera_rays import camera_rays
-from inference.occluders.depth_buffer import PLACES, DepthBuffer
+from inference.occluders.depth_buffer import SAMPLES, DepthBuffer
 from tests.support.surfaces import camera, fog, rectangle
 
 SUN = Sun((0.4, 0.3, 0.8), 2.0)
@@ -32,8 +32,8 @@ def met(triangles, origins, directions):
 
 @pytest.mark.parametrize("clip", [0.0, 1.5])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_distances_are_those_of_rays_met_one_by_one(projection, clip):
-    """Triangles anywhere, also behind the eye and through its plane and the near clipping plane."""
+def test_depths_equal_brute_force_intersection(projection, clip):
+    """Triangles anywhere, also behind the camera and across its plane and the near clipping plane."""
     random = np.random.default_rng(2)
     triangles = random.normal(0.0, 3.0, (60, 1, 3)) + random.normal(0.0, 2.0, (60, 3, 3)) + [0, 0, -2.0]
     view = camera(projection, shift=(0.1, -0.05), ortho_scale=5.0, clip=(clip, np.inf))
@@ -42,24 +42,24 @@ def test_distances_are_those_of_rays_met_one_by_one(projection, clip):
     window = (2, 1, 11, 8)
     found = DepthBuffer([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
 
-    fine = Camera(view.world_matrix, projection, (12 * PLACES, 8 * PLACES), view.fov, 5.0, view.shift)
+    fine = Camera(view.world_matrix, projection, (12 * SAMPLES, 8 * SAMPLES), view.fov, 5.0, view.shift)
     fine.clip = view.clip
     origins, directions, near, _ = camera_rays(fine)
     expected = near + met(triangles, origins + near[:, None] * directions, directions)
-    expected = expected.reshape(8, PLACES, 12, PLACES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, PLACES**2)
+    expected = expected.reshape(8, SAMPLES, 12, SAMPLES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, SAMPLES**2)
     same = np.isclose(found, expected, rtol=1e-6)
     assert np.isfinite(expected).mean() > 0.3
-    # A place on an edge may fall to either side.
+    # A sample on an edge may fall on either side.
     assert same.mean() > 0.995
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_light_ends_at_a_wall(projection):
+def test_a_wall_hides_what_lies_behind_it(projection):
     view = camera(projection, resolution=(9, 9), fov=0.05, ortho_scale=0.1)
     wall = rectangle(-5, 5, -5, 5, 0.4)
     layer = render([(fog(), Medium(1.5, 0.0))], [SUN], view, surfaces=[wall])
     np.testing.assert_allclose(layer.alpha, 1.0 - np.exp(-1.5 * 0.6), rtol=2e-3)
-    # What stands before the volume hides it, what stands behind it leaves it alone.
+    # A surface in front of the volume hides it, one behind it does not.
     hidden = render([(fog(), Medium(1.5, 0.5))], [SUN], view, surfaces=[rectangle(-5, 5, -5, 5, 1.5)])
     assert hidden.alpha.max() == hidden.rgb.max() == 0.0 and np.all(np.isinf(hidden.depth))
     alone, behind = (render([(fog(), Medium(1.5, 0.5, 0.3))], [SUN], view, surfaces=surfaces)
@@ -69,18 +69,18 @@ def test_light_ends_at_a_wall(projection):
 
 
 def test_an_edge_covers_its_share_of_a_pixel():
-    """A wall over the left 0.3 of a pixel that looks straight at even fog."""
+    """A wall over the left 0.3 of a pixel that faces homogeneous fog."""
     view = camera("orthographic", resolution=(4, 4), ortho_scale=0.4)
     walls = [rectangle(-1.0, 0.03, -1.0, 1.0, 1.5), rectangle(0.03, 1.0, -1.0, 1.0, 0.0)]
     whole, half = 1.0 - np.exp(-2.0), 1.0 - np.exp(-1.0)
     near = render([(fog(), Medium(1.0, 0.7))], [SUN], view, surfaces=walls[:1])
     assert np.all(near.alpha[:, :2] == 0.0)
-    np.testing.assert_allclose(near.alpha[:, 2], 0.7 * whole, atol=0.5 / PLACES * whole)
+    np.testing.assert_allclose(near.alpha[:, 2], 0.7 * whole, atol=0.5 / SAMPLES * whole)
     np.testing.assert_allclose(near.alpha[:, 3], whole, rtol=1e-3)
     both = render([(fog(), Medium(1.0, 0.7))], [SUN], view, surfaces=walls[1:])
-    np.testing.assert_allclose(both.alpha[:, 2], 0.3 * whole + 0.7 * half, atol=0.5 / PLACES * (whole - half))
+    np.testing.assert_allclose(both.alpha[:, 2], 0.3 * whole + 0.7 * half, atol=0.5 / SAMPLES * (whole - half))
     np.testing.assert_allclose(both.alpha[:, 3], half, rtol=2e-3)
-    # Light of a share of a pixel is that share of its light.
+    # A partly covered pixel has that share of its radiance.
     share = near.alpha[0, 2] / near.alpha[0, 3]
     np.testing.assert_allclose(near.rgb[:, 2], share * near.rgb[:, 3], rtol=0.02)
 
@@ -101,8 +101,8 @@ def test_broken_vertices_are_refused_by_name():
         Surface(np.full((1, 3, 3), np.nan), "wall")
 
 
-def test_a_surface_shades_what_lies_behind_it_from_the_sun():
-    """Single scattering of a slab seen across the sun's light, half of which a distant wall keeps off."""
+def test_a_surface_casts_its_shadow_into_the_volume():
+    """Single scattering of a slab across the sun's light, half of which a distant wall blocks."""
     wall = rectangle(-9, 0.0, -9, 9, 6.0)
     sun = Sun((0.0, 0.0, 1.0), 3.0)
     matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
@@ -113,14 +113,14 @@ def test_a_surface_shades_what_lies_behind_it_from_the_sun():
     assert shaded.single[:, :19].max() < 1e-6
     np.testing.assert_allclose(shaded.single[:, 21:], lit.single[:, 21:], rtol=1e-5)
     np.testing.assert_array_equal(shaded.alpha, lit.alpha)
-    # Behind the volume it shades nothing, nor does what is said not to.
+    # Behind the volume it casts no shadow, nor does a surface with shades=False.
     for harmless in (rectangle(-9, 0, -9, 9, -6.0), Surface(wall.triangles, "wall", shades=False)):
         one = render([(fog(), Medium(0.7, 0.9, 0.3))], [sun], view, settings, surfaces=[harmless])
         np.testing.assert_allclose(one.single, lit.single, rtol=1e-6)
 
 
-def test_a_slanting_shadow_falls_where_the_sun_sends_it():
-    """The edge of a wall's shadow moves with height by the tangent of the sun's angle."""
+def test_an_oblique_shadow_falls_along_the_suns_direction():
+    """The shadow's edge moves with height by the tangent of the sun's angle."""
     sun = Sun((1.0, 0.0, 2.0), 3.0)
     matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
     view = Camera(matrix, "orthographic", (64, 64), ortho_scale=1.9)

@@ -1,4 +1,4 @@
-"""Properties, preferences and what panels say, in real Blender; and that nothing is left behind."""
+"""Properties, preferences and the panels' texts, in real Blender; and that nothing is left behind."""
 
 import gc
 import sys
@@ -9,6 +9,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, Settings, render
+from inference.network.provider import PROVIDERS
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+
 from tests.support import blender_scenes
 
 
@@ -18,7 +22,7 @@ def cloud(scene, tmp_path):
     return blender_scenes.cloud_scene(scene, tmp_path)
 
 
-def test_presets_set_the_samples_and_samples_tell_the_preset(scene):
+def test_presets_set_the_samples_and_samples_show_the_preset(scene):
     settings = scene.mrpnn
     assert (settings.preset, settings.depth_samples) == ('DRAFT', 4)
     settings.preset = 'FINAL'
@@ -29,16 +33,15 @@ def test_presets_set_the_samples_and_samples_tell_the_preset(scene):
     assert settings.depth_samples == 5
 
 
-def test_what_is_left_out_is_chosen_one_by_one(addon, scene):
-    omissions = addon.inference.scene.optimizations
-    assert scene.mrpnn.leave_out == set(omissions.OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == omissions.ALL
+def test_optimizations_are_chosen_one_by_one(addon, scene):
+    assert scene.mrpnn.leave_out == set(OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == ALL
     scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
     assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
     scene.mrpnn.leave_out = set()
     assert scene.mrpnn.settings().leave_out == frozenset()
 
 
-def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
+def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
     assert scene.mrpnn.settings().memory_limit == 8 << 30
     entry = bpy.context.preferences.addons.new()
     entry.module = "mrpnn"
@@ -57,11 +60,11 @@ def test_the_machine_settings_hold_where_the_scene_says_nothing(addon, scene):
 
 def test_the_preferences_offer_every_provider(addon, scene):
     items = addon.mrpnn_addon.settings.preferences._PROVIDER_ITEMS
-    assert [item[0] for item in items] == list(addon.inference.network.provider.PROVIDERS)
+    assert [item[0] for item in items] == list(PROVIDERS)
 
 
 def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_path, capfd):
-    """There, networks were numbered by their place in the list."""
+    """There, networks were numbered by their position in the list."""
     scene.mrpnn.depth_samples, scene.mrpnn.memory_limit = 12, 6
     stored = scene.mrpnn.bl_system_properties_get(do_create=True) if bpy.app.version >= (5, 0, 0) else scene["mrpnn"]
     stored["model"], stored["version"] = 0, 0
@@ -83,36 +86,36 @@ def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_pat
     assert "enum" not in said.out + said.err
 
 
-def test_the_forecast_counts_what_a_render_does(addon, scene, cloud):
+def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
     blender_scenes.add_sun(scene, "Second", rotation=(1.0, 0.0, 0.0))
     found = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert (found.volumes, found.suns, found.problem) == (1, 2, "")
     bpy.ops.mrpnn.render()
     counts = addon.mrpnn_addon.status.last_render.last_render()
-    # Bounds hold all that is hit, and the cloud does not fill them.
+    # The bounds contain all pixels that show the cloud, which does not fill them.
     assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
     scene.camera.location.z = 0.5
     inside = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert inside.pixels == 32 * 24
 
 
-def test_the_forecasts_bounds_follow_the_camera(addon, scene, cloud):
-    """For shifted, orthographic and turned cameras: no pixel that shows the cloud is outside."""
+def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
+    """For shifted, orthographic and rotated cameras: no pixel that shows the cloud is outside."""
     lens = scene.camera.data
     for kind, shift in (('PERSP', (0.2, -0.1)), ('ORTHO', (-0.3, 0.2))):
         lens.type, lens.ortho_scale, (lens.shift_x, lens.shift_y) = kind, 5.0, shift
         scene.camera.rotation_euler = (0.1, 0.15, 0.4)
         graph = blender_scenes.depsgraph()
         described = addon.mrpnn_addon.scene.reader.read_scene(graph)
-        alpha = addon.inference.render(
-            described.volumes, described.suns, described.camera, addon.inference.Settings(1)).alpha
+        alpha = render(
+            described.volumes, described.suns, described.camera, Settings(1)).alpha
         boxes = [box for box, _ in described.boxes]
         covered = addon.mrpnn_addon.objects.workload.pixels_around(boxes, described.camera)
         assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
         assert covered.sum() < 4 * (alpha > 0).sum()
 
 
-def test_the_check_lists_what_is_left_out_and_knows_when_it_is_old(addon, scene, cloud, tmp_path):
+def test_the_check_lists_what_is_left_out_and_becomes_outdated(addon, scene, cloud, tmp_path):
     blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
     check = addon.mrpnn_addon.status.scene_check
     assert bpy.ops.mrpnn.check() == {'FINISHED'}
@@ -130,7 +133,7 @@ def test_the_check_lists_what_is_left_out_and_knows_when_it_is_old(addon, scene,
 
 
 def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
-    """A package of that name and an old version, before Blender's own in the search path."""
+    """A package of that name and an old version, before the extension's in the search path."""
     folder = tmp_path / "site"
     (folder / "onnxruntime").mkdir(parents=True)
     (folder / "onnxruntime" / "__init__.py").write_text("")
@@ -141,7 +144,7 @@ def test_another_onnxruntime_is_named(addon, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.delitem(__import__("sys").modules, "onnxruntime", raising=False)
     metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.9.0\n")
-    with pytest.raises(addon.inference.SceneError, match="1.9.0.*too old"):
+    with pytest.raises(SceneError, match="1.9.0.*too old"):
         runtime.check_runtime()
     metadata.write_text("Metadata-Version: 2.1\nName: onnxruntime\nVersion: 1.30.1\n")
     (warning,) = runtime.check_runtime()
@@ -169,8 +172,9 @@ def _left_behind():
     return handlers, threading.active_count(), len(bpy.data.images), len(bpy.data.scenes)
 
 
-def test_fifty_switches_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
-    """Of engines, scenes, files and registrations; the console stays silent."""
+@pytest.mark.slow
+def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
+    """Also of scenes and registrations; the console stays silent."""
     path = str(tmp_path / "scene.blend")
     scene.mrpnn.depth_samples, scene.render.resolution_percentage = 1, 25
     bpy.ops.wm.save_as_mainfile(filepath=path)

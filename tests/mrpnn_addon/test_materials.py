@@ -1,4 +1,4 @@
-"""Materials and lamps as extinction, albedo and irradiance, against Cycles' own renders."""
+"""Materials and lamps read as extinction, albedo and irradiance, against Cycles' renders."""
 
 import importlib
 import math
@@ -8,6 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, render
+
 from tests.support import blender_scenes
 
 CELLS, EDGE = 12, 3.0
@@ -16,7 +18,7 @@ STRENGTH = 2.0
 
 @pytest.fixture(scope="module")
 def box(tmp_path_factory):
-    """A homogeneous cube of edge 3 and density 1; its ramps end inside Cycles' bounds."""
+    """A homogeneous cube of edge 3 and density 1, whose boundary ramps lie inside Cycles' bounds."""
     return blender_scenes.write_vdb(
         tmp_path_factory.mktemp("box"), np.ones((CELLS,) * 3), blender_scenes.centred(CELLS, EDGE), low=(2, 2, 2))
 
@@ -59,7 +61,7 @@ def assert_cycles_agrees(addon, scene, folder, tolerance=0.03):
     {"Density": 0.2, "Color": (0.5, 0.5, 0.5, 1.0)},
     {"Density": 0.1, "Color": (0.8, 0.4, 0.1, 1.0), "Anisotropy": -0.3},
     {"Density": 0.1, "Color": (0.5, 0.5, 0.5, 1.0), "Absorption_Color": (0.25, 0.25, 0.25, 1.0)},
-    # Scattering above 1 leaves nothing to absorb: extinction grows, albedo is 1.
+    # Scattering above 1 leaves no absorption: extinction grows, albedo is 1.
     {"Density": 0.1, "Color": (2.0, 2.0, 2.0, 1.0)},
 ], ids=["grey", "colour", "absorption colour", "colour above 1"])
 def test_principled_volume(addon, scene, box, tmp_path, inputs):
@@ -68,7 +70,7 @@ def test_principled_volume(addon, scene, box, tmp_path, inputs):
 
 
 def link_grid(node, source, output, factor=None):
-    """Link `source`'s output to the shader's Density, through a multiplication where a factor is given."""
+    """Link an output of `source` to the shader's Density, multiplied by a factor if one is given."""
     tree = node.id_data
     source = tree.nodes.new(source)
     if source.bl_idname == "ShaderNodeAttribute":
@@ -93,7 +95,7 @@ def test_volume_scatter_reads_the_grid_through_a_link(addon, scene, box, tmp_pat
     np.testing.assert_array_equal(medium.albedo, 1.0)
 
 
-def test_no_material_is_cycles_default(addon, scene, box, tmp_path):
+def test_without_a_material_cycles_default_applies(addon, scene, box, tmp_path):
     cloud, _, _ = build(scene, box)
     cloud.data.materials.clear()
     assert_cycles_agrees(addon, scene, tmp_path)
@@ -168,14 +170,14 @@ def test_a_chain_of_nodes_shapes_the_density(addon, scene, box, tmp_path, chain)
     assert_cycles_agrees(addon, scene, tmp_path)
 
 
-def test_density_attribute_multiplies_what_is_linked(addon, scene, box, tmp_path):
+def test_the_density_attribute_multiplies_the_linked_density(addon, scene, box, tmp_path):
     _, node, _ = build(scene, box)
     link_grid(node, "ShaderNodeVolumeInfo", "Density", 0.1)
     assert_cycles_agrees(addon, scene, tmp_path)
 
 
 def shaders(node, *kinds, joined):
-    """Replace the shader by several of `kinds`, all reading the grid times 0.1, joined by a node."""
+    """Replace the shader by several of `kinds`, all with a tenth of the grid's density, joined by a node."""
     tree = node.id_data
     added = []
     for kind in kinds:
@@ -214,8 +216,8 @@ def test_volume_coefficients(addon, scene, box, tmp_path):
     ("RAYLEIGH", ()), ("DRAINE", (0.6, 3.0)), ("MIE", (0.05,)), ("MIE", (0.8,)), ("MIE", (3.0,)), ("MIE", (20.0,)),
     ("FOURNIER_FORAND", (1.33, 0.1)),
 ], ids=str)
-def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase, inputs):
-    """Single scattering at two angles, in Cycles' picture, in the function and in the layer."""
+def test_phase_functions_equal_those_of_cycles(addon, scene, box, tmp_path, phase, inputs):
+    """Single scattering at two angles: Cycles' render, the phase function and the layer agree."""
     found = importlib.import_module("mrpnn.mrpnn_addon.nodes.phase_functions")
     _, node, sun = build(scene, box, "ShaderNodeVolumeScatter")
     node.phase = phase
@@ -227,11 +229,11 @@ def test_phase_functions_are_those_of_cycles(addon, scene, box, tmp_path, phase,
     density = found.phase_function(phase, *inputs)
     mean, seen = density.mean_cosine(), []
     for angle in (0.3, 2.4):
-        # Light that goes straight on has angle 0; the camera looks down.
+        # Forward scattering has angle 0; the camera looks down.
         sun.rotation_euler = (math.pi - angle, 0.0, 0.0)
         seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=256)[..., 0].mean())
         described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-        layer = addon.inference.render(described.volumes, described.suns, described.camera)
+        layer = render(described.volumes, described.suns, described.camera)
         assert layer.single[..., 0].mean() == pytest.approx(seen[-1], rel=0.06)
     assert seen[0] / seen[1] == pytest.approx(density(math.cos(0.3)) / density(math.cos(2.4)), rel=0.06)
     assert described.volumes[0][1].anisotropy == pytest.approx(mean)
@@ -268,7 +270,7 @@ def bend_phase(node):
 
 
 @pytest.mark.parametrize("change, named", [
-    (link_voronoi, "Voronoi Texture"), (clear_attribute, "Density Attribute"), (fog_without_end, "fog without end"),
+    (link_voronoi, "Voronoi Texture"), (clear_attribute, "Density Attribute"), (fog_without_end, "endless fog"),
     (unlink, "Volume socket"), (bend_phase, "phase function"),
 ])
 def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, named):
@@ -278,7 +280,7 @@ def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, n
 
 
 def assert_refused(addon, named):
-    with pytest.raises(addon.inference.SceneError, match="Cloud") as refusal:
+    with pytest.raises(SceneError, match="Cloud") as refusal:
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     assert "Cloud fog" in str(refusal.value) and named in str(refusal.value)
 

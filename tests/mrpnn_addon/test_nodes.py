@@ -1,4 +1,4 @@
-"""Node trees evaluated in numpy, against what Cycles shows on a glowing plane."""
+"""Node trees evaluated in numpy, against Cycles' render of an emissive plane."""
 
 import importlib
 import itertools
@@ -33,7 +33,7 @@ def plane(addon, scene):
     half = EDGE
     mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
     blender_scenes.add_object(scene, "Plane", mesh)
-    material = bpy.data.materials.new("ScatteredEmission")
+    material = bpy.data.materials.new("Emission")
     material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
@@ -54,9 +54,9 @@ def rendered(scene, folder):
 
 
 def evaluated(emission):
-    """Of Blender's nodes, and of their copies, which threads evaluate."""
-    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(Plane())
-    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").copied(emission.id_data, emission)
+    """The value of Blender's nodes, and of their copies, which threads evaluate."""
+    values = importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(Plane())
+    copied = importlib.import_module("mrpnn.mrpnn_addon.nodes.snapshot").snapshot(emission.id_data, emission)
     found = values.colour(emission, "Color")
     np.testing.assert_array_equal(values.colour(copied, "Color"), found)
     return np.broadcast_to(found, (PIXELS * PIXELS, 3))
@@ -72,7 +72,7 @@ def assert_equal_to_cycles(scene, folder, emission):
 
 
 def combined(tree, emission, outputs):
-    """Link up to three numbers to the emission's colour, moved so that none is negative."""
+    """Link up to three numbers to the emission's colour, offset so that none is negative."""
     combine = tree.nodes.new("ShaderNodeCombineXYZ")
     lift = tree.nodes.new("ShaderNodeVectorMath")
     lift.inputs[1].default_value = (20.0,) * 3
@@ -193,7 +193,7 @@ def test_colour_blends_and_conversions(addon, scene, plane, tmp_path, blend):
     mix.inputs[0].default_value = 0.6
     grey = add(tree, "Math", operation='ADD')
     grey.inputs[1].default_value = 5.0
-    # A colour that enters a number becomes its luminance.
+    # A colour linked to a value socket becomes its luminance.
     tree.links.new(next(o for o in mix.outputs if o.type == 'RGBA'), grey.inputs[0])
     tree.links.new(grey.outputs[0], emission.inputs["Color"])
     assert_equal_to_cycles(scene, tmp_path, emission)

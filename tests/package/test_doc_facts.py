@@ -13,70 +13,181 @@ MADE = ("build", "data", "runs", ".venv")
 
 # Page, sentence with numbers, module, and of each number its value there.
 FACTS = [
-    ("docs/method.md", r"optically thicker than (\S+), the part of the ray that light reaches is cut again, up to (\d+) times",
-     "inference.marching.ray_march", ("STIFF", "REFINEMENTS")),
-    ("docs/stability.md", r"optically thicker than (\S+) are cut again, up to (\d+) times",
-     "inference.marching.ray_march", ("STIFF", "REFINEMENTS")),
-    ("docs/method.md", r"Rays end at an optical depth of (\d+), or of (\d+) where only single scattering is wanted",
-     "inference.marching.ray_march", ("REACH", "BEHIND")),
-    ("docs/performance.md", r"rays end at an optical depth of (\d+), for single scattering alone of (\d+)",
-     "inference.marching.ray_march", ("REACH", "BEHIND")),
-    ("docs/method.md", r"scaled by a = (\d+), ([\d.]+) and ([\d.]+),",
-     "inference.marching.ray_features", ("SCALES[0]", "SCALES[1]", "SCALES[2]")),
-    ("docs/method.md", r"none below an alpha of (\S+)\)", "inference.marching.depth_samples", ("FAINTEST_ALPHA",)),
-    ("docs/performance.md", r"all of rays of alpha below (\S+) ", "inference.marching.depth_samples", ("FAINTEST_ALPHA",)),
-    ("docs/method.md", r"turns by less than (\d+)°", "inference.marching.extended_lights", ("np.degrees(AHEAD)",)),
-    ("docs/method.md", r"light scattered (\d+) times \(Henyey–Greenstein, G⁴\)",
-     "inference.marching.extended_lights", ("ORDER",)),
-    ("docs/method.md", r"optically thicker than ([\d.]+), the first one to (\d+) slices are integrated instead; above (\d+) the",
-     "inference.grids.sun_optical_depth", ("THIN_SLICE", "SLICES_MOST", "STEEP_SLICE")),
-    ("docs/method.md", r"Densities beyond (2\^)±(\d+) ", "inference.plan.plan", ("2", "np.log2(USUAL_DENSITY[1])")),
-    ("docs/stability.md", r"Densities beyond (2\^)±(\d+) ", "inference.plan.plan", ("2", "np.log2(USUAL_DENSITY[1])")),
-    ("docs/method.md", r"optical thicknesses above (\S+) are rendered", "inference.plan.plan", ("SIGMA_HAT_MOST",)),
-    ("docs/stability.md", r"optical densities above (\S+) render", "inference.plan.plan", ("SIGMA_HAT_MOST",)),
+    (
+        "docs/method.md",
+        r"optically thicker than (\S+), the part of the ray that light reaches is cut again, up to (\d+) times",
+        "inference.marching.ray_march",
+        ("MAX_STEP_THICKNESS", "REFINEMENTS"),
+    ),
+    (
+        "docs/stability.md",
+        r"optically thicker than (\S+) are cut again, up to (\d+) times",
+        "inference.marching.ray_march",
+        ("MAX_STEP_THICKNESS", "REFINEMENTS"),
+    ),
+    (
+        "docs/method.md",
+        r"Rays end at an optical depth of (\d+), or of (\d+) where only single scattering is wanted",
+        "inference.marching.ray_march",
+        ("REACH", "MAX_OPTICAL_DEPTH"),
+    ),
+    (
+        "docs/performance.md",
+        r"rays end at an optical depth of (\d+), for single scattering alone of (\d+)",
+        "inference.marching.ray_march",
+        ("REACH", "MAX_OPTICAL_DEPTH"),
+    ),
+    (
+        "docs/method.md",
+        r"scaled by a = (\d+), ([\d.]+) and ([\d.]+),",
+        "inference.marching.ray_features",
+        ("SCALES[0]", "SCALES[1]", "SCALES[2]"),
+    ),
+    ("docs/method.md", r"none below an alpha of (\S+)\)", "inference.marching.depth_samples", ("MIN_ALPHA",)),
+    (
+        "docs/performance.md",
+        r"all of rays of alpha below (\S+) ",
+        "inference.marching.depth_samples",
+        ("MIN_ALPHA",),
+    ),
+    (
+        "docs/method.md",
+        r"turns by less than (\d+)°",
+        "inference.marching.extended_lights",
+        ("np.degrees(FORWARD_ANGLE)",),
+    ),
+    (
+        "docs/method.md",
+        r"light scattered (\d+) times \(Henyey–Greenstein, G⁴\)",
+        "inference.marching.extended_lights",
+        ("ORDER",),
+    ),
+    (
+        "docs/method.md",
+        r"optically thicker than ([\d.]+), the first one to (\d+) slices are integrated instead; above (\d+) the",
+        "inference.grids.sun_optical_depth",
+        ("THIN_SLICE", "MAX_SLICES", "STEEP_SLICE"),
+    ),
+    ("docs/method.md", r"Densities beyond (2\^)±(\d+) ", "inference.plan.plan", ("2", "np.log2(DENSITY_RANGE[1])")),
+    ("docs/stability.md", r"Densities beyond (2\^)±(\d+) ", "inference.plan.plan", ("2", "np.log2(DENSITY_RANGE[1])")),
+    ("docs/method.md", r"optical thicknesses above (\S+) are rendered", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
+    ("docs/stability.md", r"optical densities above (\S+) render", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
     ("docs/method.md", r"tiles of at most (\d+) pixels", "inference.plan.plan", ("TILE_PIXELS",)),
-    ("docs/method.md", r"more than (\d+) times as long as the shortest", "inference.plan.overlap", ("MOST_EXTENT",)),
+    (
+        "docs/method.md",
+        r"more than (\d+) times as long as the shortest",
+        "inference.plan.overlap",
+        ("MAX_EXTENT_RATIO",),
+    ),
     ("docs/method.md", r"density pyramid has (\d+)³ cells", "inference.plan.resolution", ("LEVEL0_CELLS",)),
     ("docs/performance.md", r"a pyramid of (\d+)³ cells", "inference.plan.resolution", ("LEVEL0_CELLS",)),
     ("docs/method.md", r"to at most (\d+) voxels along an edge", "inference.plan.resolution", ("FINE_EDGE",)),
     ("docs/method.md", r"blocks of (\d+) × (\d+) × (\d+) voxels", "inference.scene.sparse_grid", ("EDGE",) * 3),
-    ("docs/method.md", r"at (\d+) × (\d+) positions per pixel", "inference.occluders.depth_buffer", ("PLACES", "PLACES")),
+    (
+        "docs/method.md",
+        r"at (\d+) × (\d+) positions per pixel",
+        "inference.occluders.depth_buffer",
+        ("SAMPLES", "SAMPLES"),
+    ),
     ("docs/method.md", r"per sun, (\d+) cells along its longer side", "inference.occluders.shadow_map", ("CELLS",)),
-    ("docs/method.md", r"behind an optical depth of (\d+)\.", "inference.features.mip_lattices", ("SHADE",)),
+    ("docs/method.md", r"behind an optical depth of (\d+)\.", "inference.features.mip_lattices", ("MAX_SHADOW_DEPTH",)),
     ("docs/method.md", r"\(S_N\) on (\d+)³ cells", "inference.transport.discrete_ordinates", ("CELLS",)),
-    ("docs/method.md", r"at most (\d+) sweeps on (\d+)³ cells and (\d+) on (\d+)³",
-     "inference.transport.discrete_ordinates", ("ROUNDS", "CELLS // 2", "MORE_ROUNDS", "CELLS")),
-    ("docs/method.md", r"on (\d+) cells along the longest edge, .{0,60} (\d+) directions for unscattered light and (\d+) for the "
-     r"rest, in (\d+) rounds", "inference.transport.scattered_emission",
-     ("CELLS", "6 * DIRECT**2", "6 * SCATTERED**2", "ROUNDS")),
-    ("docs/method.md", r"reduced optical thickness exceeds (\d+)", "inference.transport.scattered_emission", ("THICK",)),
+    (
+        "docs/method.md",
+        r"at most (\d+) sweeps on (\d+)³ cells and (\d+) on (\d+)³",
+        "inference.transport.discrete_ordinates",
+        ("SWEEPS", "CELLS // 2", "FINE_SWEEPS", "CELLS"),
+    ),
+    (
+        "docs/method.md",
+        r"on (\d+) cells along the longest edge, .{0,60} (\d+) directions for unscattered light and (\d+) for the "
+        r"rest, in (\d+) rounds",
+        "inference.transport.scattered_emission",
+        ("CELLS", "6 * DIRECT**2", "6 * SCATTERED**2", "ROUNDS"),
+    ),
+    (
+        "docs/method.md",
+        r"reduced optical thickness exceeds (\d+)",
+        "inference.transport.scattered_emission",
+        ("THICK",),
+    ),
     ("docs/method.md", r"every (\d+)th of these points", "inference.features.stencil", ("SPARSE",)),
     ("docs/method.md", r"at (\d+) points of the stencil", "inference.features.stencil", ("POINTS",)),
-    ("docs/method.md", r"reads (\d+) densities, their mean per layer", "inference.features.stencil", ("POINTS // SPARSE",)),
+    (
+        "docs/method.md",
+        r"reads (\d+) densities, their mean per layer",
+        "inference.features.stencil",
+        ("POINTS // SPARSE",),
+    ),
     ("docs/method.md", r"up to (\d+) times finer", "inference.features.mip_lattices", ("max(FINE)",)),
-    ("docs/method.md", r"half-space, ([\d.]+) per unit irradiance", "inference.network.predictor", ("FLUENCE_MOST",)),
-    ("docs/method.md", r"squares of (\d+) × \d+ pixels first.{0,120} within (\d+ %)",
-     "inference.image.adaptive_interpolation", ("LEVELS[0][0]", "LEVELS[0][1]")),
-    ("docs/method.md", r"squares of (\d+) × \d+ pixels and (\d+ %)",
-     "inference.image.adaptive_interpolation", ("LEVELS[1][0]", "LEVELS[1][1]")),
-    ("docs/method.md", r"plus ([\d.]+) times the depth samples' own", "inference.image.adaptive_interpolation", ("NOISE",)),
-    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("ANISOTROPY_MOST",)),
-    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("IRRADIANCE_MOST",)),
-    ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MOST_STEPS",)),
-    ("docs/settings.md", r"(\d+) random points are evaluated .{0,120} differs by more than (\d+ %)",
-     "inference.network.provider", ("TRIAL_POINTS", "TOLERANCE")),
+    ("docs/method.md", r"half-space, ([\d.]+) per unit irradiance", "inference.network.predictor", ("MAX_FLUENCE",)),
+    (
+        "docs/method.md",
+        r"squares of (\d+) × \d+ pixels first.{0,120} within (\d+ %)",
+        "inference.image.adaptive_interpolation",
+        ("LEVELS[0][0]", "LEVELS[0][1]"),
+    ),
+    (
+        "docs/method.md",
+        r"squares of (\d+) × \d+ pixels and (\d+ %)",
+        "inference.image.adaptive_interpolation",
+        ("LEVELS[1][0]", "LEVELS[1][1]"),
+    ),
+    (
+        "docs/method.md",
+        r"plus ([\d.]+) times the depth samples' own",
+        "inference.image.adaptive_interpolation",
+        ("NOISE",),
+    ),
+    (
+        "docs/method.md",
+        r"a residual network of four layers, (\d+) wide",
+        "training.networks.mrpnn",
+        ("WIDTH",),
+    ),
+    (
+        "docs/method.md",
+        r"a series over (\d+) scattering orders n from (\d+) to (\d+)",
+        "training.networks.mrpnn",
+        ("len(ORDERS)", "ORDERS[0]", "ORDERS[-1]"),
+    ),
+    ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
+    ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
+    ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
+    (
+        "docs/settings.md",
+        r"(\d+) random points are evaluated .{0,120} differs by more than (\d+ %)",
+        "inference.network.provider",
+        ("TRIAL_POINTS", "TOLERANCE"),
+    ),
 ]
 # The same of modules that need Blender.
 ADDON_FACTS = [
-    ("docs/stability.md", r"more than (\S+) voxels in blocks that hold something, or (\S+) in their box",
-     "vdb.density_grid", ("MAX_VOXELS", "MAX_SPAN")),
-    ("docs/performance.md", r"up to (\S+) voxels, of which blocks with (\S+) hold something",
-     "vdb.density_grid", ("MAX_SPAN", "MAX_VOXELS")),
+    (
+        "docs/stability.md",
+        r"more than (\S+) voxels in blocks that hold something, or (\S+) in their box",
+        "vdb.density_grid",
+        ("MAX_VOXELS", "MAX_SPAN"),
+    ),
+    (
+        "docs/performance.md",
+        r"up to (\S+) voxels, of which blocks with (\S+) hold something",
+        "vdb.density_grid",
+        ("MAX_SPAN", "MAX_VOXELS"),
+    ),
     ("docs/performance.md", r"Grids of more than (\S+) voxels keep only blocks", "vdb.density_grid", ("DENSE_SPAN",)),
-    ("docs/settings.md", r"Preset: Preview, Draft, Final, Custom \| (\d+), (\d+) and (\d+) depth samples",
-     "settings.properties", ("PRESETS['PREVIEW']", "PRESETS['DRAFT']", "PRESETS['FINAL']")),
-    ("docs/comparison.md", r"depth samples, which is judged, and with (\d+), (\d+), (\d+) and (\d+);",
-     "comparison.run", tuple(f"DEPTHS[{n}]" for n in range(4))),
+    (
+        "docs/settings.md",
+        r"Preset: Preview, Draft, Final, Custom \| (\d+), (\d+) and (\d+) depth samples",
+        "settings.properties",
+        ("PRESETS['PREVIEW']", "PRESETS['DRAFT']", "PRESETS['FINAL']"),
+    ),
+    (
+        "docs/comparison.md",
+        r"depth samples, which is judged, and with (\d+), (\d+), (\d+) and (\d+);",
+        "comparison.run",
+        tuple(f"DEPTHS[{n}]" for n in range(4)),
+    ),
 ]
 
 
@@ -86,8 +197,9 @@ def page(name):
 
 def number(text: str) -> float:
     """The number that a text like 0.6, 1e12, 3 %, 2^29, 2³⁴ or 256³ stands for."""
-    text = re.sub("[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found.group().translate(
-        str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")), text).rstrip(",;.")
+    text = re.sub(
+        "[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found.group().translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")), text
+    ).rstrip(",;.")
     if text.endswith("%"):
         return float(text[:-1]) / 100.0
     base, _, exponent = text.partition("^")
@@ -101,12 +213,16 @@ def check(document, sentence, module, values):
     assert stated == pytest.approx([float(eval(value, dict(vars(module)))) for value in values]), found.group()
 
 
-@pytest.mark.parametrize("document, sentence, module, values", FACTS, ids=[f"{fact[0]}: {fact[3][0]}" for fact in FACTS])
+@pytest.mark.parametrize(
+    "document, sentence, module, values", FACTS, ids=[f"{fact[0]}: {fact[3][0]}" for fact in FACTS]
+)
 def test_constants_are_those_of_the_code(document, sentence, module, values):
     check(document, sentence, importlib.import_module(module), values)
 
 
-@pytest.mark.parametrize("document, sentence, module, values", ADDON_FACTS, ids=[f"{f[0]}: {f[3][0]}" for f in ADDON_FACTS])
+@pytest.mark.parametrize(
+    "document, sentence, module, values", ADDON_FACTS, ids=[f"{f[0]}: {f[3][0]}" for f in ADDON_FACTS]
+)
 def test_constants_are_those_of_the_extension(addon, document, sentence, module, values):
     check(document, sentence, importlib.import_module(f"{addon.__name__}.mrpnn_addon.{module}"), values)
 
@@ -120,8 +236,11 @@ def test_paths_and_commands_exist(path):
     assert missing == []
     modules = set(re.findall(r"python\S* -m\s+((?:benchmarks|training|inference)[\w.]*)", text))
     files = {module: ROOT.joinpath(*module.rstrip(".").split(".")) for module in modules}
-    assert [module for module, file in files.items()
-            if not file.with_suffix(".py").exists() and not (file / "__main__.py").exists()] == []
+    assert [
+        module
+        for module, file in files.items()
+        if not file.with_suffix(".py").exists() and not (file / "__main__.py").exists()
+    ] == []
 
 
 def anchors(path):
@@ -142,6 +261,8 @@ def test_links_lead_somewhere(path):
 
 
 def test_checksums_are_those_of_the_shipped_weights():
-    rows = dict(re.findall(r"^\| `([\w-]+)\.onnx` \| ([0-9a-f]{12}) \|", (ROOT / "docs/weights.md").read_text(), re.MULTILINE))
+    rows = dict(
+        re.findall(r"^\| `([\w-]+)\.onnx` \| ([0-9a-f]{12}) \|", (ROOT / "docs/weights.md").read_text(), re.MULTILINE)
+    )
     shipped = {path.stem: path.read_text()[:12] for path in (ROOT / "inference/weights").glob("*.sha256")}
     assert rows == shipped

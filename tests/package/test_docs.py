@@ -1,4 +1,4 @@
-"""The pages name what there is: every setting, option and button, by the name it has in Blender."""
+"""The docs name every setting, option and button as Blender shows it."""
 
 import argparse
 import re
@@ -15,7 +15,7 @@ def page(name):
 
 
 def named(properties):
-    """UI names of a class' own properties."""
+    """UI names of a class's own properties."""
     return [made.keywords["name"] for made in properties.__annotations__.values() if "name" in made.keywords]
 
 
@@ -40,7 +40,7 @@ def test_every_button_and_panel_is_named(addon):
     assert len(buttons) > 4 and [name for name in (*buttons, *panels) if name not in pages] == []
 
 
-def test_every_option_of_the_command_is_listed_and_no_other(addon):
+def test_exactly_the_commands_options_are_listed(addon):
     pages = page("docs/command-line.md") + page("docs/comparison.md")
     parser = addon.operators.command._parser()
     (actions,) = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
@@ -51,7 +51,7 @@ def test_every_option_of_the_command_is_listed_and_no_other(addon):
     assert listed <= options
 
 
-def test_messages_that_the_troubleshooting_page_quotes_are_said(addon):
+def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
     code = " ".join(path.read_text() for folder in ("inference", "mrpnn_addon", "operators")
                     for path in (ROOT / folder).rglob("*.py"))
     # Literals that go on in the next line are one.

@@ -20,5 +20,7 @@ def test_the_extension_and_the_library_share_every_module(addon):
     loaded = {id(module): str(getattr(module, "__file__", "")) for module in list(sys.modules.values())}
     copies = Counter(loaded.values())
     assert len(files) > 60 and {copies[str(path)] for path in files} == {1}
+    # The function, not the module of its name.
+    assert callable(inference.render)
     # What the extension raises is what a script catches.
     assert addon.mrpnn_addon.scene.reader.SceneError is addon.inference.SceneError is inference.SceneError

@@ -1,7 +1,7 @@
-"""The installed extension in Blender programs, which the bpy module is not: named by MRPNN_BLENDER.
+"""The installed extension in whole Blender programs, which MRPNN_BLENDER names.
 
-Several are separated as paths are in PATH. Installs the built zip into a folder of its own and uses it
-as a farm would.
+Paths are separated as in PATH. Installs the built zip into a folder of its own and uses it as a render
+farm would.
 """
 
 import json
@@ -106,7 +106,7 @@ def test_an_animation_from_the_command_line(program):
 
 
 @pytest.mark.parametrize("frames", [("-a",), ("-f", "1..2")])
-def test_a_mistake_is_exit_status_1_and_no_file(program, frames):
+def test_a_mistake_gives_exit_status_1_and_no_file(program, frames):
     folder = program.folder
     run = program("-b", folder / "broken.blend", "-E", "MRPNN", "-o", folder / "broken_##", *frames)
     assert run.returncode == 1, run.stdout + run.stderr
@@ -162,7 +162,7 @@ COMPOSITE = """
 """
 
 
-def test_composite_over_cycles_builds_what_this_compositor_shows(program):
+def test_composite_over_cycles_works_in_this_versions_compositor(program):
     folder = program.folder
     (folder / "composite.py").write_text(textwrap.dedent(COMPOSITE))
     run = program("-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--",
@@ -190,7 +190,7 @@ MANAGER = """
 
 
 def compiled_tasks(settings):
-    """What the job type makes of a job's settings, where those without a value take its own defaults."""
+    """The tasks that the job type compiles from a job's settings; missing ones take its defaults."""
     engine = py_mini_racer.MiniRacer()
     engine.eval(textwrap.dedent(MANAGER) + (ROOT / "docs" / "farm" / "mrpnn_render.js").read_text())
     found = json.loads(engine.eval("JSON.stringify(JOB_TYPE.settings)"))
@@ -201,7 +201,7 @@ def compiled_tasks(settings):
         f"compileJob({{settings: {job}, addTask(task) {{ tasks.push(task); }}}}); JSON.stringify(tasks)"))
 
 
-def test_the_flamenco_job_type_s_tasks_render_their_chunks(program):
+def test_the_flamenco_job_types_tasks_render_their_chunks(program):
     folder = program.folder
     tasks = compiled_tasks({"frames": "1-5", "chunk_size": 3, "blendfile": str(folder / "absorbing.blend"),
                             "output": str(folder / "farm" / "######.exr")})
@@ -293,7 +293,7 @@ FLUID = """
 
 @pytest.fixture(scope="module")
 def smoke(linux_zip, tmp_path_factory):
-    """Folder with what a fluid simulation in the first Blender that can simulate shows; some builds fall over."""
+    """Folder with a fluid simulation baked by the first Blender that can; some builds crash."""
     folder, said = tmp_path_factory.mktemp("smoke"), []
     (folder / "smoke.py").write_text(textwrap.dedent(FLUID))
     shutil.copy(linux_zip, folder / "mrpnn.zip")
@@ -309,8 +309,8 @@ def smoke(linux_zip, tmp_path_factory):
 
 
 @pytest.mark.parametrize("frame", [6, 10])
-def test_simulated_smoke_is_where_its_domain_has_it(smoke, frame):
-    """Seen along an axis of the domain, beside sums over its voxels: place, scale, density and frame are right."""
+def test_simulated_smoke_matches_its_domain(smoke, frame):
+    """Seen along an axis of the domain, against sums over its voxels: position, scale, density and frame."""
     with np.load(smoke / f"smoke{frame}.npz") as found:
         alpha, depth = found["alpha"], found["depth"]
     # The view shows 4 x 4 units; the domain is 2 wide and 3 high in its middle.
@@ -322,6 +322,6 @@ def test_simulated_smoke_is_where_its_domain_has_it(smoke, frame):
     assert alpha.mean() == pytest.approx(beside.mean(), rel=0.01)
 
 
-def test_smoke_that_moves_on_is_not_kept_from_the_frame_before(smoke):
+def test_smoke_is_not_kept_from_the_previous_frame(smoke):
     first, second = (np.load(smoke / f"smoke{frame}.npz")["alpha"] for frame in (6, 10))
     assert np.abs(first - second).max() > 0.1

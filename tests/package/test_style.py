@@ -4,11 +4,10 @@ import re
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.paths import ROOT
 
 
 @pytest.mark.parametrize("check", [("ruff", "check"), ("ruff", "format", "--check"), ("mypy",)], ids=" ".join)
@@ -18,8 +17,13 @@ def test_code_is_clean(check):
 
 
 def test_pre_commit_runs_the_versions_of_the_requirements():
-    pinned = set(re.findall(r"^[\w-]+==[\w.]+", "".join(
-        (ROOT / name).read_text() for name in ("requirements.txt", "requirements-dev.txt")), re.MULTILINE))
+    pinned = set(
+        re.findall(
+            r"^[\w-]+==[\w.]+",
+            "".join((ROOT / name).read_text() for name in ("requirements.txt", "requirements-dev.txt")),
+            re.MULTILINE,
+        )
+    )
     hooks = set(re.findall(r"[\w-]+==[\w.]+", (ROOT / ".pre-commit-config.yaml").read_text()))
     assert len(hooks) == 3 and hooks <= pinned
 
@@ -31,5 +35,7 @@ def test_the_version_is_that_of_the_manifest():
     assert zips == {version}
     (cited,) = re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert cited == version
+    oldest = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["blender_version_min"].removesuffix(".0")
+    assert all(f"Blender {oldest} " in (ROOT / page).read_text() for page in ("README.md", "docs/install.md"))
     # The newest entry of the changelog that has a number: of this version, or of the one before it.
     assert re.search(rf"^## (Unreleased|{re.escape(version)}\b)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)

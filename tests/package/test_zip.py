@@ -1,4 +1,4 @@
-"""The zip that users install: what is in it, and that it renders from its installed place alone."""
+"""The zip that users install: its contents, and that the installed extension renders by itself."""
 
 import shutil
 import subprocess
@@ -19,7 +19,7 @@ BLENDER_NEEDS = ("bpy", "numpy", "numpy.libs", "requests", "urllib3", "idna", "c
                  "zstandard", "Cython")
 
 
-def test_every_platform_gets_its_own_wheels_and_nothing_else_of_ours_is_shipped(zips):
+def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
     tags = {"linux_x64": "manylinux", "windows_x64": "win_amd64", "macos_arm64": "macosx"}
     assert len(zips) == len(tags)
     for path in zips:
@@ -36,7 +36,7 @@ def test_every_platform_gets_its_own_wheels_and_nothing_else_of_ours_is_shipped(
         assert [name for name in names if name.startswith("inference/weights/") and name.endswith(".onnx")]
 
 
-def test_a_wheel_that_is_not_the_locked_one_is_refused(tmp_path):
+def test_a_wheel_with_another_checksum_is_refused(tmp_path):
     for name in ("build_extension.py", "blender_manifest.toml", "requirements-wheels.txt"):
         shutil.copy(ROOT / name, tmp_path)
     for name in build_extension.manifest()["wheels"]:
@@ -132,6 +132,7 @@ INSTALLED_RENDER = """
 
 
 @pytest.mark.blender
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="installs the Linux zip")
 def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
     site = tmp_path / "site"

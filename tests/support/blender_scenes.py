@@ -1,4 +1,4 @@
-"""Small scenes made with bpy, and small volumes made with its OpenVDB."""
+"""Small scenes made with bpy, and small volumes written with its OpenVDB."""
 
 import itertools
 
@@ -43,7 +43,7 @@ def blob(cells=16, seed=3):
 
 
 def centred(cells, size):
-    """Transform of `cells` voxels an axis that fill a cube of edge `size` around the origin."""
+    """Transform of `cells` voxels per axis that fill a cube of edge `size` around the origin."""
     matrix = np.eye(4)
     matrix[:3, :3] *= size / cells
     matrix[:3, 3] = (0.5 - cells / 2.0) * size / cells
@@ -137,7 +137,7 @@ def render_cycles(scene, folder, samples=64, bounces=0):
 
 
 def set_up_cycles(scene, samples, bounces=0):
-    """Cycles without anything that would bias it: no clamping, no denoising, no filter across pixels."""
+    """Unbiased Cycles settings: no clamping, no denoising, a one-pixel box filter."""
     scene.render.engine = 'CYCLES'
     settings = scene.cycles
     settings.device, settings.samples = 'CPU', samples

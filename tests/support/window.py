@@ -1,7 +1,7 @@
-"""A Blender with a window, driven from tests: Python in it, real mouse and keys, pictures of its screen.
+"""A Blender with a window, driven by tests: Python in it, real mouse and keys, screenshots.
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
-Screenshots are left in build/window, from where docs/images takes its own. Those Blenders see the folder `work` of
+Screenshots are left in build/window, the source of those in docs/images. Those Blenders see the folder `work` of
 BLENDER_ROOTS as WORK: the tools' convention, the same on every machine.
 """
 
@@ -20,7 +20,7 @@ TOOLS = SHARED / "blender"
 SUITES = os.environ.get("MRPNN_WINDOWS", "").split()
 NEEDS_WINDOW = [pytest.mark.window,
                 pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")]
-# Seconds until what must happen has happened, on whatever else the machine is doing.
+# Seconds within which anything must happen, however busy the machine.
 LONG = 300
 # The code that runs in Blender knows it by the same name.
 WORK = "/mnt/work"
@@ -65,7 +65,7 @@ for other in [one for one in bpy.context.window_manager.windows if one.screen.is
 
 
 class Window:
-    """A running Blender: `do` runs Python in it and gives what that prints."""
+    """A running Blender: `do` runs Python in it and returns what that prints."""
 
     def __init__(self, suite):
         self.suite = suite
@@ -87,7 +87,21 @@ class Window:
         subprocess.run([TOOLS / "gui", "stop", self.suite], timeout=60)
 
     def do(self, code):
-        return self._tool("gui", "do", self.suite, code)
+        """Run Python in Blender's main thread; gives what it prints.
+
+        By the files of `gui do`, without its shell, which looks for the answer ten times a second.
+        """
+        run, number = self.work / f"run-{self.suite}", time.time_ns()
+        begun, sent, answer = (run / "ctl" / f"{number}.{ending}" for ending in ("part", "py", "out"))
+        begun.write_text(code + "\n")
+        begun.rename(sent)
+        start = time.monotonic()
+        while not answer.exists():
+            process = Path("/proc", (run / "blender.pid").read_text().strip())
+            assert process.exists(), f"Blender has ended: {self.console[-2000:]}"
+            assert time.monotonic() - start < LONG, "Blender does not answer"
+            time.sleep(0.01)
+        return answer.read_text().strip()
 
     def mouse(self, *arguments):
         self._tool("gui", "x", self.suite, *map(str, arguments))
@@ -98,20 +112,26 @@ class Window:
         self.mouse("key", key)
 
     def shot(self, name, box=None):
-        """A picture of the screen, or of a box (left, top, right, bottom) of it."""
+        """The screen, uint8 (H, W, 3); saves it, or a box (left, top, right, bottom) of it."""
         # Two answers from the main loop lie two drawings apart.
         self.do("[a.tag_redraw() for w in bpy.context.window_manager.windows for a in w.screen.areas]")
         time.sleep(1.0)
         self.do("pass")
-        self._tool("gui", "shot", self.suite, f"{name}.png")
         target = ROOT / "build" / "window" / f"{name}-{self.suite}.png"
         target.parent.mkdir(parents=True, exist_ok=True)
-        with Image.open(self.work / f"{name}.png") as picture:
-            picture.convert("RGB").crop(box or (0, 0, *picture.size)).save(target, optimize=True)
+        screen = self.screen()
+        left, top, right, bottom = box or (0, 0, screen.shape[1], screen.shape[0])
+        Image.fromarray(screen[top:bottom, left:right]).save(target)
+        return screen
+
+    def screen(self):
+        """The screen as it is, uint8 (H, W, 3). Uncompressed: a PNG of it takes half a second."""
+        self._tool("gui", "shot", self.suite, f"screen-{self.suite}.ppm")
+        with Image.open(self.work / f"screen-{self.suite}.ppm") as picture:
             return np.array(picture.convert("RGB"))
 
     def box(self, kind):
-        """Where an area lies on the screen: (left, top, right, bottom)."""
+        """An area's rectangle on the screen: (left, top, right, bottom)."""
         return eval(self.do(f"a = area('{kind}'); print((a.x, win().height - a.y - a.height, a.x + a.width, "
                             "win().height - a.y))"))
 
@@ -123,5 +143,5 @@ class Window:
 
     @property
     def console(self):
-        """What Blender has said so far."""
+        """Blender's console output so far."""
         return (self.work / f"run-{self.suite}" / "blender.log").read_text()

@@ -1,4 +1,4 @@
-"""The networks in PyTorch: what A.5, A.6 and the method say of their structure, and their inputs."""
+"""The networks in PyTorch: their structure according to A.5, A.6 and the method, and their inputs."""
 
 import numpy as np
 import pytest
@@ -36,8 +36,8 @@ def test_sizes_follow_from_the_definitions():
     assert parameters(RPNN()) == 10 * block + 9 * 200 * 200 + 2 * (200 * 200 + 200) + 201
 
 
-def test_channels_meet_in_the_feature_stage_or_do_not(stencil_inputs):
-    """Changing the transmittance changes density's latents, except in Narrow."""
+def test_channels_mix_in_the_feature_stage_except_in_narrow(stencil_inputs):
+    """Changing the transmittance changes the density's latents, except in Narrow."""
     features, *angles = stencil_inputs
     changed = features.clone()
     changed[1] = 1.0 - changed[1]
@@ -54,8 +54,8 @@ def test_channels_meet_in_the_feature_stage_or_do_not(stencil_inputs):
 
 
 @pytest.mark.parametrize("network", [MRPNN, MRPNNNarrow, MRPNNWide])
-def test_low_and_high_frequencies_stay_apart(network, stencil_inputs):
-    """The points towards the sun reach the high-frequency latents alone."""
+def test_low_and_high_frequencies_stay_separate(network, stencil_inputs):
+    """The points towards the sun reach the high-frequency latents only."""
     features, *angles = stencil_inputs
     changed = features.clone()
     changed[:, :, LOW_POINTS:] *= 0.5
@@ -106,8 +106,8 @@ def test_rpnn_follows_its_definition():
     torch.testing.assert_close(seen_both_ways[:, ::2], mirrored[:, ::2])
 
 
-def test_inputs_add_the_phase_functions_feature():
-    """P of every row is that of its own G and gamma; mu and S are the file's."""
+def test_inputs_include_the_phase_feature():
+    """P of every row follows its own G and gamma; mu and S are the file's."""
     random = torch.Generator().manual_seed(2)
     data = {
         "features": torch.rand(40, 2, 192, generator=random).half(),

@@ -1,4 +1,4 @@
-"""Targets, the loss and the trainer, on data small enough for a test."""
+"""Targets, the loss and the trainer, on small data."""
 
 import json
 import pathlib
@@ -33,7 +33,7 @@ WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Files of three small volumes."""
+    """Training files of three small volumes."""
     folder = tmp_path_factory.mktemp("data")
     for seed in (3, 4, 5):
         np.savez(folder / f"{seed:07d}.npz", **make_targets(seed, points=96, paths=4))
@@ -47,7 +47,7 @@ def test_rows_are_complete_and_plausible(data):
         assert rows["features"].shape == (count, 2, 192)
         assert rows["albedo"].shape == (count, ALBEDOS) and rows["radiance"].shape == (count, 2, ALBEDOS)
         assert np.all(rows["radiance"] >= 0.0) and rows["radiance"].max() > 0.0
-        # The same walks weighted with a smaller albedo bring less light.
+        # The same paths weighted with a smaller albedo carry less radiance.
         order = np.argsort(rows["albedo"], axis=1)
         radiance = np.take_along_axis(rows["radiance"], order[:, None], axis=2)
         assert np.all(np.diff(radiance, axis=2) >= 0.0)
@@ -61,7 +61,7 @@ def test_targets_follow_from_the_seed(data):
         np.testing.assert_array_equal(again["features"], rows["features"])
 
 
-def test_rays_are_even_in_the_angle_to_the_sun():
+def test_rays_are_uniform_in_the_angle_to_the_sun():
     random = np.random.default_rng(0)
     sun = unit_vectors(random, 1)
     gamma = np.arccos(np.clip(rays_towards(random, sun, 20000) @ sun[0], -1, 1))
@@ -88,7 +88,7 @@ def run(data, folder, steps):
     return torch.load(folder / "checkpoint.pt", weights_only=True)
 
 
-def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatch):
+def test_training_learns_and_resumes_where_it_stopped(data, tmp_path, monkeypatch):
     monkeypatch.setattr(train, "BATCH", 256)
     monkeypatch.setattr(train, "WARM_UP", 5)
     # A learning rate that does not depend on the number of steps, so that runs can be compared.
@@ -105,20 +105,21 @@ def test_training_learns_and_goes_on_where_it_stopped(data, tmp_path, monkeypatc
     assert abs(whole["configuration"]["held_bias"]) < 0.5
 
 
-def test_a_step_draws_from_the_folders_in_their_shares():
+def test_a_batch_draws_from_the_folders_by_their_weights():
     random = torch.Generator().manual_seed(0)
     limits, shares = np.array([0, 10, 5000, 5003]), torch.tensor([0.5, 0.2, 0.3], dtype=torch.float64)
     rows = torch.cat([train.draw_rows(limits, shares, random) for _ in range(20)]).numpy()
     assert rows.min() == 0 and rows.max() == 5002
     counts, _ = np.histogram(rows, bins=limits)
     np.testing.assert_allclose(counts / len(rows), shares, atol=5 * np.sqrt(0.25 / len(rows)))
-    # Within a folder every row is as likely.
+    # Within a folder every row is equally likely.
     few = np.bincount(rows[rows < 10], minlength=10)
     np.testing.assert_allclose(few, few.mean(), atol=5 * np.sqrt(few.mean()))
 
 
-def test_training_goes_on_from_exported_weights(data, tmp_path, monkeypatch):
-    """They predict as onnxruntime does with the file, however inputs are standardised, and keep their history."""
+@pytest.mark.slow
+def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
+    """They predict as onnxruntime does with the file, whatever the standardisation, and keep their history."""
     monkeypatch.setattr(train, "BATCH", 64)
     loaded, path = load_network("mrpnn"), WEIGHTS / "mrpnn.onnx"
     files = sorted(data.glob("*.npz"))
@@ -139,12 +140,12 @@ def test_training_goes_on_from_exported_weights(data, tmp_path, monkeypatch):
                 "--run", str(tmp_path), "--initial", str(path), "--learning-rate", "1e-5", "--steps", "2"])
     tuned = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["configuration"]
     assert tuned["initial"] == configuration and tuned["shares"] == [0.75, 0.25]
-    # Two small steps leave it nearly where it was; weights that start at random err several times as much.
+    # Two small steps change it little; randomly initialised weights have several times the error.
     assert tuned["held_rmse"] == pytest.approx(train.held_error(net, rows)[0], rel=0.02)
 
 
-def test_weights_part_of_the_way_are_exported(data, tmp_path, monkeypatch):
-    """Half of the way: every weight the mean of both, and the file says so."""
+def test_interpolated_weights_are_exported(data, tmp_path, monkeypatch):
+    """Halfway: every weight is the mean of both, and the file says so."""
     monkeypatch.setattr(train, "BATCH", 64)
     before, after = WEIGHTS / "mrpnn.onnx", tmp_path / "after.onnx"
     train.main(["--network", "mrpnn", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
@@ -162,14 +163,14 @@ def test_weights_part_of_the_way_are_exported(data, tmp_path, monkeypatch):
         export.main([checkpoint, str(after), "--with", str(after), "0.5"])
 
 
-def test_only_the_default_starts_from_exported_weights(data, tmp_path):
+def test_only_the_default_network_starts_from_exported_weights(data, tmp_path):
     with pytest.raises(SystemExit):
         train.main(["--network", "mrpnn-paper", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
                     "--initial", str(WEIGHTS / "mrpnn-paper.onnx")])
 
 
-def test_held_back_error_leaves_the_targets_noise_out():
-    """Targets with noise around what the network predicts: no error, where plain squares would show the noise."""
+def test_the_validation_error_excludes_the_targets_noise():
+    """Targets with noise around the prediction: no error, where a plain RMSE would show the noise."""
     torch.manual_seed(0)
     net = RayMRPNN()
     count = 20000
@@ -189,7 +190,7 @@ def test_held_back_error_leaves_the_targets_noise_out():
     assert train.held_error(net, data)[0] == pytest.approx(0.1, rel=0.25)
 
 
-def test_typical_radiance_is_the_mean_of_rows_alike():
+def test_typical_radiance_is_the_mean_of_similar_rows():
     random = np.random.default_rng(0)
     sigma_hat = np.repeat([2.0, 1500.0], 500)
     radiance = np.where(sigma_hat < 10, 0.01, 0.4) * random.uniform(0.5, 1.5, 1000)
@@ -199,8 +200,8 @@ def test_typical_radiance_is_the_mean_of_rows_alike():
     np.testing.assert_allclose(typical[500:, 0], radiance[500:].mean(), rtol=1e-5)
 
 
-def test_noisy_rows_weigh_less_and_no_row_by_its_own_noise():
-    """Two kinds of rows of one radiance, whose targets scatter by 0.1 and 3 of it."""
+def test_noisy_rows_weigh_less_but_not_by_their_own_noise():
+    """Two kinds of rows of one radiance, whose targets have relative noise 0.1 and 3."""
     random = np.random.default_rng(0)
     anisotropy = np.repeat([0.0, 0.95], 5000)
     noise = np.where(anisotropy > 0.5, 3.0, 0.1)[:, None] * random.normal(size=(10_000, 2))
@@ -209,14 +210,14 @@ def test_noisy_rows_weigh_less_and_no_row_by_its_own_noise():
     data = {key: torch.from_numpy(value) for key, value in data.items()}
     weights = train.trust(data, train.typical_radiance(data))[:, 0].numpy()
     assert weights.mean() == pytest.approx(1.0, rel=1e-5)
-    # Of a target, the mean of two halves, the variance is half of theirs; the scale is 1 + 1/4.
+    # A target is the mean of two halves, with half their variance; the scale is 1 + 1/4.
     expected = (0.5 * 9.0 / 1.25 + train.NOISE_LEAST) / (0.5 * 0.01 / 1.25 + train.NOISE_LEAST)
     assert weights[0] / weights[-1] == pytest.approx(expected, rel=0.1)
     assert np.ptp(weights[:5000]) == np.ptp(weights[5000:]) == 0.0
 
 
-def test_what_is_learnt_by_heart_is_told_from_error():
-    """Predictions off by 0.1 of the truth, which hold a fifth of the noise that they were trained on."""
+def test_overfitting_is_told_from_error():
+    """Predictions off by 0.1 of the truth, plus a fifth of the training noise."""
     random = np.random.default_rng(0)
     truth, noise = random.uniform(0.5, 2.0, 400_000), random.normal(size=400_000)
     y = truth * (1.0 + 0.1 * random.choice([-1.0, 1.0], 400_000)) + 0.2 * 0.3 * noise
@@ -228,14 +229,15 @@ def test_what_is_learnt_by_heart_is_told_from_error():
     assert squares / count == pytest.approx(((0.3 * noise) ** 2 * scale).mean(), rel=0.02)
 
 
-def test_targets_are_traced_again_at_the_same_points(data, tmp_path, capsys):
+@pytest.mark.slow
+def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     file = tmp_path / "0000003.npz"
     np.savez(file, **make_targets(3, points=96, paths=64))
     rows, again = memory.trace_again(file, paths=64)
     with np.load(file) as found:
         once = found["radiance"][rows, :, 0].mean(axis=1)
     assert len(rows) == len(once) >= 4 * 20
-    # The same light with other random numbers: it agrees with both halves as these with each other.
+    # The same radiance with other random numbers: it agrees with both halves as these do with each other.
     known, *others = (np.corrcoef(np.log(a + 1e-3), np.log(b + 1e-3))[0, 1] for a, b in (again, (once, again[0]), (once, again[1])))
     assert 0.7 < known < 1.0 and min(others) > 0.9 * known and max(others) < 0.9999
     assert once.mean() == pytest.approx(again.mean(), rel=0.2)
@@ -245,6 +247,7 @@ def test_targets_are_traced_again_at_the_same_points(data, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("2 volumes, ")
 
 
+@pytest.mark.slow
 def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
@@ -257,7 +260,7 @@ def test_evaluation_bins_every_row(data, tmp_path, capsys):
     assert {line[2] for line in printed if line[1] == "kind"} == {make_volume(seed, 48).kind for seed in (3, 4, 5)}
 
 
-def test_thickness_is_the_largest_balls_radius():
+def test_thickness_is_the_radius_of_the_largest_inscribed_ball():
     """A slab 10 of 40 cells thick; a ball of a quarter of the cube."""
     slab = np.zeros((40, 40, 40), np.float32)
     slab[2:38, 2:38, 15:25] = 0.5
@@ -266,8 +269,8 @@ def test_thickness_is_the_largest_balls_radius():
     assert evaluate.thickness((x**2 + y**2 + z**2 < 0.25**2).astype(np.float32)) == pytest.approx(0.25, abs=1 / 40)
 
 
-def test_noise_that_suns_share_is_told_from_their_own():
-    """A part common to the suns of a point and a part of their own, of variances 1 and 3: correlation 1/4."""
+def test_noise_shared_by_suns_is_told_from_their_own():
+    """A component shared by a point's suns and one of their own, of variances 1 and 3: correlation 1/4."""
     random = np.random.default_rng(0)
     sizes = (3000, 5000)
     files = [random.normal(size=n) + np.sqrt(3.0) * random.normal(size=(SUNS, n)) for n in sizes]
@@ -275,8 +278,9 @@ def test_noise_that_suns_share_is_told_from_their_own():
     assert evaluate.noise_correlation(noise, firsts) == pytest.approx(0.25, abs=0.02)
 
 
-def test_inputs_are_those_that_rendering_uses():
-    """A target's descriptor and light along the ray equal those that inference finds for the same point and sun."""
+@pytest.mark.slow
+def test_training_inputs_equal_those_of_rendering():
+    """A target's descriptor and ray features equal those of inference for the same point and sun."""
     rows = make_targets(5, points=16, paths=2)
     volume, _ = seeded_volume(5)
     cube = fit_cube(volume)

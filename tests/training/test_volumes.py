@@ -1,4 +1,4 @@
-"""Procedural volumes: same seed same volume, the promised frame, and variety."""
+"""Procedural volumes: same seed same volume, the stated frame, and variety."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def samples():
     return [make_volume(seed, RESOLUTION) for seed in SEEDS]
 
 
-def test_every_volume_keeps_the_promised_frame(samples):
+def test_every_volume_keeps_the_stated_frame(samples):
     for seed, sample in zip(SEEDS, samples):
         density = sample.density
         assert density.shape == (RESOLUTION,) * 3 and density.dtype == np.float32, seed
@@ -56,7 +56,7 @@ def test_a_finer_volume_is_the_same_volume():
     assert np.abs(means - coarse[1:-1, 1:-1, 1:-1]).max() < 0.05
 
 
-def test_the_seeds_give_different_characters(samples):
+def test_seeds_differ_in_character(samples):
     assert len({sample.kind for sample in samples}) >= 8
     means = np.array([sample.density.mean() for sample in samples])
     assert means.min() < 0.01 and means.max() > 0.1
@@ -65,13 +65,14 @@ def test_the_seeds_give_different_characters(samples):
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
 
 
-def test_seeds_of_solids_give_even_fog_with_hard_faces():
+@pytest.mark.slow
+def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
     samples = [make_volume(seed, RESOLUTION) for seed in seeds]
     assert {sample.kind for sample in samples} == {kind.__name__ for kind in SOLIDS}
     spreads = []
     for seed, sample in zip(seeds, samples):
-        # Away from the faces, where a cell's neighbours are filled too, density is even or nearly.
+        # Away from the faces, where a cell's neighbours are filled too, density is (nearly) constant.
         inner = sample.density[binary_erosion(sample.density > 0)]
         spreads.append(inner.std() / inner.mean())
         assert spreads[-1] < 0.4, (seed, sample.kind)
@@ -79,7 +80,8 @@ def test_seeds_of_solids_give_even_fog_with_hard_faces():
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
-def test_saturated_seeds_give_clouds_and_smoke_with_even_cores():
+@pytest.mark.slow
+def test_saturated_seeds_give_clouds_and_smoke_with_homogeneous_cores():
     seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
     saturated = [make_volume(seed, RESOLUTION) for seed in seeds]
     assert {sample.kind for sample in saturated} <= {kind.__name__ for kind in KINDS}
@@ -99,7 +101,7 @@ def test_too_few_cells_are_refused():
         make_volume(0, 4)
 
 
-def test_held_back_seeds_stay_clear_of_small_training_seeds():
+def test_validation_seeds_are_disjoint_from_small_training_seeds():
     assert min(HELD_BACK) >= 1_000_000 and len(HELD_BACK) >= 100
 
 
@@ -118,7 +120,7 @@ def test_noise_varies_at_the_frequency_asked_for():
     rng = np.random.default_rng(3)
     noise = Fractal(rng, frequency=2.0, octaves=1)
     line = np.zeros((4096, 3), np.float32)
-    # several parallel lines, so that one odd line does not decide
+    # several parallel lines, so that no single outlier decides
     power = np.zeros(2049)
     for _ in range(16):
         line[:, 0] = np.arange(4096) / 4096 * TILE / CELLS / 2.0

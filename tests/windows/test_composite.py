@@ -1,4 +1,4 @@
-"""Composite over Cycles in Blender's real window: what it follows, what the panel says, the preview, its removal."""
+"""Composite over Cycles in Blender's window: what it follows, the panel's texts, the preview, its removal."""
 
 import time
 
@@ -80,7 +80,7 @@ def render(window, name):
         return np.array(picture.convert("RGB"), float)
 
 
-def test_f12_follows_what_changes_and_shows_what_instances_show(composited):
+def test_f12_follows_changes_and_shows_instances(composited):
     window = composited
     window.do("cut = bpy.data.objects.new('Cut', bpy.data.cameras.new('Cut')); cut.location.z = 7\n"
               "scene.collection.objects.link(cut); scene.camera = cut\n"
@@ -114,7 +114,7 @@ def test_f12_follows_what_changes_and_shows_what_instances_show(composited):
     assert "Traceback" not in window.console
 
 
-def test_the_panel_says_what_is_composited_and_mends_what_differs(composited):
+def test_the_panel_states_what_is_composited_and_repairs_differences(composited):
     window = composited
     window.do("p = area('PROPERTIES').spaces.active; p.context = 'RENDER'; p.search_filter = 'Composite'")
     try:

@@ -1,4 +1,4 @@
-"""With the engine chosen, Blender's window has what an artist needs for a volume scene, once, in words that fit."""
+"""With the engine chosen, Blender's window offers what an artist needs for volumes: once, in texts that fit."""
 
 import time
 
@@ -75,14 +75,14 @@ def artist(window):
 
 
 def panels(window, tab, name, engine="MRPNN"):
-    """Of a tab, once the editor has been drawn with it: only then does it know which tabs there are."""
+    """Panels of a tab, after the editor has been drawn: only then does it know its tabs."""
     for place in ("OBJECT", tab):
         window.do(f"show('{place}', '{name}')")
         time.sleep(0.3)
     return eval(window.do(f"print(panels('{tab}', '{engine}'))"))
 
 
-def test_each_tab_has_what_cycles_has_for_volumes_once(artist):
+def test_each_tab_has_the_volume_panels_of_cycles_once(artist):
     before = artist.console
     for tab, name in TABS:
         theirs, ours = panels(artist, tab, name, "CYCLES"), panels(artist, tab, name)
@@ -163,13 +163,13 @@ def test_sentences_are_wrapped_at_the_width_of_the_editor(artist):
     assert widest > 0.55 * (right - left)
 
 
-def test_memory_says_its_unit(artist):
+def test_memory_shows_its_unit(artist):
     artist.do("own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))")
     for owner in ("scene.mrpnn", "bpy.context.preferences.addons[own].preferences"):
         assert "GiB" in artist.do(f"print({owner}.bl_rna.properties['memory_limit'].name)")
 
 
-def test_the_comparisons_dialog_is_drawn_and_says_nothing_on_the_console(artist):
+def test_the_comparison_dialog_draws_without_console_output(artist):
     artist.mouse("mousemove", 600, 400)
     without, before = artist.shot("no-dialog").astype(int), artist.console
     artist.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.compare('INVOKE_DEFAULT')")
@@ -195,8 +195,8 @@ area("PROPERTIES").spaces.active.context = "RENDER"
 STATUS = "[found.status for found in gc.get_objects() if type(found).__name__ == 'Viewport' and found.description]"
 
 
-def test_the_default_scene_says_what_of_it_is_not_rendered(window):
-    """In the panel without a click, in the viewport, and as the last report of a render."""
+def test_the_default_scene_names_what_is_not_rendered(window):
+    """In the panel without a click, in the viewport, and in a render's last report."""
     window.do(DEFAULT)
     try:
         window.do("import gc, sys, threading\n"

@@ -1,4 +1,4 @@
-"""The extension in Blender's real window: buttons, F12, Esc, the preview, the panels. See `window`."""
+"""Rendering in Blender's window: buttons, F12, Esc, the preview, the panels."""
 
 import contextlib
 import inspect
@@ -16,7 +16,7 @@ from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, RENDERING, THREADS
 pytestmark = NEEDS_WINDOW
 
 
-def test_the_panels_draw_and_say_nothing_on_the_console(window):
+def test_the_panels_draw_without_console_output(window):
     before = window.console
     for context in ("VIEW_LAYER", "OBJECT", "RENDER"):
         window.do(f"area('PROPERTIES').spaces.active.context = '{context}'")
@@ -24,7 +24,7 @@ def test_the_panels_draw_and_say_nothing_on_the_console(window):
     assert window.console == before
 
 
-def test_the_preferences_draw_and_say_nothing_on_the_console(window):
+def test_the_preferences_draw_without_console_output(window):
     before = window.console
     window.do("bpy.context.window_manager.addon_search = 'MRPNN'; bpy.ops.screen.userpref_show(section='ADDONS')\n"
               "own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))")
@@ -44,8 +44,8 @@ def test_the_preferences_draw_and_say_nothing_on_the_console(window):
     ("File", "scene.mrpnn.use_exr = True", "scene.mrpnn.use_exr = False"),
     ("Composite", "addon_utils.enable('cycles')", "addon_utils.disable('cycles')"),
 ])
-def test_what_does_not_apply_is_grey(window, sought, lit, grey):
-    """A setting, found by the editor's own search, which opens its panel: what looks different has less contrast."""
+def test_settings_that_do_not_apply_are_greyed_out(window, sought, lit, grey):
+    """The editor's search opens the setting's panel: where the picture differs, it has less contrast."""
     window.do("import addon_utils; scene = bpy.context.scene; world = scene.world\n"
               f"p = area('PROPERTIES').spaces.active; p.context = 'RENDER'; p.search_filter = '{sought}'")
     try:
@@ -94,9 +94,9 @@ BLOCKED = 0.2
 
 @contextlib.contextmanager
 def usable(window):
-    """Holds what happens in `window` meanwhile to leave Blender's main loop usable.
+    """Asserts that Blender's main loop stays responsive meanwhile.
 
-    Where a host holds the whole (virtual) machine, the thread that ran is charged with that: a clock here skips as much.
+    A pause of the whole virtual machine counts for the thread that ran; the clock here skips as much.
     """
     done, skips = threading.Event(), [0.0]
 
@@ -116,8 +116,8 @@ def usable(window):
     assert float(window.do(LONGEST)) < BLOCKED + max(skips)
 
 
-def test_a_comparison_goes_on_beside_the_interface_and_esc_keeps_what_is_finished(window):
-    """Confirmed in its dialog by the keyboard. Where Cycles shows no volumes, as in Debian's 5.2, it ends by itself."""
+def test_a_comparison_runs_beside_the_interface_and_esc_keeps_finished_renders(window):
+    """Confirmed in its dialog by keyboard. Where Cycles shows no volumes, as in Debian's 5.2, it ends by itself."""
     folder = window.work / "comparison"
     shutil.rmtree(folder, ignore_errors=True)
     window.do("import bpy\n" + inspect.getsource(state_of_file))
@@ -177,8 +177,8 @@ mesh.materials.append(material)
 
 
 def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
-    """320^3 voxels, in a shape that Blender itself does not draw here: its software OpenGL would take seconds. Beside them
-    a cube of fog whose noise takes seconds to be evaluated."""
+    """320^3 voxels, in a shape that Blender itself does not draw, since software OpenGL takes seconds for it. Beside
+    them a cube of fog whose noise takes seconds to evaluate."""
     window.do("import numpy\n"
               "try: import openvdb\n"
               "except ImportError: import pyopenvdb as openvdb\n"
@@ -289,7 +289,7 @@ bpy.context.scene.world, lamp.hide_render, lamp.hide_viewport = sky, True, True
 NO_SKY = "bpy.context.scene.world, lamp.hide_render, lamp.hide_viewport = world, False, False"
 
 
-def test_a_sky_is_shown_by_cycles_beside_the_interface(window):
+def test_a_sky_is_rendered_by_cycles_beside_the_interface(window):
     window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.overlay.show_overlays = False")
     window.do(LOOKS)
     window.do(SKY.replace("ELEVATION", "0.6"))
@@ -332,8 +332,8 @@ def test_a_click_on_the_button_renders_into_the_image(window):
     window.until(f"not {THREADS}")
 
 
-def test_a_file_that_is_loaded_while_it_renders_ends_the_render(window):
-    """By the button's operator and by F12's engine; the next render works."""
+def test_loading_a_file_during_a_render_ends_the_render(window):
+    """By the operator and by the render engine; the next render works."""
     load = "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend'); scene = bpy.context.scene"
     window.do(f"import threading; {load}")
     for begin in ("with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')",

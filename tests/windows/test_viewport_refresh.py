@@ -1,10 +1,8 @@
-"""Rendered shading follows what is hidden, isolated, linked, cut out and loaded, in Blender's real window."""
+"""Rendered shading follows hiding, local view, linked files, regions and loading, in Blender's window."""
 
 import time
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, THREADS
 
@@ -51,20 +49,17 @@ def two(window):  # noqa: F811
 
 
 def shown(window, places=None):  # noqa: F811
-    """Whether each ball's red light is there."""
+    """Whether each ball's red light is visible."""
     # Two answers from the main loop lie two drawings apart.
     window.do("area('VIEW_3D').tag_redraw()")
     window.do("pass")
-    name = f"refresh-{window.suite}.png"
-    window._tool("gui", "shot", window.suite, name)
-    with Image.open(window.work / name) as picture:
-        picture = np.array(picture.convert("RGB")).astype(int)
+    picture = window.screen().astype(int)
     found = [picture[y - 4:y + 5, x - 4:x + 5].mean(axis=(0, 1)) for x, y in places or window.places]
     return tuple(bool(red > blue + 10) for red, _, blue in found)
 
 
 def until_shown(window, expected, places=None):  # noqa: F811
-    """Until the viewport has come to show this, and shows it still once nothing is at work."""
+    """Wait until the viewport shows this, and still does once no thread is at work."""
     start = time.monotonic()
     while shown(window, places) != expected:
         assert time.monotonic() - start < LONG / 5, (expected, shown(window, places))
@@ -97,7 +92,7 @@ CASES = {
 
 
 def test_the_viewport_follows(two):
-    """Each case there and back again, with nothing said on the console."""
+    """Each change and its reversal, without console output."""
     said = two.console
     for case, (hide, show, expected) in CASES.items():
         assert not two.do(hide), case
@@ -109,7 +104,7 @@ def test_the_viewport_follows(two):
 
 
 def test_h_and_alt_h(two):
-    """By the keyboard; and F12 renders what is hidden in the viewport alone."""
+    """By keyboard; F12 renders what is hidden in the viewport only."""
     two.do("only('Other')")
     two.press("h")
     until_shown(two, (True, False))
@@ -123,14 +118,14 @@ def test_h_and_alt_h(two):
     until_shown(two, (True, True))
 
 
-def test_what_renders_hide_is_seen_in_the_viewport_as_in_cycles(two):
+def test_objects_hidden_in_renders_show_in_the_viewport_as_in_cycles(two):
     two.do("other.hide_render = True")
     until_shown(two, (True, True))
     two.do("other.hide_render = False; apart.hide_render = True")
     until_shown(two, (True, True))
 
 
-def test_all_hidden_is_nothing_and_without_light_it_is_black(two):
+def test_with_all_hidden_it_is_empty_and_without_light_black(two):
     two.do("only('Ball', 'Other'); run(bpy.ops.object.hide_view_set)")
     until_shown(two, (False, False))
     two.do("run(bpy.ops.object.hide_view_clear)")
@@ -146,13 +141,24 @@ def test_all_hidden_is_nothing_and_without_light_it_is_black(two):
     until_shown(two, (True, True))
 
 
+def test_another_world_lights_the_volumes(two):
+    two.do("red, dark = bpy.data.worlds.new('Red'), scene.world; red.use_nodes = True\n"
+           "red.node_tree.nodes['Background'].inputs['Color'].default_value = 1, 0.1, 0.05, 1\n"
+           "scene.render.film_transparent = True; bpy.data.objects['Sun'].hide_viewport = True")
+    until_shown(two, (False, False))
+    two.do("scene.world = red")
+    until_shown(two, (True, True))
+    two.do("scene.world = dark")
+    until_shown(two, (False, False))
+
+
 def test_a_scene_without_a_camera_is_shown(two):
     two.do("space.region_3d.view_perspective = 'PERSP'; scene.camera = None; ball.location.y = 0.01")
     until_shown(two, (True, True), eval(two.do(PLACES)))
     assert two.do(f"print({STATUS})") == ""
 
 
-def test_a_bad_volume_is_named_over_the_viewport_that_shows_the_others(two):
+def test_an_invalid_volume_is_named_in_the_viewport_that_shows_the_others(two):
     two.do("other.data.filepath = WORK + '/gone.vdb'")
     until_shown(two, (True, False))
     two.shot("bad-volume")
@@ -161,7 +167,7 @@ def test_a_bad_volume_is_named_over_the_viewport_that_shows_the_others(two):
 
 
 def test_a_render_region_drawn_with_ctrl_b(two):
-    """In the camera's view that of the render, by keys and mouse; and beside it the viewport's own."""
+    """The render's region in the camera view, by keys and mouse, and the viewport's own elsewhere."""
     (left, top), (right, bottom) = two.places
     for view in ("CAMERA", "PERSP"):
         # The same view, through the camera or not.
@@ -225,8 +231,8 @@ def test_a_linked_library_that_is_reloaded(two, how):
 
 
 @pytest.mark.parametrize("interface", [True, False])
-def test_another_file_says_nothing_of_the_former_one(two, interface):
-    """Neither its panel nor its viewport, whether or not the file's own interface is loaded."""
+def test_loading_another_file_clears_the_former_ones_messages(two, interface):
+    """In the panel and in the viewport, whether or not the file's interface is loaded."""
     two.do("bpy.ops.wm.save_as_mainfile(filepath=WORK + '/good.blend'); other.data.filepath = WORK + '/gone.vdb'\n"
            "bpy.ops.mrpnn.render(); bpy.ops.mrpnn.check()\n"
            "import sys; said = lambda name: getattr(next(m for n, m in sys.modules.items() "

@@ -1,4 +1,4 @@
-"""The World behind Rendered shading, in Blender's real window, beside what Cycles shows there."""
+"""The World behind Rendered shading in Blender's window, against Cycles."""
 
 import time
 
@@ -35,7 +35,7 @@ VIEWS = {
 
 
 def rim(window, name):
-    """Colours of the screen (n, 3) near the corners and edges of the 3D viewport, mean of small squares."""
+    """Screen colours (n, 3) near the corners and edges of the 3D viewport, as means of small squares."""
     picture = window.shot(name).astype(float)
     left, top, right, bottom = window.box("VIEW_3D")
     across, down = np.linspace(left + 30, right - 30, 5).astype(int), np.linspace(top + 40, bottom - 30, 5).astype(int)
@@ -44,7 +44,7 @@ def rim(window, name):
 
 
 def agreed(window, name, expected):
-    """The largest difference of the viewport's rim from what is expected, once it is small or time is up."""
+    """The largest difference of the viewport's border from what is expected, once it is small or time is up."""
     start, apart = time.monotonic(), np.inf
     while apart > 3.0 and time.monotonic() - start < LONG / 3:
         time.sleep(1.0)
@@ -53,7 +53,7 @@ def agreed(window, name, expected):
 
 
 def still(window, name):
-    """The rim once two looks at it agree, with no thread at work."""
+    """The border's colours once two readings agree, with no thread at work."""
     window.until(f"not {THREADS}")
     before, now = None, rim(window, name)
     while before is None or np.abs(now - before).max() > 0.5:
@@ -81,7 +81,7 @@ def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):  
     window.until(f"not {THREADS}")
 
 
-def test_a_transparent_film_shows_what_cycles_shows_then(window):  # noqa: F811
+def test_a_transparent_film_looks_as_in_cycles(window):  # noqa: F811
     window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
     window.do(SETTINGS + WORLDS["colour"] + "\n" + VIEWS["perspective"])
     window.do("s.shading.type = 'RENDERED'")

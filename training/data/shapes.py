@@ -1,4 +1,4 @@
-"""Signed distances of solids, evaluated at points (M, 3); negative inside."""
+"""Signed distances of solids at points (M, 3), negative inside; and random rotations."""
 
 import numba
 import numpy as np

@@ -1,4 +1,4 @@
-"""MRPNN-Narrow of A.6: three sub-networks that do not know of one another before the albedo stage."""
+"""MRPNN-Narrow of A.6: MRPNN without squeeze-and-excitation; the sub-networks meet in the albedo stage."""
 
 import torch
 from torch import nn

@@ -1,16 +1,16 @@
-"""Descriptors: the lattice lookup of inference against interpolation at each point."""
+"""Descriptors: inference's lattice lookup against interpolation at each point."""
 
 import numpy as np
 import pytest
 
 from inference.features.descriptors import FieldLookup, describe, stencil_points
 from inference.features.mip_lattices import (
-    STEPS, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
+    QUANTA, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
 )
 from inference.features.phase_features import PhaseFeatures
 from inference.scene.phase_function import henyey_greenstein
 from inference.features.stencil import LAYER_POINTS, LOW_POINTS
-from training.data.descriptors import describe_points
+from training.data.descriptors import Levels, describe_points
 from training.data.stencil import load_stencil
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -42,15 +42,15 @@ def rays():
 def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
     lattices = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     features, gamma = describe(FieldLookup(stencil, lattices, SUN), PhaseFeatures(stencil, 0.6), *rays)
-    expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
+    expected = describe_points(stencil, Levels(*fields), *rays, SUN, np.full(300, SIGMA_HAT))
     # A point within rounding of a cell's border may fall on either side.
     different = np.abs(features[:2] - expected) > 1e-4
     assert different.mean() < 1e-4
     np.testing.assert_allclose(gamma, np.arccos(rays[1] @ SUN), atol=1e-4)
 
 
-def test_another_suns_lattices_are_taken_over(stencil, fields):
-    """The density stays, and of the transmittance of the sun before nothing is left."""
+def test_another_sun_reuses_the_density_lattices(stencil, fields):
+    """The density is shared; nothing remains of the first sun's transmittance."""
     padded, depths = fields
     other = unit_optical_depths(padded, np.array([0.6, -0.8, 0.0]))
     earlier = build_lattices(padded, SIGMA_HAT, stencil, SunLevels(other))
@@ -69,8 +69,8 @@ def test_sparse_stencil_reads_the_density_of_every_fourth_point(stencil, fields,
     np.testing.assert_allclose(features[..., 0], whole(rays[0], rays[1], np.arange(300))[:, ::4, 0], atol=1e-6)
 
 
-def test_lattices_cut_to_some_points_describe_them_alike(stencil, fields, rays):
-    """What is left out is what no stencil around these points reads."""
+def test_cropped_lattices_give_the_same_descriptors(stencil, fields, rays):
+    """Only what no stencil around these points reads is cropped."""
     positions = 0.1 + 0.05 * rays[0]
     whole = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     cut = build_lattices(
@@ -88,7 +88,7 @@ def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
     lookup, phase = FieldLookup(stencil, build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1])), SUN), PhaseFeatures(stencil, 0.6)
     random = np.random.default_rng(3)
     steps, copies = 12, 400
-    # A cell of mip 0 to either side of a place where the density jumps.
+    # A cell of mip 0 on either side of a jump in density.
     path = np.linspace(-1.0 / 256.0, 1.0 / 256.0, steps)[:, None] * [0.0, 1.0, 0.0] + [0.11, 2.0 / 32.0, -0.2]
     omega = np.broadcast_to(rays[1][:1], path.shape)
     plain = describe(lookup, phase, path, omega)[0][0, :, 0]
@@ -100,7 +100,7 @@ def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
 
 
 def test_stencil_follows_view_and_sun(stencil, rays):
-    """Turning view and sun together turns the stencil with them."""
+    """Rotating view and sun together rotates the stencil with them."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
@@ -128,7 +128,7 @@ def test_homogeneous_cube_at_its_centre(stencil):
 
 
 def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
-    """A.3: a point behind the cube sees the sun through it, one beside the sun's ray sees all of it."""
+    """A.3: a point behind the cube is lit through it; one beside it is fully lit."""
     padded = padded_levels(density_pyramid(np.ones((256,) * 3, np.float32)), stencil)
     sun = np.array([0.0, 0.0, 1.0])
     lattices = build_lattices(padded, 3.0, stencil, SunLevels(unit_optical_depths(padded, sun)))
@@ -136,7 +136,7 @@ def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
     lattice = lattices.levels[mip]
     def read(x, y, z):
         cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int) - lattice.first
-        return (lattice.packed[tuple(cell)] >> 16) / STEPS
+        return (lattice.packed[tuple(cell)] >> 16) / QUANTA
     behind = np.exp(-(0.578**mip) * 3.0)
     np.testing.assert_allclose(read(0.0, 0.0, -0.6), behind, rtol=0.02)
     np.testing.assert_allclose(read(0.0, 0.0, 0.6), 1.0, rtol=0.02)

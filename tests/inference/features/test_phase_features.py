@@ -35,7 +35,7 @@ def test_cone_against_numerical_integration_of_eq_3(g, half_angle, angle):
 
 
 @pytest.mark.parametrize("g", GS)
-def test_whole_sphere_holds_everything(g):
+def test_a_cone_of_the_whole_sphere_integrates_to_one(g):
     np.testing.assert_allclose(cumulative_phase(np.linspace(-1, 1, 9), np.pi, g), 1.0, atol=1e-6)
 
 
@@ -70,7 +70,7 @@ def test_features_against_directions_in_space(g):
     ("fournier_forand", (1.33, 0.1)), ("fournier_forand", (1.2, 0.05)),
 ], ids=str)
 def test_every_phase_function_integrates_to_one_and_has_its_mean_cosine(lobe):
-    """By Gauss's places in the logarithm of what the cosine lacks of 1, where peaks are."""
+    """Gauss-Legendre quadrature in log(1 - cos), which resolves the forward peak."""
     x, weight = np.polynomial.legendre.leggauss(1000)
     lack = 2.0 * 10.0 ** (-7.0 + 7.0 * x)
     weight = weight * lack * 7.0 * np.log(10.0)

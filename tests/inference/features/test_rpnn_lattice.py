@@ -14,7 +14,7 @@ from inference.features.rpnn_lattice import (
     FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
 )
 from training.data import lattice_rows
-from training.data.descriptors import describe_points
+from training.data.descriptors import Levels, describe_points
 from training.export import export, save
 from training.networks import RPNN
 from training.tracer.path_tracer import sample_scattering_points
@@ -38,7 +38,7 @@ def lattice_places(positions, omega, level):
     return np.stack([x + points @ frame.T for x, frame in zip(positions, sun_frames(SUN, omega))])
 
 
-def test_the_lattice_spans_what_the_method_says():
+def test_the_lattice_has_the_extent_that_the_method_states():
     """5 x 5 x 9 points from [-1, -1, -1] to [1, 1, 3], neighbours half a unit and one cell apart."""
     points = make_sun_lattice().points * 128
     assert points.shape == (POINTS, 3) and len(np.unique(points, axis=0)) == POINTS
@@ -50,7 +50,7 @@ def test_the_lattice_spans_what_the_method_says():
 
 
 def test_the_lattice_follows_sun_and_view(rays):
-    """Its z axis is the sun's direction, and turning sun and view together turns it with them."""
+    """Its z axis is the sun's direction; rotating sun and view together rotates it with them."""
     omega = rays[1]
     frames = sun_frames(SUN, omega)
     np.testing.assert_allclose(frames[:, :, 2], np.broadcast_to(SUN, omega.shape), atol=1e-12)
@@ -92,8 +92,8 @@ def test_jitter_averages_to_linear_interpolation(rays):
     np.testing.assert_allclose(many[:, 0].mean(axis=0), expected, atol=0.03)
 
 
-def test_a_full_cube_is_seen_as_such():
-    """Points inside see its density, points far outside nothing, whatever the level."""
+def test_a_full_cube_reads_its_density_inside_and_zero_outside():
+    """At every level."""
     levels = refined_levels(density_pyramid(np.ones((256,) * 3, np.float32)))
     position, omega = np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])
     values = read_lattices(make_sun_lattice(), levels, position, omega, SUN)
@@ -117,7 +117,9 @@ def data():
     padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
     x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
     features = np.concatenate([
-        describe_points(stencil, padded, unit_optical_depths(padded, l[i]), x[s], w[s], l[i], sigma[s] * cube.edge)
+        describe_points(
+            stencil, Levels(padded, unit_optical_depths(padded, l[i])), x[s], w[s], l[i], sigma[s] * cube.edge
+        )
         for i, s in ((0, slice(None, count // 2)), (count // 2, slice(count // 2, None)))
     ], axis=1)
     return {
@@ -131,6 +133,7 @@ def data():
     }
 
 
+@pytest.mark.slow
 def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     """RPNN on a file's rows in PyTorch, and the exported RPNN on the same volume, points and suns."""
     rows = lattice_rows.lattice_rows(SEED, data)
@@ -158,7 +161,7 @@ def test_rows_of_another_volume_are_refused(data):
         lattice_rows.lattice_rows(SEED + 1, data)
 
 
-def test_the_command_goes_on_where_it_stopped(data, tmp_path, capsys):
+def test_the_command_resumes_where_it_stopped(data, tmp_path, capsys):
     source, out = tmp_path / "data", tmp_path / "rpnn"
     source.mkdir()
     np.savez(source / f"{SEED:07d}.npz", **data)

@@ -38,7 +38,7 @@ def test_layers_are_spread_and_scaled(request, made, layer):
         assert distance[0] == 0.0 and np.allclose(distance[1:], distance[1])
     elif layer <= 5:
         assert np.allclose(distance, distance[0])
-    # Relaxing again gives other points as far apart: the larger R, the smaller the layer.
+    # Relaxing again gives other points equally far apart: the larger R, the smaller the layer.
     assert distance.max() == pytest.approx(radius, rel=0.03)
 
 

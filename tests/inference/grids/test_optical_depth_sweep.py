@@ -38,7 +38,7 @@ def test_against_marching_in_smooth_density(direction):
 
 
 def test_slab_has_its_closed_form():
-    """Inside a homogeneous slab the depth is the slanted way to its top, to a tenth of a voxel."""
+    """Inside a homogeneous slab the depth is the slanted path to its top, to a tenth of a voxel."""
     density = np.zeros((80, 80, 30), np.float32)
     density[:, :, 5:25] = 2.0
     direction = np.array([0.3, 0.2, 0.5]) / np.linalg.norm([0.3, 0.2, 0.5])
@@ -57,7 +57,7 @@ def test_length_unit_follows_the_direction():
 
 
 def test_shadow_edges_stay_sharp_far_from_the_caster():
-    """Interpolation does not accumulate: an edge is as sharp 100 voxels away as at the start."""
+    """Interpolation errors do not accumulate: an edge is as sharp 100 voxels away as at the start."""
     density = np.zeros((160, 40, 60), np.float32)
     density[150:153, :, :30] = 1.0
     direction = np.array([1.0, 0.0, 0.0931])
@@ -71,7 +71,7 @@ def test_shadow_edges_stay_sharp_far_from_the_caster():
 @pytest.mark.parametrize("thickness", [0.1, 1.0, 10.0])
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_points_outside_see_the_sun_through_the_whole_grid(direction, thickness):
-    """Another volume's points lie anywhere: what reaches them is what marching through this grid leaves."""
+    """Points of another volume may lie anywhere: their transmittance is that of marching through this grid."""
     direction = np.array(direction) / np.linalg.norm(direction)
     random = np.random.default_rng(0)
     density = gaussian_filter(random.normal(size=(24, 20, 28)), 3).astype(np.float32)
@@ -86,7 +86,7 @@ def test_points_outside_see_the_sun_through_the_whole_grid(direction, thickness)
 
 @pytest.mark.parametrize("direction", DIRECTIONS[2:])
 def test_interpolation_does_not_darken_rough_density(direction):
-    """The light that gets through is the true one within a thousandth on the mean: blurred depths let less through."""
+    """Mean transmittance is right within a thousandth: blurred optical depths would transmit less."""
     direction = np.array(direction) / np.linalg.norm(direction)
     random = np.random.default_rng(0)
     density = (random.random((30, 28, 32)) ** 8).astype(np.float32)

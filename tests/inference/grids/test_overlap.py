@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from inference import Medium, Volume, render
 from inference.grids.grid import Grid
 from inference.grids.merge import merge
-from inference.plan.overlap import MOST_EXTENT, overlapping
+from inference.plan.overlap import MAX_EXTENT_RATIO, overlapping
 from tests.support.volumes import SUN, camera, cloud
 
 
 def ball(centre=(0.0, 0.0, 0.0), radius=0.4, voxels=24, turn=(0.0, 0.0, 0.0), name="ball"):
-    """A smooth ball of fog in a grid that is turned, four voxels wider than it."""
+    """A smooth ball of fog in a rotated grid, four voxels wider than the ball."""
     voxel = 2.0 * radius / (voxels - 4)
     axis = (np.arange(voxels) - 0.5 * (voxels - 1)) * voxel
     r = np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij"))) / radius
@@ -30,17 +30,17 @@ def amount(volume):
     return volume.density.sum(dtype=float) * abs(np.linalg.det(volume.world_from_index[:3, :3]))
 
 
-def test_what_touches_is_joined_and_what_is_much_smaller_is_not():
+def test_touching_volumes_are_merged_unless_one_is_much_smaller():
     first, second = ball(name="first"), ball((0.5, 0.0, 0.0), name="second")
     third, far = ball((1.0, 0.0, 0.0), name="third"), ball((5.0, 0.0, 0.0), name="far")
     assert overlapping([first, far, second, third]) == ([[0, 2, 3], [1]], [])
-    speck = ball((0.1, 0.0, 0.0), radius=0.3 / MOST_EXTENT)
+    speck = ball((0.1, 0.0, 0.0), radius=0.3 / MAX_EXTENT_RATIO)
     assert overlapping([first, speck]) == ([[0], [1]], [(0, 1)])
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, 0.8, 0.3)])
 def test_merging_keeps_extinction_where_it_is(turn):
-    """The merged density at any point is the sum of both, and so is all of it together."""
+    """The merged density is the sum of both, at every point and in total."""
     pairs = [(ball(), Medium((3.0, 6.0, 9.0), 0.9, 0.8)), (ball((0.4, 0.1, 0.0), 0.3, 40, turn), Medium(12.0, 0.5, 0.2))]
     volume, medium = merged(pairs)
     expected = sum(amount(v) * m.sigma_t for v, m in pairs)
@@ -56,15 +56,15 @@ def test_merging_keeps_extinction_where_it_is(turn):
     np.testing.assert_allclose(both * medium.sigma_t.mean(), 6.0 * a + 12.0 * b, atol=0.02 * 12.0)
 
 
-def test_many_voxels_become_as_many_as_the_network_sees():
+def test_merged_grids_are_no_finer_than_the_network_sees():
     fine = ball(voxels=300)
     volume, medium = merged([(fine, Medium(2.0)), (ball((0.1, 0.0, 0.0)), Medium(2.0))])
     assert 128 < max(volume.density.shape) <= 256
     assert amount(volume) * medium.sigma_t[0] == pytest.approx(2.0 * (amount(fine) + amount(ball())), rel=5e-3)
 
 
-def test_a_volume_cut_in_two_turned_grids_gives_its_own_picture():
-    """Halves of half the density, one of them in a grid of its own, equal the undivided ball."""
+def test_a_volume_split_into_two_rotated_grids_renders_the_same():
+    """Two copies of half the density, one in a rotated grid, equal the whole ball."""
     medium = Medium(20.0, 0.95, 0.5)
     one = render([(ball(voxels=64), medium)], [SUN], camera())
     half = Medium(10.0, 0.95, 0.5)
@@ -74,7 +74,7 @@ def test_a_volume_cut_in_two_turned_grids_gives_its_own_picture():
     assert two.multiple.mean() == pytest.approx(scale, rel=0.02)
 
 
-def test_an_absorber_takes_light_from_what_it_fills():
+def test_an_overlapping_absorber_lowers_the_albedo():
     """Black fog of the same shape and extinction halves the albedo and doubles the extinction."""
     whole = cloud()
     mixed = render([(whole, Medium(10.0, 1.0)), (whole, Medium(10.0, 0.0))], [SUN], camera())

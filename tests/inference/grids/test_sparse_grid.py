@@ -1,4 +1,4 @@
-"""Grids of which only filled blocks are kept give what grids with all their voxels give."""
+"""Sparse grids render as the dense ones do."""
 
 import subprocess
 import sys
@@ -61,7 +61,7 @@ def in_blocks_of(grid, dense):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_samples_are_those_of_the_array(seed):
+def test_samples_equal_those_of_the_dense_grid(seed):
     density = puffs(seed)
     grid = SparseGrid.of_dense(density)
     np.testing.assert_array_equal(grid.dense(), density)
@@ -77,7 +77,7 @@ def test_samples_are_those_of_the_array(seed):
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
 @pytest.mark.parametrize("sigma_t", [0.02, 0.6, 30.0])
-def test_shadows_are_those_of_the_array(direction, sigma_t):
+def test_shadows_equal_those_of_the_dense_grid(direction, sigma_t):
     density, direction = puffs(), np.array(direction)
     low, high = active_bounds(density)
     dense = SunOpticalDepth(DenseGrid(density[tuple(map(slice, low, high))]), direction)
@@ -89,13 +89,13 @@ def test_shadows_are_those_of_the_array(direction, sigma_t):
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_memory_of_shadows_is_known_before(direction):
+def test_the_memory_of_shadows_is_known_beforehand(direction):
     grid = SparseGrid.of_dense(puffs())
     columns = SunOpticalDepth(grid, np.array(direction)).columns
     assert column_bytes(grid, np.array(direction)) == columns.tiles.nbytes + columns.table.nbytes
 
 
-def test_the_pyramid_is_that_of_the_array():
+def test_the_pyramid_equals_that_of_the_dense_grid():
     dense = placed(puffs())
     sparse = kept_sparsely(dense)
     expected = level0_density(dense, fit_cube(dense))
@@ -108,7 +108,7 @@ def rendered(pairs, suns):
     matrix[:3, :3] = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     matrix[:3, :3] *= np.linalg.det(matrix[:3, :3])
     matrix[:3, 3] = 3.0 * matrix[:3, 2]
-    # Which pixels share can hang on the last digit.
+    # Which pixels are interpolated can depend on the last digit.
     settings = Settings(2, threads=1, leave_out=ALL - {"shared_pixels"})
     return render(pairs, suns, Camera(matrix, resolution=(24, 24), fov=0.3), settings)
 
@@ -119,20 +119,22 @@ def compare(found, expected):
     for part in ("single", "emission"):
         image = getattr(expected, part)
         np.testing.assert_allclose(getattr(found, part), image, rtol=2e-3, atol=2e-3 * max(image.max(), 1e-9))
-    # The network reads the nearest cells, and rounding may choose another.
+    # The network reads the nearest cells, and rounding may choose another one.
     difference = found.multiple - expected.multiple
     assert np.sqrt((difference**2).mean()) < 5e-3 * np.sqrt((expected.multiple**2).mean())
     assert np.abs(difference).max() < 0.02 * expected.multiple.max()
 
 
-@pytest.mark.parametrize("sigma_t", [20.0, (100.0, 300.0, 900.0)], ids=["thin", "three colours"])
-def test_a_layer_is_that_of_the_array(sigma_t):
+@pytest.mark.parametrize("sigma_t", [
+    pytest.param(20.0, id="thin"), pytest.param((100.0, 300.0, 900.0), id="three colours", marks=pytest.mark.slow)])
+def test_a_layer_equals_that_of_the_dense_grid(sigma_t):
     dense, medium = placed(puffs(count=20)), Medium(sigma_t, 0.9, 0.6)
     suns = [Sun((0.4, 0.3, 0.8)), Sun((-0.7, 0.5, -0.4), 0.5)]
     compare(rendered([(kept_sparsely(dense), medium)], suns), rendered([(dense, medium)], suns))
 
 
-def test_glowing_layers_and_overlapping_ones_are_those_of_arrays():
+@pytest.mark.slow
+def test_emissive_and_overlapping_volumes_equal_dense_ones():
     glow = np.stack([puffs(seed) for seed in (3, 4, 5)], axis=3)
     first, second = placed(puffs(1, count=20), emission=glow), placed(puffs(2, count=20), SHEARED)
     media, sun = [Medium(40.0, 0.8, 0.3), Medium(60.0, 0.9, 0.7)], [Sun((0.4, -0.3, 0.8))]
@@ -141,14 +143,15 @@ def test_glowing_layers_and_overlapping_ones_are_those_of_arrays():
     compare(rendered(list(zip(map(kept_sparsely, (first, second)), media)), sun), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cumulus", "smoke"])
-def test_real_volumes_are_rendered_alike(name):
+def test_real_volumes_equal_dense_ones(name):
     dense = placed(independent_density(name))
     medium, sun = Medium(100.0, 1.0, 0.857), [Sun((0.3, 0.8, -0.4))]
     compare(rendered([(kept_sparsely(dense), medium)], sun), rendered([(dense, medium)], sun))
 
 
-def test_densities_far_from_one_are_rendered_alike():
+def test_densities_far_from_one_equal_dense_ones():
     density = puffs(count=20)
     sparse, dense = SparseGrid.of_dense(density * np.float32(1e9)), density
     sun = [Sun((0.4, 0.3, 0.8))]
@@ -157,7 +160,7 @@ def test_densities_far_from_one_are_rendered_alike():
     compare(rendered([(volume, Medium(20.0e-9, 0.9))], sun), expected)
 
 
-def test_a_grid_much_larger_than_what_it_holds_fits():
+def test_a_large_grid_with_few_blocks_fits_in_memory():
     """As an array it would have 1200^3 voxels."""
     blocks = np.random.default_rng(0).random((3, 8, 8, 8)).astype(np.float32)
     blocks[0] = 0.0

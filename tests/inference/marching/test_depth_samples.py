@@ -24,12 +24,12 @@ def test_weights_sum_to_the_rays_opacity_and_faint_rays_get_fewer():
     np.testing.assert_allclose(np.bincount(ray, weight, 6)[2:], alpha[2:], rtol=1e-12)
     assert np.all((opacity > 0.0) & (opacity < alpha[ray]))
     # Unless that is turned off.
-    ray, _, weight = sample_opacities(alpha, 8, thin_faint=False)
+    ray, _, weight = sample_opacities(alpha, 8, adaptive=False)
     np.testing.assert_array_equal(np.bincount(ray, minlength=6), [0, 8, 8, 8, 8, 8])
     np.testing.assert_allclose(np.bincount(ray, weight, 6), alpha, rtol=1e-12)
 
 
-def test_the_error_told_is_none_for_a_line_and_that_of_noise_for_noise():
+def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     random = np.random.default_rng(0)
     rays, most = 4000, 8
     ray, opacity, weight = sample_opacities(np.ones(rays), most)
@@ -42,5 +42,5 @@ def test_the_error_told_is_none_for_a_line_and_that_of_noise_for_noise():
     noise = weight * random.normal(size=len(ray))
     _, told = samples.standard_error(noise)
     spread = np.bincount(ray, noise).std()
-    # Independent noise does not cancel along a ray as that of lookups does, by a factor of two.
+    # Independent noise does not cancel along a ray as that of lookups does: a factor of two.
     assert np.sqrt((told**2).mean()) == pytest.approx(0.5 * spread, rel=0.1)

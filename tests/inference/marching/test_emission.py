@@ -13,7 +13,7 @@ GLOW = np.array([3.0, 1.0, 0.25], np.float32)
 
 
 def slab(density, glow=GLOW, height=0.0, voxels=24):
-    """Edge 1, its emission the same everywhere in it, at a height along the view."""
+    """A cube of edge 1 and constant emission, at a height along the view."""
     matrix = np.diag([*[1.0 / voxels] * 3, 1.0])
     matrix[:3, 3] = 0.5 / voxels - 0.5
     matrix[2, 3] += height
@@ -21,7 +21,7 @@ def slab(density, glow=GLOW, height=0.0, voxels=24):
     return Volume(np.full(shape, density, np.float32), matrix, "slab", np.broadcast_to(glow, (*shape, 3)))
 
 
-def test_light_without_fog_grows_with_the_way_through_it_and_needs_no_sun():
+def test_emission_without_extinction_grows_with_path_length_and_needs_no_sun():
     layer = render([(slab(0.0), Medium(1.0))], [], VIEW)
     np.testing.assert_allclose(layer.emission[1, 2], GLOW, rtol=1e-3)
     np.testing.assert_array_equal(layer.rgb, layer.emission)
@@ -29,14 +29,14 @@ def test_light_without_fog_grows_with_the_way_through_it_and_needs_no_sun():
 
 
 @pytest.mark.parametrize("sigma", [0.3, 4.0, (0.5, 2.0, 40.0), 2000.0])
-def test_fog_dims_its_own_light(sigma):
+def test_fog_attenuates_its_own_emission(sigma):
     """L = e (1 - exp(-sigma)) / sigma, in each channel."""
     layer = render([(slab(1.0), Medium(sigma, 0.0, emission=2.0))], [], VIEW)
     sigma = np.broadcast_to(sigma, 3)
     np.testing.assert_allclose(layer.emission[0, 0], 2.0 * GLOW * -np.expm1(-sigma) / sigma, rtol=5e-3)
 
 
-def test_other_volumes_dim_it_and_it_adds_to_scattered_light():
+def test_other_volumes_attenuate_emission_and_it_adds_to_scattered_light():
     behind, before = slab(0.0, height=-2.0), slab(1.0, glow=np.zeros(3))
     before = Volume(before.density, before.world_from_index, "fog")
     medium, sun = Medium(1.5, 0.8), Sun((0.2, 0.3, 1.0), 5.0)
@@ -50,8 +50,8 @@ def test_other_volumes_dim_it_and_it_adds_to_scattered_light():
 
 
 @pytest.mark.parametrize("sigma", [6.0, 300.0])
-def test_a_lumpy_fire_equals_an_integration_in_tiny_steps(sigma):
-    """Flames beside and within smoke, seen aslant from near."""
+def test_a_lumpy_fire_equals_integration_in_tiny_steps(sigma):
+    """Flames beside and inside smoke, in an oblique close view."""
     random = np.random.default_rng(4)
     voxels = 20
     density = random.random((voxels,) * 3) * (np.arange(voxels) < 12)
@@ -79,8 +79,8 @@ def test_a_lumpy_fire_equals_an_integration_in_tiny_steps(sigma):
     assert found.mean() == pytest.approx(np.mean(expected), rel=0.01)
 
 
-def test_the_power_is_taken_of_what_is_interpolated():
-    """A blackbody between a cold and a hot slice: the mean of T^4 over the way, T linear."""
+def test_blackbody_radiation_follows_the_interpolated_temperature():
+    """Between a cold and a hot slice: the mean of T^4 along the path, T linear."""
     roots = np.zeros((3, 3, 2, 3), np.float32)
     roots[:, :, 1] = 2.0
     matrix = np.eye(4)

@@ -1,4 +1,4 @@
-"""Light from parts of the sphere, scattered once."""
+"""Single scattering of light from cones of directions."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from inference import Medium, Settings, Sun, render
 from inference.scene.phase_function import henyey_greenstein
 from inference.scene.phase_function import PhaseFunction
 from inference.scene.camera_rays import camera_rays
-from inference.marching.extended_lights import ORDER, ExtendedLights, turned
+from inference.marching.extended_lights import ORDER, ExtendedLights, equivalent_directions
 
 from tests.support.volumes import box, camera, cloud
 from tests.support.surfaces import rectangle
@@ -18,14 +18,14 @@ ONCE = Settings(multiple=False)
 
 
 def sphere(count=15000):
-    """Unit vectors (count, 3) evenly all over the sphere: Fibonacci's spiral."""
+    """Unit vectors (count, 3) evenly over the sphere (Fibonacci spiral)."""
     n = np.arange(count)
     z, turn = (2 * n + 1) / count - 1, n * np.pi * (3 - np.sqrt(5))
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
 
 
 def even_suns(radiance=1.0):
-    """Even light from everywhere as six suns, one for each face of a cube."""
+    """Uniform light as six suns, one for each face of a cube."""
     directions = sphere()
     face = np.abs(directions).argmax(axis=1)
     face = 2 * face + (directions[np.arange(len(face)), face] > 0.0)
@@ -41,16 +41,16 @@ def even_suns(radiance=1.0):
 @pytest.mark.parametrize("anisotropy", [-0.5, 0.0, 0.5, 0.857])
 @pytest.mark.parametrize("view", [camera(), camera(projection="orthographic", ortho_scale=1.6),
                                   camera(0.2, projection="equirectangular", resolution=(48, 24))])
-def test_what_scatters_thin_even_light_cannot_be_seen(anisotropy, view):
-    """Radiance is that of the light times alpha, whatever the phase function, where nothing shadows."""
+def test_thin_media_in_uniform_light_have_the_lights_radiance(anisotropy, view):
+    """Radiance is the light's times alpha, whatever the phase function, where nothing casts shadows."""
     layer = render([(box(), Medium(0.01, 1.0, anisotropy))], even_suns(0.7), view, ONCE)
     seen = layer.alpha > 1e-4
     assert seen.sum() > 20
     np.testing.assert_allclose(layer.single[seen, 1] / layer.alpha[seen], 0.7, rtol=0.02)
 
 
-def test_a_spread_sun_is_many_suns_of_its_directions():
-    """Seen through a medium too thin for shadows; a sun without spread beside it stays as it is."""
+def test_an_extended_sun_equals_many_suns_within_its_cone():
+    """In a medium too thin for shadows; a sun of no angular extent beside it is unaffected."""
     random = np.random.default_rng(2)
     towards = random.normal(size=(40, 3)) * 0.3 + [0.3, 0.2, -1.0]
     towards /= np.linalg.norm(towards, axis=1)[:, None]
@@ -64,7 +64,7 @@ def test_a_spread_sun_is_many_suns_of_its_directions():
     np.testing.assert_allclose(wide.single[seen], many.single[seen], rtol=0.01)
 
 
-def test_means_between_places_are_those_at_pixels():
+def test_means_interpolated_between_nodes_equal_those_at_pixels():
     view = camera(resolution=(90, 60), fov=0.9)
     phase = PhaseFunction(((0.6, "henyey_greenstein", (0.8,)), (0.4, "draine", (0.3, 1.0))))
     suns = even_suns()
@@ -74,15 +74,16 @@ def test_means_between_places_are_those_at_pixels():
     wanted = np.stack([phase(directions @ sun.spread[0].T) @ sun.spread[1] for sun in suns], axis=1)
     assert np.abs((turned + ahead)[:, 0] - wanted).max() < 0.01 * wanted.max()
     assert ahead.min() >= 0.0 and ahead.max() > 0.5 * wanted.max()
-    # Where surfaces may be in the way, nothing is said of what comes from ahead.
-    every, none = ExtendedLights(view, suns, [phase], see_ahead=False).phase(columns + 0.5, rows + 0.5)
+    # Where surfaces may be in the way, light from ahead is unknown.
+    every, none = ExtendedLights(view, suns, [phase], split_forward=False).phase(columns + 0.5, rows + 0.5)
     assert not none.any()
     np.testing.assert_allclose(every, turned + ahead, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy, most", [(0.5, 0.11), (0.857, 0.06), (0.95, 0.05)])
-def test_light_from_behind_meets_what_the_camera_ray_meets(anisotropy, most):
-    """Half of the sphere as one sun from its middle, which is not behind the cloud, against many small suns."""
+def test_light_from_behind_is_occluded_as_the_camera_ray_is(anisotropy, most):
+    """A hemisphere as one sun, whose axis is not behind the cloud, against many small suns."""
     towards = sphere(700)
     towards = towards[towards @ [0.6, 0.0, -0.8] > 0.0]
     shares = np.full(len(towards), 1.0 / len(towards))
@@ -93,24 +94,24 @@ def test_light_from_behind_meets_what_the_camera_ray_meets(anisotropy, most):
 
 
 @pytest.mark.parametrize("anisotropy", [-0.9, 0.5, 0.857, 0.95])
-def test_directions_are_turned_to_where_the_phase_function_has_its_mean(anisotropy):
-    """Within the plane of ray and sun; a sun that is no wider than a point leaves them alone, as even scattering does."""
+def test_directions_are_turned_to_where_the_phase_function_equals_its_mean(anisotropy):
+    """Within the plane of ray and sun. Point-like suns and isotropic scattering leave directions as they are."""
     view = camera(resolution=(70, 50), fov=1.2)
     sun, g = even_suns()[4], np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     _, directions, _, _ = camera_rays(view)
     pixel = np.arange(len(directions))
-    found = turned(view, pixel, directions, sun, anisotropy)
+    found = equivalent_directions(view, pixel, directions, sun, anisotropy)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     mean = henyey_greenstein(directions @ sun.spread[0].T, g) @ sun.spread[1]
     assert np.abs(henyey_greenstein(found @ sun.direction, g) - mean).max() < 0.02 * mean.max()
     assert np.abs((found * np.cross(directions, sun.direction)).sum(axis=1)).max() < 1e-12
     point = Sun(sun.direction, 1.0, spread=(sun.direction[None], np.ones(1)))
-    np.testing.assert_allclose(turned(view, pixel, directions, point, anisotropy), directions, atol=0.03)
-    assert turned(view, pixel, directions, sun, 0.1) is directions
+    np.testing.assert_allclose(equivalent_directions(view, pixel, directions, point, anisotropy), directions, atol=0.03)
+    assert equivalent_directions(view, pixel, directions, sun, 0.1) is directions
 
 
-def test_a_wall_behind_the_volume_keeps_light_from_ahead():
-    """From pixels that it fills, and half of it from those that it fills to a half. The light's own direction is not behind it."""
+def test_a_wall_behind_the_volume_blocks_light_from_ahead():
+    """All of it at pixels that the wall covers, half at those it covers half. The light's axis is not behind it."""
     towards = sphere(4000)
     towards = towards[towards @ [0.6, 0.0, -0.8] > 0.0]
     light = Sun(towards.mean(axis=0), 1.0, spread=(towards, np.full(len(towards), 1.0 / len(towards))))
@@ -126,14 +127,14 @@ def test_a_wall_behind_the_volume_keeps_light_from_ahead():
     assert walled[19] == pytest.approx((walled[18] / free[18] + 1.0) / 2.0 * free[19], rel=0.03)
 
 
-def test_a_part_of_the_image_and_its_tiles_show_what_the_whole_shows():
+def test_regions_and_tiles_equal_the_whole_image():
     scene, view = [(cloud(), Medium(5.0, 0.9, 0.6))], camera(resolution=(60, 90))
     whole = render(scene, even_suns(), view, ONCE).rgb
     part = render(scene, even_suns(), replace(view, region=(10, 33, 51, 80)), ONCE).rgb
     np.testing.assert_array_equal(part, whole[33:80, 10:51])
 
 
-def test_suns_that_are_spread_are_not_merged():
+def test_extended_suns_are_not_merged():
     suns = even_suns()[:1]
     layer = render([(cloud(), Medium(5.0, 0.9, 0.6))], [*suns, Sun(suns[0].direction, 1.0)], camera(), ONCE)
     assert not any("merged" in sentence for sentence in layer.report.left_out)

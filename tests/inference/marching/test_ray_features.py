@@ -1,4 +1,4 @@
-"""The light along the camera ray: closed forms in a box, and each volume by itself."""
+"""Ray features: closed forms in a box, and each volume by itself."""
 
 import numpy as np
 import pytest
@@ -53,8 +53,8 @@ def test_light_in_a_box_has_its_closed_form(sigma_t):
     np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=0.02, atol=2e-3 * sigma_t)
 
 
-def test_marched_samples_see_what_their_points_see():
-    """A sample of a marched ray and a ray begun at the sample's place."""
+def test_marched_samples_equal_features_at_their_points():
+    """A sample of a marched ray against a ray that starts at the sample's position."""
     sigma_t, sun = 6.0, np.array([0.48, 0.6, 0.64])
     volume = box()
     volume.density[:, :, :20] = 0.2
@@ -73,8 +73,8 @@ def test_marched_samples_see_what_their_points_see():
     np.testing.assert_allclose(marched, own, rtol=0.03, atol=0.01)
 
 
-def test_each_volume_is_seen_by_itself():
-    """The network of one volume knows nothing of another; so must the light that it is given."""
+def test_each_volume_has_features_of_its_own():
+    """The network predicts each volume alone; so must its input."""
     sun, sigma_t = np.array([0.0, 0.6, 0.8]), (4.0, 2.0)
     volumes = [box("left"), box("right", (0.6, 0.0, 0.0))]
     media = [bound(volume, sun, s) for volume, s in zip(volumes, sigma_t)]
@@ -90,15 +90,15 @@ def test_each_volume_is_seen_by_itself():
         np.testing.assert_allclose(found, alone.of(slice(None), 0, 0), rtol=0.05, atol=0.03)
 
 
-def test_without_need_nothing_is_kept():
+def test_unneeded_features_are_not_computed():
     medium = bound(box(), (0.0, 0.0, 1.0), 1.0)
     origins, directions = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]])
     batch = RayBatch(origins, directions, *medium.grid.interval(origins, directions))
     assert march([medium], batch, MarchOptions(4)).sample_features is None
 
 
-def test_rays_beside_each_other_do_not_change_cells_of_the_diffused_light_together():
-    """Along x, from low to high through cells of a fluence that grows with z: what rays see grows with them."""
+def test_neighbouring_rays_do_not_step_between_fluence_cells_together():
+    """Rays at increasing heights through a fluence that grows with z: what they read grows with it."""
     medium = bound(box(), (0.0, 0.0, 1.0), 2.0)
     values = np.zeros((*[COARSE_CELLS] * 3, 4), np.float32)
     values[..., 0] = np.arange(COARSE_CELLS, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What rays skip holds nothing, and a ray is marched the same whatever is marched with it."""
+"""Rays skip empty space only, and a ray does not depend on its batch."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def sparse(shape=(31, 24, 40), share=0.002):
 
 
 @pytest.mark.parametrize("storage", [DenseGrid, SparseGrid.of_dense])
-def test_nothing_lies_within_reach_of_what_is_empty(storage):
+def test_empty_blocks_have_no_density_within_reach(storage):
     grid = storage(sparse())
     random = np.random.default_rng(1)
     index = random.uniform(-3.0, np.array(grid.shape) + 4.0, (4000, 3)).T.astype(np.float32)
@@ -48,7 +48,7 @@ def placed(density, sigma_t):
 
 @pytest.mark.parametrize("sigma_t", [30.0, 400.0, 1e5])
 def test_no_density_is_skipped(sigma_t):
-    """Against a walk along each ray in steps a fiftieth of a voxel long that skips none."""
+    """Against marching each ray in steps of a fiftieth of a voxel, without skipping."""
     medium = placed(sparse(share=0.01), sigma_t)
     grid, (origins, directions) = medium.grid, rays()
     near, far = grid.interval(origins, directions)

@@ -1,4 +1,4 @@
-"""The baselines beside the network: what they leave out, and against the closed form in a homogeneous slab."""
+"""The baselines: what they neglect, and the closed form in a homogeneous slab."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_single_scattering_is_the_layers_own(slab):
     assert np.array_equal(layer.single, render(*slab, Settings(model=OCTAVES)).single)
 
 
-def test_octaves_are_the_integral_of_fainter_and_less_attenuated_single_scattering(slab):
+def test_octaves_integrate_dimmer_and_less_attenuated_single_scattering(slab):
     layer = render(*slab, Settings(model=OCTAVES, depth_samples=64))
     # Light comes down and goes back up; octave n: 1/2^n p(g/2^n) times the integral of exp(-t) exp(-t/2^n).
     expected = sum(
@@ -38,5 +38,5 @@ def test_octaves_are_the_integral_of_fainter_and_less_attenuated_single_scatteri
     assert layer.multiple.mean() == pytest.approx(0.8 * expected, rel=0.02)
 
 
-def test_no_list_of_networks_names_them(slab):
+def test_baselines_are_not_listed_among_the_networks(slab):
     assert not {SINGLE, OCTAVES} & set(available_models())

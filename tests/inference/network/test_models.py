@@ -1,4 +1,4 @@
-"""Systems by name: what each is for, and the path tracer among them."""
+"""Models by name: what each is for, the path tracer included."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ from inference.network import network
 from inference.scene import SceneError
 from training.export import export, save
 from training.networks import RPNN
-from training.tracer.path_tracer import trace_pixels, trace_points
+from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, Vertices, trace_pixels, trace_points
 from training.data.seeded_volume import cube_volume
 
 SUN = Sun((0.6, 0.5, 0.62))
@@ -42,7 +42,7 @@ def camera(pixels):
 
 
 def test_rpnn_says_which_values_it_used(rpnn, ball):
-    """It knows one anisotropy and albedo 1, and takes them for every other."""
+    """It was trained for one anisotropy and albedo 1, and uses them for all others."""
     volume = cube_volume(ball, "fog")
     settings = Settings(depth_samples=2, model="rpnn")
     own = render([(volume, Medium(20.0, 1.0, 0.857))], [SUN], camera(8), settings)
@@ -53,7 +53,7 @@ def test_rpnn_says_which_values_it_used(rpnn, ball):
         "fog: albedo 0.5 is outside the network's range; multiple scattering uses 1",
         "fog: albedo 0.9 is outside the network's range; multiple scattering uses 1",
     ]
-    # The albedo of the scattering that the camera sees is the medium's own.
+    # The last scattering event has the medium's own albedo.
     np.testing.assert_allclose(other.multiple, own.multiple * np.float32([0.5, 0.9, 1.0]), rtol=1e-5)
 
 
@@ -66,28 +66,30 @@ def test_rendering_does_not_depend_on_threads(rpnn, ball):
     np.testing.assert_array_equal(layers[0].rgb, layers[1].rgb)
 
 
-def test_the_reference_is_the_path_tracers_image(ball):
-    """Rendered at depth samples or traced from the camera, it is one image but for noise."""
+@pytest.mark.slow
+def test_the_reference_equals_the_path_tracers_image(ball):
+    """Rendered at depth samples or traced from the camera: one image up to noise."""
     volume, medium = cube_volume(ball), Medium(30.0, (1.0, 0.8, 0.5), 0.5)
     eye = np.eye(4)
     eye[2, 3] = 3.0
     view = Camera(eye, resolution=(16, 16), fov=np.radians(25.0))
     layer = render([(volume, medium)], [SUN], view, Settings(depth_samples=24, model="reference"))
     assert "reference" in available_models() and layer.report.model == "reference"
-    traced = trace_pixels(ball, (0, 0, 3), (0, 0, 0), (0, 1, 0), 25.0, 16, SUN.direction, 30.0, 0.5,
-                          (1.0, 0.8, 0.5), 512, seed=1)
+    pinhole = PinholeCamera((0, 0, 3), (0, 0, 0), (0, 1, 0), 25.0, 16)
+    traced = trace_pixels(Scene(ball, SUN.direction), pinhole, medium, Sampling(512, seed=1))
     shown = layer.alpha > 0.1
     np.testing.assert_allclose(layer.rgb[shown].mean(axis=0), traced[shown, :3].mean(axis=0), rtol=0.02)
-    # Two references of different seeds are independent: their halves tell their noise.
+    # Two references of different seeds are independent: their halves give their noise.
     other = render([(volume, medium)], [SUN], view, Settings(depth_samples=24, model="reference", seed=1))
     assert np.all(other.multiple[shown] != layer.multiple[shown])
 
 
 def test_the_reference_follows_the_volume_in_the_world(ball):
-    """A grid that is moved, turned, mirrored and scaled, with empty voxels around, scatters as before."""
+    """A grid that is translated, rotated, mirrored, scaled and padded scatters as before."""
     positions = np.array([[0.1, 0.05, -0.1], [-0.2, 0.1, 0.0]])
     omega = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    expected = trace_points(ball, SUN.direction, None, positions, omega, 20.0, 0.4, [1.0], 10000, seed=1)[:, 0, 0]
+    vertices = Vertices(positions, omega, 20.0, 0.4, [1.0])
+    expected = trace_points(Scene(ball, SUN.direction), vertices, Sampling(10000, seed=1))[:, 0, 0]
     turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]])
     scale, shift = 7.0, np.array([3.0, -20.0, 1.0])
     world_from_index = np.eye(4)
@@ -104,17 +106,19 @@ def test_the_reference_follows_the_volume_in_the_world(ball):
     np.testing.assert_allclose(found[:, 0].reshape(2, copies).mean(axis=1), expected, rtol=0.05)
 
 
-def test_the_reference_wants_cubic_voxels(ball):
+def test_the_reference_requires_cubic_voxels(ball):
     volume = Volume(ball, np.diag([1.0, 1.0, 2.0, 1.0]), "fog")
     with pytest.raises(SceneError, match="fog: .*cubic voxels"):
         predict_multiple(volume, Medium(1.0), SUN, np.zeros((1, 3)), [[0.0, 0.0, 1.0]], model="reference")
 
 
 def test_without_the_repository_the_reference_is_named_and_refused():
-    """As in the extension, which holds no training: a process of its own, since here it is registered."""
+    """As in the extension, which has no training code: a process of its own, since here it is registered."""
     assert training.reference.PathTracer.name == "reference"
     code = (
-        "import sys; from inference.network.network import available_models, load_network; from inference import SceneError\n"
+        "import sys\n"
+        "from inference import SceneError\n"
+        "from inference.network.network import available_models, load_network\n"
         "assert 'reference' not in available_models()\n"
         "try: load_network('reference')\n"
         "except SceneError as error: print(error)\n"

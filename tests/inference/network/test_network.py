@@ -1,4 +1,4 @@
-"""The exported networks on onnxruntime against PyTorch, and weights files that are not right."""
+"""Exported networks on onnxruntime against PyTorch, and invalid weights files."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def make_net(name):
 
 
 def make_inputs(kind):
-    """Inputs of a network as PyTorch takes them, without the albedo; points on one ray share their angle to the sun."""
+    """Inputs of a network as PyTorch takes them, without the albedo; points of a ray share their angle to the sun."""
     random = np.random.default_rng(4)
     gamma = random.uniform(0, np.pi, POINTS // POINTS_A_RAY).astype(np.float32).repeat(POINTS_A_RAY)
     if kind == "lattice":
@@ -80,8 +80,8 @@ def test_light_is_positive_and_none_is_scattered_without_albedo(name):
     assert torch.all(radiance[0] == 0.0) and torch.all(radiance[1:] > 0.0)
 
 
-def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
-    """RPNN's one anisotropy and albedo, whatever the range of the data; the stencil's networks know all albedos."""
+def test_a_network_states_what_it_was_trained_for(tmp_path, monkeypatch):
+    """RPNN: one anisotropy and albedo, whatever the data; the stencil networks: every albedo."""
     weights_folder(tmp_path, monkeypatch, export(make_net("rpnn"), CONFIGURATION))
     loaded = network.load_network("test")
     assert loaded.anisotropy_range == (0.857, 0.857) and loaded.albedo_range == (1.0, 1.0)
@@ -93,7 +93,7 @@ def test_a_network_says_what_it_was_made_for(tmp_path, monkeypatch):
     assert loaded.points.digest == load_stencil().digest
 
 
-def test_points_that_do_not_belong_are_refused(tmp_path, monkeypatch):
+def test_stencil_points_of_another_network_are_refused(tmp_path, monkeypatch):
     stencil, lattice = load_stencil(), rpnn_lattice.make_sun_lattice()
     moved = {
         "mrpnn-paper": Stencil(stencil.low * 1.01, stencil.high),

@@ -1,4 +1,4 @@
-"""Providers of onnxruntime: the wanted one where it is there and right, else the processor and a message."""
+"""Execution providers of onnxruntime: the chosen one where available and correct, else the CPU and a warning."""
 
 import os
 import platform
@@ -29,7 +29,7 @@ def picture(**changed):
                   Camera(eye, resolution=(24, 24), fov=0.3), Settings(2, **changed))
 
 
-def test_without_the_provider_the_processor_renders_and_says_so():
+def test_without_the_provider_the_cpu_renders_with_a_warning():
     expected = picture()
     assert expected.report.provider == "CPU" and expected.report.warnings == []
     found = picture(provider=MISSING[0])
@@ -41,7 +41,7 @@ def test_without_the_provider_the_processor_renders_and_says_so():
 
 @pytest.fixture(scope="session")
 def openvino():
-    """A folder with the onnxruntime that has OpenVINO, which does not go together with the other in one environment."""
+    """A folder with the OpenVINO build of onnxruntime, which cannot share an environment with the other."""
     folder = ROOT / "build" / OPENVINO
     if not folder.exists():
         unfinished = folder.with_suffix(".part")
@@ -52,8 +52,8 @@ def openvino():
 
 
 @pytest.mark.skipif((sys.platform, platform.machine()) != ("linux", "x86_64"), reason="no OpenVINO for this machine")
-def test_another_provider_gives_the_processors_picture(openvino, tmp_path):
-    """In a process of its own, since onnxruntime is loaded here already."""
+def test_another_provider_gives_the_cpus_picture(openvino, tmp_path):
+    """In a separate process, since onnxruntime is loaded here already."""
     picture_file = tmp_path / "picture.npy"
     script = ("import sys, numpy; from tests.test_provider import picture; found = picture(provider='OPENVINO')\n"
               "assert (found.report.provider, found.report.warnings) == ('OPENVINO', []), found.report\n"
@@ -65,8 +65,8 @@ def test_another_provider_gives_the_processors_picture(openvino, tmp_path):
     assert np.abs(found - expected).max() < provider.TOLERANCE * expected.max()
 
 
-def test_what_differs_from_the_processor_is_not_trusted():
-    """Another network in the place of a provider that computes wrongly."""
+def test_a_provider_that_differs_from_the_cpu_is_not_used():
+    """Another network stands in for a provider with wrong results."""
     processor = provider.open_session(CONTENT, "CPU").session
     assert provider._difference(processor, processor) == ""
     wrong = onnxruntime.InferenceSession(_scaled(CONTENT, 1.02), providers=["CPUExecutionProvider"])
@@ -76,7 +76,7 @@ def test_what_differs_from_the_processor_is_not_trusted():
 
 
 def _scaled(content, factor):
-    """The network whose radiance is some factor larger."""
+    """The network with its radiance scaled by a factor."""
     import onnx
 
     model = onnx.load_from_string(content)

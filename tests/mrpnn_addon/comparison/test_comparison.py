@@ -1,4 +1,4 @@
-"""The comparison: its arithmetic against planted images, its operator on a real scene in Blender."""
+"""The comparison: its figures for planted images, and its operator on real scenes in Blender."""
 
 import importlib
 import json
@@ -8,6 +8,8 @@ import time
 import bpy
 import numpy as np
 import pytest
+
+from inference import SceneError
 
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
@@ -27,7 +29,7 @@ def kept(addon):
 
 @pytest.fixture
 def planted(kept):
-    """A layer 5 % brighter than a noisy reference of two passes, and three rungs of Cycles: gives (passes, request)."""
+    """A layer 5 % brighter than a noisy reference of two passes, and Cycles at three sample counts."""
     from mrpnn.mrpnn_addon.comparison.plan import Request
 
     rng = np.random.default_rng(3)
@@ -57,7 +59,7 @@ def test_planted_bias_noise_and_times_are_reported(comparison, planted):
     shown = passes[request.layers[0]].image[..., 3] > comparison.MASK_ALPHA
     colour = passes[request.layers[0]].image[shown][:, :3]
     spread = np.sqrt((colour**2).mean()) / colour.mean()
-    # Of 2 x 1000 samples, each of which varies by sqrt(10) of the value.
+    # 2 x 1000 samples, each with a relative standard deviation of sqrt(10).
     assert result.noise == pytest.approx(spread * np.sqrt(10 / 2000), rel=0.15)
     assert result.alpha_bias.value == 0.0 and result.samples == 1000
     assert result.pixels == shown.sum() and result.resolution == (SIZE, SIZE)
@@ -77,9 +79,9 @@ def test_equal_error_and_equal_time_follow_from_noise_and_cost(comparison, plant
     variance = 10 * (colour**2).mean() / colour.mean() ** 2
     assert traced.needed.value == pytest.approx(1.0 + 0.1 * variance / result.rmse.value**2, rel=0.2)
     assert traced.error.value == pytest.approx(np.sqrt(variance / 5.0), rel=0.1)
-    # The processor's clock runs twice as fast in what was planted for Cycles.
+    # The planted times of Cycles state twice as much processor time.
     assert by["cycles", "cpu_seconds"].needed.value == pytest.approx(2 * traced.needed.value, rel=0.02)
-    # A filter that is worth 64 times the samples.
+    # A denoiser that is worth 64 times the samples.
     denoised = by["cycles denoised", "seconds"].needed
     assert denoised.value < 0.1 * traced.needed.value
     assert len(result.sentences()) == 2 and "cycles needs" in result.sentences()[0]
@@ -97,20 +99,20 @@ def test_the_same_image_as_layer_and_reference_has_no_error(comparison, kept, pl
     assert any("one image from a file" in mark for mark in given.marks)
 
 
-def test_few_bounces_another_alpha_and_a_busy_machine_are_marked(comparison, kept, planted):
+def test_few_bounces_a_different_alpha_and_a_busy_machine_are_marked(comparison, kept, planted):
     passes, request = planted
     assert comparison.compare(passes, request, 1024, "4.5.15").marks == []
     layer = passes[request.layers[0]]
     passes[request.layers[0]] = kept.Pass(layer.image * [1, 1, 1, 0.8], 9.0, 1.5)
     marks = comparison.compare(passes, request, 16, "4.5.15").marks
     assert len(marks) == 3
-    for words in ("after 16 bounces", "different volumes", "busy with other work"):
+    for words in ("after 16 bounces", "different volumes", "other programs slowed"):
         assert any(words in mark for mark in marks), marks
-    with pytest.raises(comparison.SceneError, match="different volumes; render the file"):
+    with pytest.raises(SceneError, match="different volumes; render the file"):
         comparison.compare(passes, request, 1024, "4.5.15", given=layer.image)
 
 
-def test_json_holds_every_figure_and_replaces_the_file_whole(comparison, planted, tmp_path):
+def test_json_holds_every_figure_and_replaces_the_file_atomically(comparison, planted, tmp_path):
     result = comparison.compare(*planted, 1024, "4.5.15")
     path = tmp_path / "figures.json"
     path.write_text("old")
@@ -126,24 +128,24 @@ def test_json_holds_every_figure_and_replaces_the_file_whole(comparison, planted
 def test_json_that_cannot_be_written_is_a_plain_error(comparison, planted, tmp_path):
     (tmp_path / "file").write_text("")
     result = comparison.compare(*planted, 1024, "4.5.15")
-    with pytest.raises(comparison.SceneError, match="cannot write"):
+    with pytest.raises(SceneError, match="cannot write"):
         result.write_json(str(tmp_path / "file" / "figures.json"))
 
 
 def test_images_of_different_size_an_empty_view_and_no_reference_are_refused(comparison, kept, planted):
     passes, request = planted
     layer = passes[request.layers[0]]
-    with pytest.raises(comparison.SceneError, match="48 x 48 pixels and the reference 48 x 47"):
+    with pytest.raises(SceneError, match="48 x 48 pixels and the reference 48 x 47"):
         comparison.compare(passes, request, 1024, "4.5.15", given=layer.image[:-1])
     empty = {**passes, request.layers[0]: kept.Pass(0 * layer.image, 1.0, 1.0)}
-    with pytest.raises(comparison.SceneError, match="nothing to compare"):
+    with pytest.raises(SceneError, match="nothing to compare"):
         comparison.compare(empty, request, 1024, "4.5.15")
-    with pytest.raises(comparison.SceneError, match="no reference yet"):
+    with pytest.raises(SceneError, match="no reference yet"):
         comparison.compare({request.layers[0]: layer}, request, 1024, "4.5.15")
 
 
 def small(folder, **settings):
-    """Arguments of a comparison that takes seconds."""
+    """Options of a comparison that takes seconds."""
     return {"samples": 16, "scale": 50, "ladder": 1, "folder": str(folder / "comparison"), **settings}
 
 
@@ -174,8 +176,9 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert (tmp_path / "comparison" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
-    """Cycles' process has never shown the frame. The second file is four times as dense."""
+    """Cycles' process has never rendered that frame. The second file is four times as dense."""
     cloud = make.cloud_scene(scene, tmp_path, density=1.0)
     folder = tmp_path / "sequence"
     folder.mkdir()
@@ -212,6 +215,7 @@ def test_operator_refuses_an_instancer_that_shows_a_surface_beside_the_volume(sc
         bpy.ops.mrpnn.compare(**small(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     render = scene.render
@@ -238,7 +242,8 @@ def started(addon, scene, tmp_path):
     return start
 
 
-def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started, scene, tmp_path):
+@pytest.mark.slow
+def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(started, scene, tmp_path):
     before = state_of_file()
     first = started()
     while sum(job.by_cycles for job in first.job.passes) < 2:
@@ -255,7 +260,7 @@ def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started
     assert not any("stopped" in mark for mark in second.result().marks) and state_of_file() == before
     later = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.npz")}
     assert len(later) == 4 and kept.items() <= later.items()
-    # Another view finds nothing of it.
+    # Another view finds no stored passes.
     scene.camera.location.z += 1.0
     third = started()
     while third.job.store is None:
@@ -265,7 +270,7 @@ def test_a_stopped_comparison_keeps_what_is_finished_and_another_goes_on(started
     third.job.stop()
 
 
-def test_a_cycles_that_dies_is_a_message_and_leaves_the_file_alone(started):
+def test_a_crash_of_cycles_is_a_message_and_leaves_the_file_alone(started):
     before = state_of_file()
     run = started()
     while run.job._process._process is None:
@@ -278,7 +283,8 @@ def test_a_cycles_that_dies_is_a_message_and_leaves_the_file_alone(started):
     assert state_of_file() == before
 
 
-def test_a_given_image_is_judged_by_and_a_wrong_one_refused(started, scene, tmp_path):
+@pytest.mark.slow
+def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_path):
     first = started()
     first.wait()
     image = bpy.data.images.new("given", 16, 16, alpha=True, float_buffer=True)
@@ -288,7 +294,7 @@ def test_a_given_image_is_judged_by_and_a_wrong_one_refused(started, scene, tmp_
     run = started(reference_path=str(tmp_path / "given.exr"))
     run.wait()
     result = run.result()
-    # EXR files hold 16 bits a number here.
+    # These EXR files have half precision.
     assert result.rmse.value < 1e-3 and abs(result.bias.value) < 1e-3 and result.equal == []
     (tmp_path / "words.exr").write_text("no image")
     for name in ("words.exr", "missing.exr"):

@@ -1,4 +1,4 @@
-"""The comparison's page in a real browser, without anything beside it."""
+"""The comparison's page in a real browser, as a single file."""
 
 import importlib
 import json
@@ -34,10 +34,11 @@ def report(addon, tmp_path_factory):
 
 
 def in_browser(page, script, folder):
-    """What a script says of the page when all of it is loaded, and what the browser complains about."""
+    """What a script returns once the page has loaded, and the browser's console."""
     copy = folder / "copy.html"
     said = "<script>addEventListener('load', () => { const out = document.createElement('pre'); out.id = 'said';\n" \
-           f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out); }});</script></body>"
+           f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out);\n" \
+           "});</script></body>"
     copy.write_text(page.replace("</body>", said), encoding="utf-8")
     run = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
@@ -52,7 +53,7 @@ def in_browser(page, script, folder):
 @pytest.mark.skipif(BROWSER is None, reason="there is no chromium; .ci/run installs it")
 def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path):
     folder, comparison = report
-    # A copy elsewhere: what the page needs is in it.
+    # A copy elsewhere: the page is self-contained.
     said, console = in_browser((folder / "report.html").read_text(encoding="utf-8"), """
         const at = (id) => document.getElementById(id);
         const shown = () => getComputedStyle(at("left")).clipPath;
@@ -75,13 +76,13 @@ def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path)
     assert said["sizes"] == [[32, 32]] * 3
     # The boundary moved from the middle to four fifths.
     assert "50%" in said["before"] and "20%" in said["after"]
-    # The judged layer, one more, two baselines, the reference, two rungs with and without denoising.
+    # The compared layer, one more, two baselines, the reference, two sample counts with and without denoising.
     assert said["changed"] and said["choices"] == 9
     drawn = sum(rung.error > 0.0 for rung in comparison.rungs)
     assert said["dots"] == drawn and said["inside"] and said["chart"] > 1e5
 
 
-def test_the_chart_is_well_formed_and_lies_on_logarithmic_axes(report):
+def test_the_chart_is_well_formed_and_has_logarithmic_axes(report):
     chart = importlib.import_module("mrpnn.mrpnn_addon.comparison.chart")
     _, comparison = report
     made = chart.make_chart(comparison.rungs)
@@ -103,7 +104,7 @@ def test_csv_and_json_hold_the_figures_of_the_page(report):
     assert f"{comparison.judged.rmse.value:.4f}" in text and "1024 bounces" in text
 
 
-def test_pictures_have_the_colours_they_were_made_of(report):
+def test_pictures_keep_their_colours(report):
     from PIL import Image
     import io
 

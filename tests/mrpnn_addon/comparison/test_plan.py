@@ -1,4 +1,4 @@
-"""What a comparison renders next, and what it keeps on disk."""
+"""What a comparison renders next, and what it stores on disk."""
 
 import importlib
 
@@ -17,7 +17,7 @@ def kept(addon):
 
 
 def run(plan, kept, request, done=None, each=1.0, most=200):
-    """Follow the plan with passes that take `each` seconds a sample; gives the jobs in order and all passes."""
+    """Follow the plan with passes that take `each` seconds per sample; gives the jobs in order and all passes."""
     done, order, spent = dict(done or {}), [], 0.0
     while (job := plan.next_job(request, done, spent=spent)) is not None and len(order) < most:
         seconds = each * job.samples
@@ -27,7 +27,7 @@ def run(plan, kept, request, done=None, each=1.0, most=200):
     return order, done, spent
 
 
-def test_everything_is_made_once_where_there_is_no_limit(plan, kept):
+def test_without_a_limit_everything_is_rendered_once(plan, kept):
     layers = (kept.Job("mrpnn", 8), kept.Job("mrpnn", 2))
     order, _, _ = run(plan, kept, plan.Request(layers, samples=40, largest=20))
     assert len(order) == len(set(order)) and order[:2] == list(layers)
@@ -39,7 +39,7 @@ def test_everything_is_made_once_where_there_is_no_limit(plan, kept):
         assert [job.samples for job in order if job.method == method] == [1, 4, 16]
 
 
-def test_the_budget_is_kept_and_another_run_goes_on(plan, kept):
+def test_the_budget_is_kept_and_the_next_run_resumes(plan, kept):
     request = plan.Request((kept.Job("mrpnn", 8),), samples=160, largest=1024, seconds=150.0)
     first, done, spent = run(plan, kept, request)
     assert 100.0 < spent <= 150.0
@@ -50,13 +50,13 @@ def test_the_budget_is_kept_and_another_run_goes_on(plan, kept):
     assert not set(first) & set(second) and 0.0 < more <= 150.0
 
 
-def test_the_least_is_made_whatever_the_budget(plan, kept):
+def test_the_minimum_is_rendered_whatever_the_budget(plan, kept):
     order, _, _ = run(plan, kept, plan.Request((kept.Job("mrpnn", 8),), seconds=1e-3))
     assert [(job.method, job.samples) for job in order] == [
         ("mrpnn", 8), (kept.REFERENCE, 16), (kept.REFERENCE, 16), (kept.CYCLES, 1), (kept.DENOISED, 1)]
 
 
-def test_a_larger_reference_continues_a_smaller_one_and_is_few_images(plan):
+def test_a_larger_reference_continues_a_smaller_one_in_few_images(plan):
     small, large = (plan.Request((), samples=samples).reference_jobs() for samples in (80, 65536))
     assert large[: len(small)] == small and len(large) < 150
     for half in range(2):
@@ -64,7 +64,7 @@ def test_a_larger_reference_continues_a_smaller_one_and_is_few_images(plan):
     assert len({job.seed for job in large}) == len(large)
 
 
-def test_a_given_reference_needs_no_cycles_and_failures_are_not_tried_again(plan, kept):
+def test_a_given_reference_needs_no_cycles_and_failures_are_not_retried(plan, kept):
     given, _, _ = run(plan, kept, plan.Request((kept.Job("mrpnn", 8),), largest=0, given=True))
     assert [job.method for job in given] == ["mrpnn"]
     request = plan.Request((), samples=1, largest=1)
@@ -73,7 +73,7 @@ def test_a_given_reference_needs_no_cycles_and_failures_are_not_tried_again(plan
     assert plan.next_job(request, done, failed) is None
 
 
-def test_a_store_gives_back_what_it_was_given_and_nothing_of_damaged_files(kept, tmp_path):
+def test_a_store_returns_what_it_was_given_and_ignores_damaged_files(kept, tmp_path):
     store, job = kept.PassStore(tmp_path / "scene"), kept.Job(kept.DENOISED, 4, 1)
     assert store.get(job) is None
     image = np.random.default_rng(0).random((3, 5, 4)).astype(np.float32)
@@ -86,8 +86,8 @@ def test_a_store_gives_back_what_it_was_given_and_nothing_of_damaged_files(kept,
     assert store.get(job) is None
 
 
-def test_the_key_tells_scenes_apart_that_render_differently(addon, kept):
-    from mrpnn.inference import Camera, Medium, Sun, Volume
+def test_the_key_differs_for_scenes_that_render_differently(addon, kept):
+    from inference import Camera, Medium, Sun, Volume
     from mrpnn.mrpnn_addon.scene.reader import SceneDescription
 
     def key(density=1.0, albedo=0.9, anisotropy=0.5, sun=(0, 0, 1), size=8, moved=0.0, bounces=1024, frame=1):

@@ -1,4 +1,4 @@
-"""The render engine: what F12, an animation and their files hold."""
+"""The render engine: the passes and files of F12 and animations."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def render(scene, path):
 
 
 def layer(addon, scene):
-    """What the library gives for the scene."""
+    """The scene rendered by the library."""
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     return addon.inference.render(described.volumes, described.suns, described.camera, scene.mrpnn.settings())
 
@@ -67,8 +67,8 @@ def test_the_compositor_sees_each_pass(addon, scene, cloud, tmp_path):
     np.testing.assert_allclose(composed, layer(addon, scene).multiple, rtol=1e-5, atol=1e-7)
 
 
-def test_the_engine_sees_what_only_renders_show(addon, scene, cloud, tmp_path):
-    """Hidden in the viewport, the cloud is not there for the operator; a render evaluates it."""
+def test_the_engine_renders_what_only_renders_show(addon, scene, cloud, tmp_path):
+    """Hidden in the viewport, the cloud is absent for the operator; a render evaluates it."""
     shown = render(scene, tmp_path / "shown.exr")
     cloud.hide_viewport = True
     hidden = render(scene, tmp_path / "hidden.exr")
@@ -78,7 +78,7 @@ def test_the_engine_sees_what_only_renders_show(addon, scene, cloud, tmp_path):
 
 @pytest.mark.parametrize("crop", [False, True])
 def test_the_render_region_is_cut_as_blender_cuts_it(addon, scene, cloud, tmp_path, crop):
-    # Pixels at the region's rim have no neighbours outside it that could speak for them.
+    # Pixels at the region's border have no neighbours outside it to interpolate from.
     scene.mrpnn.leave_out -= {"shared_pixels"}
     render(scene, tmp_path / "whole.exr")
     whole = combined(tmp_path / "whole.exr")
@@ -112,7 +112,7 @@ def combined_of(scene, path):
 
 
 def test_a_view_layer_shows_its_own_collections(addon, scene, cloud, tmp_path):
-    """The cloud stands in one layer, a second one beside it in the other; alone each is itself."""
+    """The cloud is in one view layer, a second one beside it in the other; each renders as if alone."""
     other, _ = blender_scenes.add_volume(
         scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Other")
     collections = {}
@@ -148,12 +148,12 @@ def test_an_opaque_film_shows_the_world_behind(addon, scene, cloud, tmp_path):
     node.inputs["Color"].default_value = (0.1, 0.2, 0.4, 1.0)
     found = combined_of(scene, tmp_path / "opaque.exr")
     behind = np.float32([0.2, 0.4, 0.8])
-    # Without its light, what the World adds is only what is seen through the cloud.
+    # Without its light, the World adds only what is seen through the cloud.
     np.testing.assert_allclose(found[..., :3], through[..., :3] + (1 - through[..., 3:]) * behind, rtol=1e-5)
     assert np.all(found[..., 3] == 1.0)
 
 
-def test_an_animation_writes_each_frame_as_alone(addon, scene, cloud, tmp_path):
+def test_an_animation_writes_each_frame_as_if_alone(addon, scene, cloud, tmp_path):
     cloud.keyframe_insert("rotation_euler", frame=1)
     cloud.rotation_euler = (0.0, 1.5, 0.0)
     cloud.keyframe_insert("rotation_euler", frame=3)
@@ -166,15 +166,16 @@ def test_an_animation_writes_each_frame_as_alone(addon, scene, cloud, tmp_path):
     np.testing.assert_array_equal(combined_of(scene, tmp_path / "alone.exr"), frames[1])
 
 
-def test_a_frame_before_its_sequence_begins_is_an_empty_picture(addon, scene, cloud, tmp_path):
+def test_a_frame_before_a_sequence_begins_is_an_empty_picture(addon, scene, cloud, tmp_path):
     cloud.data.is_sequence, cloud.data.sequence_mode, cloud.data.frame_start = True, 'CLIP', 5
     scene.frame_set(1)
     found = render(scene, tmp_path / "empty.exr")
     assert found and all(not values.any() for values in found.values())
 
 
-def test_an_animated_world_is_that_of_each_frame(addon, scene, cloud, tmp_path):
-    """In F12 too, which evaluates frames that the scene itself does not show."""
+@pytest.mark.slow
+def test_an_animated_world_follows_the_frame(addon, scene, cloud, tmp_path):
+    """Also in F12, which evaluates frames other than the scene's current one."""
     scene.mrpnn.world_directions = 1
     scene.render.film_transparent = False
     strength = scene.world.node_tree.nodes["Background"].inputs["Strength"]
@@ -186,7 +187,7 @@ def test_an_animated_world_is_that_of_each_frame(addon, scene, cloud, tmp_path):
     scene.render.filepath = str(tmp_path / "world")
     bpy.ops.render.render(animation=True)
     first, second = (combined(tmp_path / f"world000{frame}.exr") for frame in (1, 2))
-    # Light and what is seen behind are four times as bright.
+    # Its light and the background are four times as bright.
     np.testing.assert_allclose(second[..., :3], 4.0 * first[..., :3], rtol=2e-3, atol=1e-6)
     assert first[..., :3].min() > 0.0
 
@@ -200,7 +201,7 @@ def test_a_mistake_ends_the_render_with_its_message_and_without_a_file(addon, sc
     assert not list(tmp_path.glob("never*"))
 
 
-def test_files_tell_how_they_were_made(addon, scene, cloud, tmp_path):
+def test_files_hold_metadata_of_the_render(addon, scene, cloud, tmp_path):
     scene.mrpnn.seed = 5
     render(scene, tmp_path / "stamped.exr")
     found = header(tmp_path / "stamped.exr")

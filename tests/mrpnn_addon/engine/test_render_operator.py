@@ -1,4 +1,4 @@
-"""Rendering inside Blender: the operator and the worker thread."""
+"""Rendering in Blender: the operator and the worker thread."""
 
 import threading
 import time
@@ -10,6 +10,8 @@ bpy = pytest.importorskip("bpy")
 
 # After bpy: its compiled libraries must come first.
 import OpenEXR
+
+from inference import SceneError, Settings, render
 
 from tests.support import blender_scenes
 from tests.support.exr_files import channels, combined
@@ -31,11 +33,11 @@ def image_pixels():
     return values.reshape(image.size[1], image.size[0], 4)[::-1]
 
 
-def test_the_operator_gives_the_layer_of_the_library(addon, scene, cloud, tmp_path):
+def test_the_operator_renders_the_librarys_layer(addon, scene, cloud, tmp_path):
     assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {'FINISHED'}
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-    layer = addon.inference.render(
-        described.volumes, described.suns, described.camera, addon.inference.Settings(depth_samples=2))
+    layer = render(
+        described.volumes, described.suns, described.camera, Settings(depth_samples=2))
     found = image_pixels()
     np.testing.assert_array_equal(found[..., :3], layer.rgb)
     np.testing.assert_array_equal(found[..., 3], layer.alpha)
@@ -97,13 +99,13 @@ def test_a_worker_thread_gives_the_same_layer(addon, scene, cloud):
     np.testing.assert_array_equal(image_pixels()[..., :3], job.result.layer.rgb)
 
 
-def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
+def test_a_cancelled_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path):
     scene.render.resolution_x = scene.render.resolution_y = 256
-    settings = addon.inference.Settings(depth_samples=64)
+    settings = Settings(depth_samples=64)
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     path = tmp_path / "layer.exr"
     job = addon.mrpnn_addon.engine.render_job.RenderJob(described, settings, str(path))
-    # Until the network is at work, deep inside the render.
+    # Until the network is evaluated, deep inside the render.
     while "multiple" not in job.message and not job.done:
         time.sleep(0.01)
     job.stop()
@@ -114,7 +116,7 @@ def test_a_stopped_worker_ends_and_writes_nothing(addon, scene, cloud, tmp_path)
 
 def test_a_workers_error_reaches_the_main_thread(addon, scene, cloud, tmp_path):
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-    settings = addon.inference.Settings(model="no such network")
+    settings = Settings(model="no such network")
     job = addon.mrpnn_addon.engine.render_job.RenderJob(described, settings, None)
     job.wait()
-    assert isinstance(job.error, addon.inference.SceneError) and "no such network" in str(job.error)
+    assert isinstance(job.error, SceneError) and "no such network" in str(job.error)

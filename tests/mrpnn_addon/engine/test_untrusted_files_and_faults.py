@@ -1,4 +1,4 @@
-"""A .blend from a stranger, and faults while a render is at work."""
+"""Untrusted .blend files, and faults during a render."""
 
 import os
 import sys
@@ -10,11 +10,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from inference.network.baselines import SingleScattering
+from inference import RenderCache, SceneError
+from inference.network import network
+from inference.network.baselines import Baseline, BaselinePredictor, SingleScattering
 
 from tests.support import blender_scenes
 
-# What Python tells before it does such things; hooks stay for the life of the process, so this one has a switch.
+# Python's audit events; hooks stay for the life of the process, so this one has a switch.
 _told = None
 
 
@@ -27,7 +29,7 @@ def _listen(event, arguments):
 
 @pytest.fixture
 def told():
-    """Events while the test runs, as (name, arguments)."""
+    """Audit events while the test runs, as (name, arguments)."""
     global _told
     _told = []
     yield _told
@@ -41,7 +43,7 @@ def cloud(scene, tmp_path):
     return blender_scenes.cloud_scene(scene, tmp_path)
 
 
-def test_a_render_opens_no_connection_and_writes_its_output_alone(addon, scene, cloud, tmp_path, told):
+def test_a_render_opens_no_connection_and_writes_only_its_output(addon, scene, cloud, tmp_path, told):
     path = tmp_path / "layer.exr"
     bpy.ops.mrpnn.render(filepath=str(path))
     assert not [event for event, _ in told if event.startswith(("socket", "urllib", "http", "ftplib"))]
@@ -57,16 +59,16 @@ def test_a_render_opens_no_connection_and_writes_its_output_alone(addon, scene, 
 def test_a_scene_cannot_name_a_model_that_is_not_shipped(addon, scene, cloud):
     with pytest.raises(TypeError):
         scene.mrpnn.model = "../../tmp/evil"
-    # As a file may hold it: the number of no network.
+    # As a file may store it: a number of no network.
     scene.mrpnn["model"] = 12345
     assert scene.mrpnn.settings().model == "mrpnn"
     bpy.ops.mrpnn.render()
-    with pytest.raises(addon.inference.SceneError, match="no network called"):
-        addon.inference.network.network.load_network(str(addon.inference.network.network.WEIGHTS / "mrpnn"))
+    with pytest.raises(SceneError, match="no network called"):
+        network.load_network(str(network.WEIGHTS / "mrpnn"))
 
 
 @pytest.mark.parametrize("name", ["bashrc", "authorized_keys", "startup.py", "layer.exr.py"])
-def test_a_scenes_own_path_replaces_nothing_but_exr_files(addon, scene, cloud, tmp_path, name):
+def test_a_scenes_output_path_replaces_only_exr_files(addon, scene, cloud, tmp_path, name):
     (tmp_path / name).write_text("precious")
     scene.mrpnn.use_exr, scene.mrpnn.exr_path = True, str(tmp_path / name)
     with pytest.raises(RuntimeError, match="must end in .exr"):
@@ -92,7 +94,7 @@ def test_two_renders_at_once_and_a_scene_that_changes_under_them(addon, scene, c
     alone = job(addon, scene)
     alone.wait()
     both = [job(addon, scene, str(tmp_path / "layer.exr")) for _ in range(2)]
-    # What the workers read is theirs: the scene goes while they work.
+    # The workers own what they read: the scene is removed while they render.
     bpy.ops.wm.read_homefile(use_empty=True)
     for worker in both:
         worker.wait()
@@ -101,13 +103,13 @@ def test_two_renders_at_once_and_a_scene_that_changes_under_them(addon, scene, c
 
 
 @pytest.mark.parametrize("stage", ["shadows", "single", "multiple"])
-def test_it_can_be_stopped_in_every_stage(addon, scene, cloud, tmp_path, stage):
+def test_rendering_can_be_cancelled_in_every_stage(addon, scene, cloud, tmp_path, stage):
     scene.render.resolution_x = scene.render.resolution_y = 256
     scene.mrpnn.depth_samples = 64
     worker = job(addon, scene, str(tmp_path / "layer.exr"))
     while stage not in worker.message and not worker.done:
         time.sleep(0.001)
-    # Of this process's own work: a second with two threads, whatever else the machine does.
+    # In processor time: a second with two threads, however busy the machine.
     start = time.process_time()
     worker.stop()
     worker.wait()
@@ -116,8 +118,8 @@ def test_it_can_be_stopped_in_every_stage(addon, scene, cloud, tmp_path, stage):
     assert not [thread for thread in threading.enumerate() if thread.name == "mrpnn render"]
 
 
-def test_it_can_be_stopped_while_it_writes(addon, scene, cloud, tmp_path):
-    """Of a large picture, nearly all of it empty; the old file stays."""
+def test_rendering_can_be_cancelled_while_writing(addon, scene, cloud, tmp_path):
+    """A large, nearly empty picture; the old file stays."""
     scene.render.resolution_x = scene.render.resolution_y = 2048
     scene.camera.data.angle = 3.0
     (tmp_path / "layer.exr").write_bytes(b"old")
@@ -133,18 +135,26 @@ def test_it_can_be_stopped_while_it_writes(addon, scene, cloud, tmp_path):
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".vdb"]
 
 
-class Breaks(SingleScattering):
-    """A system that fails in the middle of a render, as a bug in ours would."""
+class Breaks(Baseline):
+    """A model that fails in the middle of a render, as a bug would."""
 
-    name = "breaks"
+    def predictor(self, volume, cube, anisotropy, cancel=None):
+        return BreakingPredictor(self.name, anisotropy)
 
+
+class BreakingPredictor(BaselinePredictor):
+    def prepare(self, conditions, tasks=None):
+        return BreakingPrediction()
+
+
+class BreakingPrediction(SingleScattering):
     def predict(self, positions, omega, albedos, jitter=None, ray_features=None):
         raise ZeroDivisionError("in a thread")
 
 
 @pytest.fixture
 def breaks(addon, monkeypatch):
-    monkeypatch.setitem(addon.inference.network.network._systems, "breaks", Breaks)
+    monkeypatch.setitem(network._systems, "breaks", lambda: Breaks("breaks"))
 
 
 def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):
@@ -159,7 +169,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     module = addon.mrpnn_addon.engine.preview
     preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
-                             module.Prepared(addon.inference.RenderCache()))
+                             module.Prepared(RenderCache()))
     while not preview.done:
         time.sleep(0.01)
     assert "which is a bug" in preview.message
@@ -170,8 +180,9 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     assert (tmp_path / "frame.png").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_too_little_memory_is_a_message(addon, scene, cloud):
-    """The limit allows the render, the system does not."""
+    """The memory limit allows the render, the operating system does not."""
     resource = pytest.importorskip("resource")
     scene.render.resolution_x = scene.render.resolution_y = 8192
     scene.mrpnn.memory_limit = 1024
@@ -181,7 +192,7 @@ def test_too_little_memory_is_a_message(addon, scene, cloud):
         held = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 30), before[1]))
     try:
-        with pytest.raises(addon.inference.SceneError, match="not enough memory"):
+        with pytest.raises(SceneError, match="not enough memory"):
             addon.mrpnn_addon.engine.render_job.render_scene(described, scene.mrpnn.settings())
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)

@@ -1,4 +1,4 @@
-"""The preview of Rendered shading: its camera, its pictures, its end. Drawing needs a window."""
+"""The preview of Rendered shading: its camera, its refinement and its end. Drawing needs a window."""
 
 import threading
 import time
@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+
+from inference import RenderCache, Settings, render
+from inference.scene.optimizations import ALL
 
 from tests.support import blender_scenes
 
@@ -23,7 +26,7 @@ def described(addon):
 
 
 @pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
-def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, kind):
+def test_looking_through_the_camera_is_the_renders_view(addon, scene, cloud, kind):
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     camera.rotation_euler = (0.1, 0.2, 0.3)
@@ -31,25 +34,25 @@ def test_looking_through_the_camera_is_the_render_s_view(addon, scene, cloud, ki
     seen = addon.mrpnn_addon.engine.viewport.viewport_camera(
         camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
         kind == 'PERSP', (64, 48), clip_end=100.0)
-    settings = addon.inference.Settings(depth_samples=1)
-    found, expected = (addon.inference.render(description.volumes, description.suns, view, settings).alpha
+    settings = Settings(depth_samples=1)
+    found, expected = (render(description.volumes, description.suns, view, settings).alpha
                        for view in (seen, description.camera))
     np.testing.assert_allclose(found, expected, atol=2e-4)
     assert expected.max() > 0.3
 
 
-@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
-def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
-    """As with a render region, of any place and shape."""
+@pytest.mark.parametrize("kind", ['PERSP', pytest.param('ORTHO', marks=pytest.mark.slow)])
+def test_a_region_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
+    """Of any position and shape, as a render region is."""
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     description = described(addon)
     view = (camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
             kind == 'PERSP', (64, 48))
     make = addon.mrpnn_addon.engine.viewport.viewport_camera
-    # Pixels at the rim of the part have no neighbours outside it that could speak for them.
-    settings = addon.inference.Settings(depth_samples=1, leave_out=addon.inference.scene.optimizations.ALL - {"shared_pixels"})
-    whole, part = (addon.inference.render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
+    # Pixels at the region's border have no neighbours outside it to interpolate from.
+    settings = Settings(depth_samples=1, leave_out=ALL - {"shared_pixels"})
+    whole, part = (render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
                                           settings).alpha
                    for part in ((0.0, 0.0, 1.0, 1.0), (16 / 64, 6 / 48, 48 / 64, 40 / 48)))
     np.testing.assert_allclose(part, whole[48 - 40:48 - 6, 16:48], atol=2e-4)
@@ -57,11 +60,11 @@ def test_a_part_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
 
 
 def prepared(addon):
-    return addon.mrpnn_addon.engine.preview.Prepared(addon.inference.RenderCache())
+    return addon.mrpnn_addon.engine.preview.Prepared(RenderCache())
 
 
 def pictures(preview):
-    """Every picture it makes, by number."""
+    """Every picture of the preview, by number."""
     found = {}
     while not preview.done:
         if preview.picture is not None:
@@ -70,29 +73,30 @@ def pictures(preview):
     return {**found, preview.number: preview.picture}
 
 
-def test_pictures_get_finer_and_end_as_the_render(addon, scene, cloud):
+def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     description = described(addon)
     large = replace(description.camera, resolution=(160, 120))
-    settings, shared = addon.inference.Settings(depth_samples=3), prepared(addon)
+    settings, shared = Settings(depth_samples=3), prepared(addon)
     first = pictures(addon.mrpnn_addon.engine.preview.Preview(description, large, settings, shared))
     shapes = [picture.shape for _, picture in sorted(first.items())]
     assert shapes == sorted(shapes) and shapes[0] == (40, 53, 4) and max(first) == 4
-    layer = addon.inference.render(description.volumes, description.suns, large, settings)
+    layer = render(description.volumes, description.suns, large, settings)
     np.testing.assert_array_equal(first[4][::-1, :, :3], layer.rgb)
-    # The next view finds all fields there, and begins with multiple scattering.
+    # The next view finds all fields in the cache, and begins with multiple scattering.
     turned = replace(large, fov=0.5)
     second = pictures(addon.mrpnn_addon.engine.preview.Preview(description, turned, settings, shared))
     assert max(second) == 3 and second[1].shape == (40, 53, 4)
-    layer = addon.inference.render(description.volumes, description.suns, turned, settings)
+    layer = render(description.volumes, description.suns, turned, settings)
     np.testing.assert_array_equal(second[3][::-1, :, :3], layer.rgb)
-    rough = addon.inference.render(description.volumes, description.suns, replace(turned, resolution=(53, 40)),
-                                   addon.inference.Settings(depth_samples=1))
+    rough = render(description.volumes, description.suns, replace(turned, resolution=(53, 40)),
+                                   Settings(depth_samples=1))
     np.testing.assert_array_equal(second[1][::-1, :, :3], rough.rgb)
 
 
+@pytest.mark.slow
 def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
-    """Sun, place, density, colour and anisotropy, one after another, with what is kept of the scenes before."""
-    settings, shared = addon.inference.Settings(depth_samples=1), prepared(addon)
+    """Sun, position, density, colour and anisotropy, one after another, with one render cache."""
+    settings, shared = Settings(depth_samples=1), prepared(addon)
     sun = next(item for item in scene.objects if item.type == 'LIGHT')
     node = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
 
@@ -117,19 +121,19 @@ def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
         change()
         description = described(addon)
         found = pictures(addon.mrpnn_addon.engine.preview.Preview(description, description.camera, settings, shared))
-        layer = addon.inference.render(description.volumes, description.suns, description.camera, settings)
+        layer = render(description.volumes, description.suns, description.camera, settings)
         np.testing.assert_array_equal(found[max(found)][::-1, :, :3], layer.rgb)
         assert last is None or np.abs(layer.rgb - last).max() > 1e-4
         last = layer.rgb
 
 
-@pytest.mark.parametrize("pictures_before", [0, 1, 2, 3])
-def test_a_stopped_preview_ends_its_thread(addon, scene, cloud, pictures_before):
-    """While any of its pictures is made, within a second of two threads."""
+@pytest.mark.parametrize("pictures_before", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2, 3))])
+def test_a_cancelled_preview_ends_its_thread(addon, scene, cloud, pictures_before):
+    """At any stage of refinement, within a second of two threads."""
     description = described(addon)
     large = replace(description.camera, resolution=(512, 384))
     preview = addon.mrpnn_addon.engine.preview.Preview(
-        description, large, addon.inference.Settings(depth_samples=256), prepared(addon))
+        description, large, Settings(depth_samples=256), prepared(addon))
     while preview.number < pictures_before:
         time.sleep(0.001)
     time.sleep(0.05)
@@ -144,7 +148,7 @@ def test_a_stopped_preview_ends_its_thread(addon, scene, cloud, pictures_before)
 def test_a_scene_that_cannot_be_rendered_says_why(addon, scene, cloud):
     description = described(addon)
     preview = addon.mrpnn_addon.engine.preview.Preview(
-        description, description.camera, addon.inference.Settings(memory_limit=1), prepared(addon))
+        description, description.camera, Settings(memory_limit=1), prepared(addon))
     while not preview.done:
         time.sleep(0.01)
     assert "limit" in preview.message and preview.picture is None

@@ -11,6 +11,8 @@ bpy = pytest.importorskip("bpy")
 # After bpy: the other way round, the process hangs when it ends.
 import OpenEXR
 
+from inference import Layer
+
 from tests.support import blender_scenes
 
 
@@ -23,7 +25,7 @@ def layer(addon):
     alpha = random.uniform(0.1, 1, shape).astype(np.float32)
     depth = np.where(random.random(shape) < 0.3, np.inf, random.uniform(1, 9, shape)).astype(np.float32)
     single[:5], multiple[:5], alpha[:5] = 0.0, 0.0, 0.0
-    return addon.inference.Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
+    return Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
                                  emission=0.2 * single)
 
 
@@ -115,7 +117,7 @@ def pixels(image):
     return values.reshape(image.size[1], image.size[0], 4)
 
 
-def test_the_image_holds_the_layer_and_is_used_again(addon, scene, layer):
+def test_the_image_holds_the_layer_and_is_reused(addon, scene, layer):
     show = addon.mrpnn_addon.output.layer_image.show_in_image
     image = show(layer)
     assert image.is_float and image.alpha_mode == 'PREMUL' and image.colorspace_settings.name == 'Linear Rec.709'
@@ -139,7 +141,7 @@ def test_a_packed_image_of_the_name_is_replaced_for_its_users(addon, scene, laye
     np.testing.assert_array_equal(pixels(image)[::-1, :, 3], layer.alpha)
 
 
-def test_png_is_as_the_view_transform_shows_it(addon, scene, layer, tmp_path):
+def test_png_has_the_view_transform_applied(addon, scene, layer, tmp_path):
     output = addon.mrpnn_addon.output.layer_image
     scene.view_settings.view_transform = 'Standard'
     scene.render.image_settings.file_format = 'OPEN_EXR'
@@ -162,7 +164,7 @@ def test_png_is_as_the_view_transform_shows_it(addon, scene, layer, tmp_path):
     assert os.listdir(tmp_path) == ["shown.png"]
 
 
-def test_a_region_sits_in_the_full_frame_or_is_the_frame(addon, layer):
+def test_a_region_lies_in_the_full_frame_or_is_cropped(addon, layer):
     inference, in_frame = addon.inference, addon.mrpnn_addon.output.layer_frame.in_frame
     camera = inference.Camera(np.eye(4), resolution=(50, 60), region=(4, 9, 4 + 21, 9 + 37))
     assert in_frame(layer, camera, crop=True) is layer
@@ -174,7 +176,7 @@ def test_a_region_sits_in_the_full_frame_or_is_the_frame(addon, layer):
     assert np.all(np.isinf(full.depth[:9])) and np.all(full.multiple[46:] == 0.0)
 
 
-def test_metadata_tells_settings_network_and_seconds(addon, tmp_path):
+def test_metadata_holds_settings_network_and_seconds(addon, tmp_path):
     inference, job = addon.inference, addon.mrpnn_addon.engine.render_job
     report = inference.Report(model="mrpnn", checksum="abc", seconds={"march": 0.5, "network loading": 0.25})
     scene = addon.mrpnn_addon.scene.reader.SceneDescription(frame=7)

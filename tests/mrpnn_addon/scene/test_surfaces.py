@@ -1,4 +1,4 @@
-"""Opaque meshes before, in and behind volumes, against Cycles rendering everything together."""
+"""Opaque meshes in front of, inside and behind volumes, against Cycles rendering everything together."""
 
 import time
 
@@ -7,6 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 from mathutils import Vector
+
+from inference import Cancelled, Settings, render
 
 from tests.support import blender_scenes
 
@@ -33,10 +35,11 @@ def ball(scene, location, radius=0.6):
     return added
 
 
-@pytest.mark.parametrize("place", ["before", "inside", "behind"])
-@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+@pytest.mark.parametrize("kind, place", [
+    ('PERSP', "inside"), *(pytest.param(kind, place, marks=pytest.mark.slow) for kind, place in (
+        ('PERSP', "before"), ('PERSP', "behind"), ('ORTHO', "before"), ('ORTHO', "inside"), ('ORTHO', "behind")))])
 def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
-    """Alpha and single scattering equal those of Cycles, which holds the ball out."""
+    """Alpha and single scattering equal those of Cycles with the ball as a holdout."""
     scene.render.resolution_x = scene.render.resolution_y = 48
     blender_scenes.cloud_scene(scene, tmp_path)
     scene.camera.data.type, scene.camera.data.ortho_scale = kind, 2.2
@@ -49,13 +52,13 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     assert len(described.surfaces) == 1
     [warning] = described.warnings
     assert "\"Ball\"" in warning and "hides and shades volumes" in warning
-    settings = addon.inference.Settings(multiple=False)
-    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+    settings = Settings(multiple=False)
+    layer, alone = (render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
     hidden.is_holdout = True
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=256)
     level, seen = expected[..., 3].mean(), expected[..., 3] > 0.005
-    # Cycles' pixels are means of their areas, the layer's fog is that of their middles.
+    # Cycles averages over each pixel, the layer evaluates the fog at its centre.
     assert np.sqrt(((layer.alpha - expected[..., 3])[seen] ** 2).mean()) < 0.08 * expected[..., 3][seen].mean()
     assert layer.alpha.mean() == pytest.approx(level, rel=0.01)
     assert layer.single.mean() == pytest.approx(expected[..., :3].mean(), rel=0.02)
@@ -77,16 +80,16 @@ def mixed_with_transparency(material):
 
 
 @pytest.mark.parametrize("change", [glass, mixed_with_transparency])
-def test_what_can_be_seen_through_is_named(addon, scene, tmp_path, change):
+def test_transparent_surfaces_are_named(addon, scene, tmp_path, change):
     blender_scenes.cloud_scene(scene, tmp_path)
     change(ball(scene, (0.0, 0.0, 2.0)).data.materials[0])
     described = read(addon)
     assert not described.surfaces
     [warning] = described.warnings
-    assert "\"Ball\"" in warning and "seen through" in warning
+    assert "\"Ball\"" in warning and "is transparent" in warning
 
 
-def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(addon, scene, tmp_path):
+def test_instances_and_text_occlude_and_objects_hidden_from_the_camera_do_not(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     shown = ball(scene, (0.0, 0.0, 2.0))
     text = blender_scenes.add_object(scene, "Words", bpy.data.curves.new("Words", 'FONT'))
@@ -103,11 +106,11 @@ def test_instances_and_text_cover_too_and_what_the_camera_does_not_see_does_not(
     assert np.allclose(middles[0], (0.0, 0.0, 2.0), atol=0.02) and np.allclose(middles[2], (1.0, 0.0, 2.0), atol=0.02)
     shown.visible_camera = text.visible_camera = text.visible_shadow = text.visible_volume_scatter = False
     shown.visible_shadow = True
-    # The ball and its copy still shade; the text does nothing.
+    # The ball and its copy still cast shadows; the text does not.
     assert [(surface.covers, surface.shades) for surface in read(addon).surfaces] == [(False, True)] * 2
 
 
-def test_a_panorama_says_that_surfaces_do_not_cover(addon, scene, tmp_path):
+def test_a_panorama_warns_that_surfaces_do_not_occlude(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     ball(scene, (0.0, 0.0, 2.0))
     lens = scene.camera.data
@@ -120,7 +123,7 @@ def test_a_panorama_says_that_surfaces_do_not_cover(addon, scene, tmp_path):
     assert any("\"Ball\"" in warning and "panoramas" in warning for warning in described.warnings)
 
 
-@pytest.mark.parametrize("kind", ['SINGLE', 'SEVERAL'])
+@pytest.mark.parametrize("kind", ['SINGLE', pytest.param('SEVERAL', marks=pytest.mark.slow)])
 def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
     """Single scattering with the ball between sun and cloud, alone and beside other surfaces."""
     scene.render.resolution_x = scene.render.resolution_y = 48
@@ -134,8 +137,8 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
         shown.visible_shadow, shown.visible_camera = True, False
     described = read(addon)
     assert any("shade" in warning for warning in described.warnings)
-    settings = addon.inference.Settings(multiple=False)
-    layer, alone = (addon.inference.render(described.volumes, described.suns, described.camera, settings,
+    settings = Settings(multiple=False)
+    layer, alone = (render(described.volumes, described.suns, described.camera, settings,
                                            surfaces=surfaces) for surfaces in (described.surfaces, []))
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=512)
     level, seen = expected[..., :3].mean(), expected[..., 3] > 0.005
@@ -146,8 +149,9 @@ def test_a_balls_shadow_equals_cycles(addon, scene, tmp_path, kind):
     assert error < 0.3 * before
 
 
-def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_path):
-    """Two of half a million triangles: a second of two threads at most between two looks whether to stop."""
+@pytest.mark.slow
+def test_reading_and_rasterizing_surfaces_can_be_cancelled(addon, scene, tmp_path):
+    """Two meshes of half a million triangles: at most a second of two threads between two polls."""
     # Enough rays for several tasks.
     scene.render.resolution_x = scene.render.resolution_y = 128
     blender_scenes.cloud_scene(scene, tmp_path)
@@ -162,17 +166,17 @@ def test_it_can_be_stopped_while_surfaces_are_read_and_drawn(addon, scene, tmp_p
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), check=look)
     assert [len(surface.triangles) for surface in described.surfaces] == [500_000] * 2
     read = len(looks)
-    with pytest.raises(addon.inference.scene.Cancelled):
-        addon.inference.render(
-            described.volumes, described.suns, described.camera, addon.inference.Settings(multiple=False), cancelled=look,
+    with pytest.raises(Cancelled):
+        render(
+            described.volumes, described.suns, described.camera, Settings(multiple=False), cancelled=look,
             progress=lambda share, message: "single" in message and marching.append(message), surfaces=described.surfaces)
     assert marching and 4 < read < len(looks) - 10
     assert max(np.diff(looks)) < 2.0
 
 
 @pytest.mark.parametrize("kind", ["triangles", "quads", "concave quads", "pentagons"])
-def test_triangles_are_those_of_blender(addon, scene, kind):
-    """Of polygons that are not plane, too."""
+def test_triangles_equal_blenders(addon, scene, kind):
+    """Also of polygons that are not planar."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3) if kind == "triangles" else bpy.ops.mesh.primitive_uv_sphere_add()
     shown, random = bpy.context.object, np.random.default_rng(2)
     if kind == "concave quads":
@@ -195,8 +199,9 @@ def test_triangles_are_those_of_blender(addon, scene, kind):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_a_million_triangles_hold_blender_s_main_thread_for_a_moment(addon, scene, tmp_path):
-    """0.2 processor seconds at most; the rest of the work is that of the thread which renders."""
+@pytest.mark.slow
+def test_a_million_triangles_hold_blenders_main_thread_only_briefly(addon, scene, tmp_path):
+    """0.2 processor seconds at most; the render thread does the rest."""
     blender_scenes.cloud_scene(scene, tmp_path)
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=707, y_subdivisions=707, size=8.0)
     reader, depsgraph = addon.mrpnn_addon.volumes.reader.VolumeReader(), blender_scenes.depsgraph()

@@ -1,4 +1,4 @@
-"""One object that cannot be rendered is named and left out; the others are rendered, and numpy says nothing."""
+"""Objects that cannot be rendered are named and left out; the others are rendered, without numpy warnings."""
 
 import json
 import os
@@ -14,6 +14,8 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
 
@@ -22,7 +24,7 @@ NAN = float("nan")
 
 @pytest.fixture(autouse=True)
 def silence():
-    """Whatever numpy would say on the console is an error, on every thread."""
+    """Every numpy warning is an error, on every thread."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         yield
@@ -30,7 +32,7 @@ def silence():
 
 @pytest.fixture
 def cloud(scene, tmp_path):
-    """A cloud, small; the good object of each scene."""
+    """A small cloud: the valid object of each scene."""
     scene.render.engine = 'MRPNN'
     scene.render.resolution_x, scene.render.resolution_y = 16, 12
     scene.mrpnn.depth_samples = 1
@@ -42,16 +44,30 @@ def read(addon):
 
 
 def refusal(addon) -> str:
-    with pytest.raises(addon.inference.SceneError) as caught:
+    with pytest.raises(SceneError) as caught:
         read(addon)
     return str(caught.value)
 
 
 def alpha_of(addon, scene):
-    """Of the scene as `Render Volumes` renders it."""
+    """Alpha of the scene as `Render Volumes` renders it."""
     found = addon.mrpnn_addon.engine.render_job.render_scene(read(addon), scene.mrpnn.settings())
     assert np.isfinite(found.layer.rgb).all() and np.isfinite(found.layer.alpha).all()
     return found.layer.alpha, found.warnings
+
+
+@pytest.fixture(scope="module")
+def rendered_alone():
+    """What `alone` has rendered: one image."""
+    return []
+
+
+@pytest.fixture
+def alone(addon, scene, cloud, rendered_alone):
+    """Alpha of the cloud by itself, which is the same in every test."""
+    if not rendered_alone:
+        rendered_alone.append(alpha_of(addon, scene)[0])
+    return rendered_alone[0]
 
 
 def second_cloud(scene, folder, name="Second", **inputs):
@@ -141,13 +157,13 @@ MISTAKES = [
     (missing_file, "file not found"), (no_file, "loads no file"), (no_volume_file, "as OpenVDB"),
     (empty_grid, "is empty"), (missing_grid, "no grid \"heat\""), (background_grid, "background 0.5"),
     (unsupported_node, "not supported"), (no_density, "neither scatters"),
-    (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not a number"), (far_away, "above 1e+09"),
-    (vertices_of_no_number, "not numbers")]
+    (several_materials, "several volume materials"), (open_mesh, "not closed"), (not_a_number, "not finite"),
+    (far_away, "exceeds 1e+09"),
+    (vertices_of_no_number, "not finite")]
 
 
 @pytest.mark.parametrize("mistake, said", MISTAKES, ids=[make.__name__ for make, _ in MISTAKES])
-def test_a_bad_volume_is_named_and_the_others_are_rendered(addon, scene, cloud, tmp_path, mistake, said):
-    alone, _ = alpha_of(addon, scene)
+def test_an_invalid_volume_is_named_and_the_others_are_rendered(addon, scene, cloud, alone, tmp_path, mistake, said):
     mistake(scene, tmp_path)
     described = read(addon)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
@@ -158,15 +174,15 @@ def test_a_bad_volume_is_named_and_the_others_are_rendered(addon, scene, cloud, 
     found, warned = alpha_of(addon, scene)
     np.testing.assert_array_equal(found, alone)
     assert warning in warned
-    # Where it is all there is, it is an error that says the same.
+    # With nothing else to render it is an error with the same message.
     bpy.data.objects.remove(cloud)
     message = refusal(addon)
     assert message.startswith("no volume is left to render: ") and said in message
-    # Panels ask too, which draw all the time.
+    # Panels ask too, at every redraw.
     addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
-def test_of_several_bad_volumes_each_is_said_why(addon, scene, cloud, tmp_path):
+def test_each_of_several_invalid_volumes_is_named_with_its_reason(addon, scene, cloud, tmp_path):
     cloud.data.filepath = str(tmp_path / "gone.vdb")
     open_mesh(scene, tmp_path)
     cube(scene, "Hidden")
@@ -178,7 +194,7 @@ def test_of_several_bad_volumes_each_is_said_why(addon, scene, cloud, tmp_path):
         assert said in message
 
 
-def test_instances_of_a_bad_volume_are_named_once(addon, scene, cloud, tmp_path):
+def test_instances_of_an_invalid_volume_are_named_once(addon, scene, cloud, tmp_path):
     missing_file(scene, tmp_path)
     group, second = bpy.data.collections.new("Group"), scene.objects["Second"]
     scene.collection.objects.unlink(second)
@@ -192,12 +208,12 @@ def test_instances_of_a_bad_volume_are_named_once(addon, scene, cloud, tmp_path)
 
 
 @pytest.mark.parametrize("mistake, said", [
-    (lambda sun: setattr(sun.rotation_euler, "x", NAN), "not a number"),
+    (lambda sun: setattr(sun.rotation_euler, "x", NAN), "not finite"),
     (lambda sun: setattr(sun.data, "color", (NAN, 1.0, 1.0)), "finite"),
     (lambda sun: setattr(sun, "scale", (0.0, 0.0, 0.0)), "scale 0"),
     (lambda sun: nodes_of(sun), "Blackbody"),
 ])
-def test_a_bad_light_is_named_and_left_out(addon, scene, cloud, mistake, said):
+def test_an_invalid_light_is_named_and_left_out(addon, scene, cloud, mistake, said):
     bad = blender_scenes.add_sun(scene, "Second")
     mistake(bad)
     described = read(addon)
@@ -207,7 +223,7 @@ def test_a_bad_light_is_named_and_left_out(addon, scene, cloud, mistake, said):
     alpha_of(addon, scene)
     forecast = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert forecast.suns == 1 and not forecast.problem and warning in forecast.warnings
-    # The last one: no picture without light, and why.
+    # It was the last one: an error that says why.
     bpy.data.objects.remove(scene.objects["Sun"])
     message = refusal(addon)
     assert "no sun" in message and said in message
@@ -236,8 +252,7 @@ def test_a_sun_flattened_on_one_axis_shines_where_it_points(addon, scene, cloud,
 @pytest.mark.parametrize("mistake", [
     lambda wall: setattr(wall, "location", (NAN, 0.0, 0.0)), lambda wall: setattr(wall, "scale", (1e20, 1.0, 1.0)),
     lambda wall: setattr(wall.data.vertices[0], "co", (NAN, 0.0, 0.0))])
-def test_a_bad_surface_is_named_and_left_out(addon, scene, cloud, mistake):
-    alone, _ = alpha_of(addon, scene)
+def test_an_invalid_surface_is_named_and_left_out(addon, scene, cloud, alone, mistake):
     wall = cube(scene, "Wall")
     mistake(wall)
     described = read(addon)
@@ -245,9 +260,11 @@ def test_a_bad_surface_is_named_and_left_out(addon, scene, cloud, mistake):
     np.testing.assert_array_equal(alpha_of(addon, scene)[0], alone)
 
 
-@pytest.mark.parametrize("scale", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 1), (0, 0, 0), (1e-7,) * 3, (1e6, 1, 1)])
+@pytest.mark.parametrize("scale", [
+    (0, 1, 1), (0, 0, 0), (1e6, 1, 1), *(pytest.param(scale, marks=pytest.mark.slow) for scale in (
+        (1, 0, 1), (1, 1, 0), (0, 0, 1), (1e-7,) * 3))])
 def test_a_surface_may_be_flat(addon, scene, cloud, scale):
-    """Squashed on an axis it is a wall, as to Cycles; on all, it is nothing."""
+    """Scaled to 0 on one axis it is a wall, as in Cycles; on all, it is nothing."""
     cube(scene, "Wall").scale = scale
     alpha_of(addon, scene)
     assert not read(addon).refused
@@ -256,20 +273,21 @@ def test_a_surface_may_be_flat(addon, scene, cloud, scale):
 @pytest.mark.parametrize("mistake, said", [
     (lambda camera: setattr(camera, "scale", (0.0, 1.0, 1.0)), "\"Camera\": it has scale 0"),
     (lambda camera: setattr(camera, "location", (NAN, 0.0, 0.0)), "\"Camera\": its location"),
-    (lambda camera: setattr(camera, "location", (1e30, 0.0, 0.0)), "\"Camera\": its location or scale is above")])
+    (lambda camera: setattr(camera, "location", (1e30, 0.0, 0.0)), "\"Camera\": its location or scale exceeds")])
 def test_a_camera_that_cannot_be_used_is_an_error(addon, scene, cloud, mistake, said):
     mistake(scene.camera)
     assert said in refusal(addon)
     assert said in addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).problem
 
 
-# Scale 0, and what has not begun
+# Scale 0, and volumes that have not begun
 
 
 @pytest.mark.parametrize("kind", ["file", "mesh"])
-@pytest.mark.parametrize("scale", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 1), (0, 0, 0), (1, 1, 1e-12), (1e-30,) * 3])
-def test_a_volume_of_scale_0_is_nothing_in_that_frame(addon, scene, cloud, tmp_path, kind, scale):
-    alone, _ = alpha_of(addon, scene)
+@pytest.mark.parametrize("scale", [
+    (0, 1, 1), (0, 0, 0), *(pytest.param(scale, marks=pytest.mark.slow) for scale in (
+        (1, 0, 1), (1, 1, 0), (0, 0, 1), (1, 1, 1e-12), (1e-30,) * 3))])
+def test_a_volume_of_scale_0_is_nothing_in_that_frame(addon, scene, cloud, alone, tmp_path, kind, scale):
     second, _ = second_cloud(scene, tmp_path) if kind == "file" else fog_cube(scene)
     second.scale = scale
     found, warned = alpha_of(addon, scene)
@@ -284,10 +302,11 @@ def test_a_volume_of_scale_0_is_nothing_in_that_frame(addon, scene, cloud, tmp_p
 
 
 @pytest.mark.parametrize("scale, location", [
-    ((1e-4,) * 3, 0.0), ((1e-7,) * 3, 0.0), ((1, 1, 1e-6), 0.0), ((1e-6, 1, 1e-6), 0.0), ((1e6, 1e6, 1e6), 0.0),
-    ((1e8, 1e8, 1e8), 0.0), ((1, 1, 1), 1e8), ((-1, 1, 1), 0.0)])
+    ((1e-7,) * 3, 0.0), ((1e8, 1e8, 1e8), 0.0), ((1, 1, 1), 1e8),
+    *(pytest.param(scale, 0.0, marks=pytest.mark.slow) for scale in (
+        (1e-4,) * 3, (1, 1, 1e-6), (1e-6, 1, 1e-6), (1e6, 1e6, 1e6), (-1, 1, 1)))])
 @pytest.mark.parametrize("kind", ["file", "mesh"])
-def test_extreme_transforms_are_rendered_in_silence(addon, scene, cloud, tmp_path, kind, scale, location):
+def test_extreme_transforms_are_rendered_without_warnings(addon, scene, cloud, tmp_path, kind, scale, location):
     bpy.data.objects.remove(cloud)
     second, _ = second_cloud(scene, tmp_path) if kind == "file" else fog_cube(scene)
     second.scale, second.location.x = scale, location
@@ -297,7 +316,7 @@ def test_extreme_transforms_are_rendered_in_silence(addon, scene, cloud, tmp_pat
     addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
-def test_matrices_of_no_inverse_from_shear_are_nothing_too(addon, scene, cloud, tmp_path):
+def test_matrices_singular_from_shear_are_nothing_too(addon, scene, cloud, tmp_path):
     second, _ = second_cloud(scene, tmp_path)
     second.matrix_world = Matrix(((1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)))
     alpha_of(addon, scene)
@@ -310,7 +329,7 @@ def keyed(owner, path, values):
 
 
 def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_the_start(addon, scene, cloud, tmp_path):
-    """By F12's engine, each alone in its scene; the frames are there, the first ones empty."""
+    """By the render engine, each alone in its scene; all frames are written, the first ones empty."""
     node = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
     keyed(cloud, "scale", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
     keyed(node.inputs["Density"], "default_value", [4.0, 0.0, 4.0])
@@ -325,13 +344,13 @@ def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_the_s
         image = bpy.data.images.load(str(tmp_path / f"frame{frame:04}.exr"))
         peaks.append(np.array(image.pixels).reshape(-1, 4)[:, 3].max())
     assert peaks[0] == peaks[1] == 0.0 and peaks[2] > 0.3
-    for frame, said in ((1, "has scale 0 in frame 1"), (2, "holds nothing in frame 2")):
+    for frame, said in ((1, "has scale 0 in frame 1"), (2, "is empty in frame 2")):
         scene.frame_set(frame)
         assert read(addon).warnings == [f"volume \"Cloud\" {said} and is left out"]
 
 
-def test_a_sequence_that_begins_with_an_empty_grid_begins_with_empty_pictures(addon, scene, cloud, tmp_path):
-    """As simulations write them; a still file without a voxel is a mistake."""
+def test_a_sequence_that_begins_with_an_empty_grid_starts_with_empty_pictures(addon, scene, cloud, tmp_path):
+    """As simulations write them; a single file without voxels is a mistake."""
     for number, density in ((1, np.zeros((16, 16, 16))), (2, blender_scenes.blob())):
         path = blender_scenes.write_vdb(tmp_path, density, blender_scenes.centred(16, 2.0))
         shutil.move(path, tmp_path / f"smoke_{number}.vdb")
@@ -339,7 +358,7 @@ def test_a_sequence_that_begins_with_an_empty_grid_begins_with_empty_pictures(ad
     cloud.data.is_sequence, cloud.data.frame_start, cloud.data.frame_duration = True, 1, 2
     scene.frame_set(1)
     found, warned = alpha_of(addon, scene)
-    assert not found.any() and warned == ["volume \"Cloud\" holds nothing in frame 1 and is left out"]
+    assert not found.any() and warned == ["volume \"Cloud\" is empty in frame 1 and is left out"]
     scene.frame_set(2)
     assert alpha_of(addon, scene)[0].any()
 
@@ -347,7 +366,7 @@ def test_a_sequence_that_begins_with_an_empty_grid_begins_with_empty_pictures(ad
 # F12, the button and the command line
 
 
-def test_f12_and_the_button_render_what_is_left_and_say_what_is_not(addon, scene, cloud, tmp_path):
+def test_f12_and_the_operator_render_the_rest_and_name_what_is_missing(addon, scene, cloud, tmp_path):
     missing_file(scene, tmp_path)
     scene.render.filepath = str(tmp_path / "still.png")
     bpy.ops.render.render(write_still=True)
@@ -370,7 +389,7 @@ def test_a_comparison_shows_cycles_what_the_layer_shows(addon, scene, cloud, tmp
     assert {item.name for item in shown} == {"Cloud", "Sun"}
 
 
-def test_the_command_line_is_as_strict_as_it_is_asked_to_be(addon, scene, cloud, tmp_path, capsys):
+def test_the_command_line_is_strict_on_request(addon, scene, cloud, tmp_path, capsys):
     missing_file(scene, tmp_path)
     command, output = addon.operators.command.main, tmp_path / "out.exr"
     for action in (["render", "--output", str(output)], ["report"]):
@@ -382,7 +401,7 @@ def test_the_command_line_is_as_strict_as_it_is_asked_to_be(addon, scene, cloud,
         assert "mrpnn: warning: Volume object \"Second\": file not found" in capsys.readouterr().err
         assert output.exists() == (action[0] == "render")
         output.unlink(missing_ok=True)
-    # What has not begun is no mistake.
+    # A volume that has not begun is no error.
     scene.objects["Second"].data.filepath = cloud.data.filepath
     scene.objects["Second"].scale = (0.0, 0.0, 0.0)
     assert command(["render", "--output", str(output), "--strict"]) == 0
@@ -391,7 +410,7 @@ def test_the_command_line_is_as_strict_as_it_is_asked_to_be(addon, scene, cloud,
 
 @pytest.mark.parametrize("load", [
     lambda path: bpy.ops.wm.open_mainfile(filepath=path), lambda path: bpy.ops.wm.read_homefile(use_empty=True)])
-def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_path, load):
+def test_loading_another_file_clears_the_former_ones_messages(addon, scene, cloud, tmp_path, load):
     missing_file(scene, tmp_path)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.ops.mrpnn.render()
@@ -406,7 +425,7 @@ def test_another_file_is_not_told_of_the_former_one(addon, scene, cloud, tmp_pat
 PROCESS = """
 import sys
 import bpy
-from benchmarks.extension import load_extension
+from benchmarks.support.extension import load_extension
 package = load_extension()
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 bpy.context.scene.render.filepath = sys.argv[2]
@@ -415,8 +434,8 @@ package.unregister()
 """
 
 
-def test_the_console_says_nothing_of_numpy(scene, cloud, tmp_path):
-    """An animation of all that may go wrong, in a process of its own, as a farm has it."""
+def test_the_console_shows_no_numpy_warnings(scene, cloud, tmp_path):
+    """An animation of everything that may go wrong, in a process of its own, as on a render farm."""
     not_a_number(scene, tmp_path)
     keyed(cloud, "scale", [(0.0, 0.0, 0.0), (0.0, 1.0, 1.0), (1e-8, 1e-8, 1e-8), (1.0, 1.0, 1.0)])
     wall = cube(scene, "Wall")

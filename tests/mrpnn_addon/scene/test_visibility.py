@@ -1,16 +1,18 @@
-"""What holdouts, indirect light and ray visibility make of a volume: left out or ignored, and named."""
+"""Holdouts, indirect-only collections and ray visibility: volumes left out or settings ignored, and named."""
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
 @pytest.fixture
 def two(scene, tmp_path):
-    """Two clouds, the second in a collection of its own; gives it and its layer collection."""
+    """Two clouds, the second in a collection of its own; gives the second and its layer collection."""
     scene.render.resolution_x, scene.render.resolution_y = 16, 12
     blender_scenes.cloud_scene(scene, tmp_path)
     second, _ = blender_scenes.add_volume(
@@ -27,9 +29,9 @@ def read(addon):
 
 
 @pytest.mark.parametrize("how, word", [
-    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect light only"),
+    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect-only"),
     ("camera", "hidden from the camera")])
-def test_a_volume_that_the_camera_does_not_see_is_left_out_by_name(addon, two, how, word):
+def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, word):
     second, layer = two
     assert len(read(addon).volumes) == 2 and not read(addon).warnings[1:]
     if how == "layer holdout":
@@ -47,11 +49,11 @@ def test_a_volume_that_the_camera_does_not_see_is_left_out_by_name(addon, two, h
     assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
 
-def test_nothing_left_says_which_and_why(addon, scene, two):
+def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, two):
     second, layer = two
     layer.holdout = True
     scene.objects["Cloud"].visible_camera = False
-    with pytest.raises(addon.inference.SceneError) as problem:
+    with pytest.raises(SceneError) as problem:
         read(addon)
     assert "\"Cloud\" is hidden from the camera" in str(problem.value)
     assert "\"Second\" is a holdout" in str(problem.value)
@@ -66,7 +68,7 @@ def test_a_holdout_in_one_view_layer_is_rendered_in_another(addon, scene, two):
     assert len(found.volumes) == 2
 
 
-def test_what_is_not_respected_is_named(addon, scene, two):
+def test_ignored_settings_are_named(addon, scene, two):
     second, _ = two
     before = read(addon)
     second.visible_shadow = second.visible_volume_scatter = False

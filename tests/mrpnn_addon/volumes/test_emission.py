@@ -1,10 +1,11 @@
-"""Volumes that emit light, against Cycles' own renders of the same materials."""
+"""Emissive volumes, against Cycles' renders of the same materials."""
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError, Settings, render
 from inference.evaluation.error import relative_bias, relative_rmse
 
 from tests.support import blender_scenes
@@ -91,14 +92,14 @@ def read(addon):
 
 
 def layer_of(addon, described):
-    return addon.inference.render(described.volumes, described.suns, described.camera,
-                                  addon.inference.Settings(depth_samples=1))
+    return render(described.volumes, described.suns, described.camera,
+                                  Settings(depth_samples=1))
 
 
 def assert_cycles_agrees(addon, scene, folder, bias):
-    """Pixel by pixel and channel by channel, relative to the mean of the pixels that shine.
+    """Pixel by pixel and channel by channel, relative to the mean of the emissive pixels.
 
-    Cycles' pixels are means of their areas, the layer's their middles: that is most of the error.
+    Cycles averages over each pixel, the layer evaluates its centre: that is most of the error.
     """
     layer = layer_of(addon, read(addon))
     expected = blender_scenes.render_cycles(scene, folder, samples=64)[..., :3]
@@ -111,9 +112,9 @@ def assert_cycles_agrees(addon, scene, folder, bias):
 
 @pytest.mark.parametrize("setup", [
     even, black_body, black_body_without_a_grid, light_without_smoke, flames, emission_node_mixed_in])
-@pytest.mark.parametrize("space", ['WORLD', 'OBJECT'])
-def test_a_volume_objects_light_equals_cycles(addon, scene, fire, tmp_path, setup, space):
-    """No sun is needed. What shines where every grid is 0 fills Cycles' boxes."""
+@pytest.mark.parametrize("space", ['WORLD', pytest.param('OBJECT', marks=pytest.mark.slow)])
+def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path, setup, space):
+    """No sun is needed. Emission where every grid is 0 fills the bounding boxes in Cycles."""
     scene.render.resolution_x = scene.render.resolution_y = 48
     cloud, node = blender_scenes.add_volume(scene, fire, **BLACK)
     cloud.data.render.space = space
@@ -124,7 +125,7 @@ def test_a_volume_objects_light_equals_cycles(addon, scene, fire, tmp_path, setu
 
 
 @pytest.mark.parametrize("density", [0.0, 0.8])
-def test_light_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
+def test_emission_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
     from benchmarks.cycles.scene_features.stage import cube_mesh
     scene.render.resolution_x = scene.render.resolution_y = 48
     shown = blender_scenes.add_object(scene, "Lamp", cube_mesh(0.8))
@@ -134,24 +135,25 @@ def test_light_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
     assert_cycles_agrees(addon, scene, tmp_path, bias=0.015)
 
 
-def test_smoke_that_scatters_its_own_light_equals_cycles(addon, scene, fire, tmp_path):
-    """Half of what the camera sees has been scattered."""
+def test_smoke_that_scatters_its_own_emission_equals_cycles(addon, scene, fire, tmp_path):
+    """Half of the radiance at the camera has been scattered."""
     scene.render.resolution_x = scene.render.resolution_y = 32
     cloud, node = blender_scenes.add_volume(scene, fire, Density=8.0, Anisotropy=0.3, Color=(0.9, 0.9, 0.9, 1.0))
     blender_scenes.add_camera(scene)
     flames(node)
     described = read(addon)
     assert not described.warnings
-    layer = addon.inference.render(described.volumes, [], described.camera, addon.inference.Settings(depth_samples=8))
+    layer = render(described.volumes, [], described.camera, Settings(depth_samples=8))
     shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
-    found = addon.mrpnn_addon.cycles.reference.render_reference(scene, shown, samples=32)
+    reference = addon.mrpnn_addon.cycles.reference
+    found = reference.render_reference(scene, shown, reference.PathTracing(samples=32))
     a, b, mask = found.a[..., :3], found.b[..., :3], layer.alpha > 0.02
     assert layer.multiple[mask].mean() > 0.4 * layer.rgb[mask].mean()
     assert abs(relative_bias(layer.rgb, a, b, mask).value) < 0.05
     assert relative_rmse(layer.rgb, a, b, mask).value < 0.2
 
 
-def test_fire_that_does_not_light_smoke_apart_is_named(addon, scene, fire):
+def test_fire_that_does_not_illuminate_separate_smoke_is_named(addon, scene, fire):
     cloud, node = blender_scenes.add_volume(scene, fire, **BLACK)
     smoke, _ = blender_scenes.add_volume(scene, fire, "Smoke", Density=4.0)
     blender_scenes.add_camera(scene)
@@ -164,8 +166,8 @@ def test_fire_that_does_not_light_smoke_apart_is_named(addon, scene, fire):
     assert "\"Cloud\" emits does not light volume \"Smoke\"" in warning
 
 
-def test_a_flame_that_has_gone_out_gives_no_light(addon, scene, fire):
-    """A grid without a voxel above 0 is 0 everywhere, as on the first frames of a fire."""
+def test_an_extinct_flame_emits_nothing(addon, scene, fire):
+    """A grid without voxels above 0 is 0 everywhere, as in the first frames of a fire."""
     cloud, node = blender_scenes.add_volume(scene, fire, **BLACK)
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
@@ -174,5 +176,5 @@ def test_a_flame_that_has_gone_out_gives_no_light(addon, scene, fire):
     assert layer_of(addon, described).alpha.max() > 0.1
     assert described.volumes[0][0].emission is None
     node.inputs["Density Attribute"].default_value = "nothing"
-    with pytest.raises(addon.inference.SceneError, match="Cloud.*empty"):
+    with pytest.raises(SceneError, match="Cloud.*empty"):
         read(addon)

@@ -1,4 +1,4 @@
-"""Volumes read on a thread before the scene is."""
+"""Volumes read on a thread, ahead of the scene."""
 
 import threading
 import time
@@ -19,7 +19,7 @@ def reader(addon):
 
 @pytest.fixture
 def loading(addon, reader):
-    """Begins to read what the scene's volumes are read from."""
+    """Starts to read the scene's volumes."""
     return lambda: addon.mrpnn_addon.volumes.loading.VolumeLoading(reader, reader.wanted(blender_scenes.depsgraph()))
 
 
@@ -35,7 +35,7 @@ def finished(found):
 
 
 def noisy(scene, cloud):
-    """A cube of fog beside the cloud, shaped by a noise that takes its time at 128^3 voxels."""
+    """A cube of fog beside the cloud, shaped by a noise that is slow at 128^3 voxels."""
     bpy.ops.mesh.primitive_cube_add(size=1.0, location=(3.0, 0.0, 0.0))
     fog = bpy.context.object
     principled = blender_scenes.add_fog(fog.data, "Fog", "ShaderNodeVolumePrincipled")
@@ -46,8 +46,8 @@ def noisy(scene, cloud):
     return fog, noise
 
 
-def test_what_a_thread_has_read_is_what_the_scene_reads_itself(addon, scene, cloud, reader, loading):
-    """Files, meshes with textures and instances alike; nothing is left to be read on the main thread."""
+def test_a_thread_reads_what_the_scene_reads_itself(addon, scene, cloud, reader, loading):
+    """Files, textured meshes and instances; nothing is left to read on the main thread."""
     noisy(scene, cloud)
     twin = bpy.data.objects.new("Twin", cloud.data)
     twin.location.x = -3.0
@@ -67,14 +67,15 @@ def test_what_a_thread_has_read_is_what_the_scene_reads_itself(addon, scene, clo
         np.testing.assert_array_equal(medium.sigma_t, own_medium.sigma_t)
 
 
-def test_blender_s_main_thread_is_free_while_volumes_are_shaded(scene, cloud, reader, loading):
-    """0.2 processor seconds at most from looking at the scene to having read it; the shader takes seconds."""
+def test_blenders_main_thread_is_free_while_volumes_are_shaded(scene, cloud, reader, loading):
+    """At most 0.2 processor seconds for reading the scene; the shader takes seconds."""
     fog, _ = noisy(scene, cloud)
-    depsgraph = blender_scenes.depsgraph()
+    # Evaluate the scene before the clock starts.
+    blender_scenes.depsgraph()
     start = time.thread_time()
     found = loading()
     assert time.thread_time() - start < 0.2
-    # Nodes were copied: what happens to them now is another scene's.
+    # Nodes were copied: later edits do not reach them.
     fog.data.materials[0].node_tree.nodes.clear()
     finished(found)
     assert found.error is None
@@ -82,19 +83,19 @@ def test_blender_s_main_thread_is_free_while_volumes_are_shaded(scene, cloud, re
     assert volume.std() > 0.1 * volume.mean() > 0.0
 
 
-def test_a_loaded_file_is_read_no_more_while_it_is_in_use_and_the_same(addon, scene, cloud, reader, loading):
+def test_a_file_in_use_is_not_read_again_until_it_changes(addon, scene, cloud, reader, loading):
     first = finished(loading())
     again = addon.mrpnn_addon.volumes.reader.VolumeReader()
     (source,) = again.wanted(blender_scenes.depsgraph())
     ((known, *_),) = first.reader.known.values()
     assert np.shares_memory(source.read()[0].density, known.density) and known.density.max() > 0.0
-    # Written again, it is another.
+    # Rewritten, it is another file.
     time.sleep(0.01)
     Path(source.path).write_bytes(Path(source.path).read_bytes())
     assert not np.shares_memory(source.read()[0].density, known.density)
 
 
-def test_what_cannot_be_read_is_known_to_the_reader_beside_what_can(addon, scene, cloud, reader, loading):
+def test_unreadable_volumes_are_reported_beside_readable_ones(addon, scene, cloud, reader, loading):
     blender_scenes.add_volume(scene, cloud.data.filepath, name="Odd one", Density_Attribute="temperature")
     found = finished(loading())
     assert found.error is None and reader.wanted(blender_scenes.depsgraph()) == []
@@ -105,8 +106,8 @@ def test_what_cannot_be_read_is_known_to_the_reader_beside_what_can(addon, scene
 
 
 @pytest.mark.parametrize("kind", ["file", "mesh"])
-def test_a_stopped_reading_ends_at_once(scene, cloud, tmp_path, loading, kind):
-    """Within a second of this process's work: of a large file, and in the middle of a mesh's shader."""
+def test_reading_can_be_cancelled_at_once(scene, cloud, tmp_path, loading, kind):
+    """Within a second of processor time: in a large file, and in the middle of a mesh's shader."""
     if kind == "file":
         vdb = blender_scenes.openvdb()
         grid = vdb.FloatGrid()

@@ -7,6 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import Medium, SceneError, Settings, render
+
 from tests.support import blender_scenes
 
 
@@ -51,30 +53,30 @@ def test_sequence_modes(addon, scene, tmp_path, mode, offset, expected):
     lit(scene)
     found = shown_files(addon, scene, range(9, 15))
     if offset:
-        # What an offset reaches beyond the sequence's end is a file too.
+        # An offset may reach a file beyond the sequence's end.
         assert found[1] == expected[1]
     else:
         assert found == expected
 
 
-def test_frames_before_a_sequence_begins_are_empty_pictures(addon, scene, tmp_path):
-    """As in Cycles, which renders them: a film does not end there. What is about pictures of volumes says why there is none."""
+def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
+    """As in Cycles, so that an animation does not end there. What needs a volume states why there is none."""
     sequence(scene, tmp_path, (1, 2, 3)).data.sequence_mode = 'CLIP'
     lit(scene)
     scene.frame_set(9)
     described = read(addon)
     assert described.warnings == ["volume \"Cloud\" has no file for frame 9 and is left out"]
-    finished = addon.mrpnn_addon.engine.render_job.render_scene(described, addon.inference.Settings(), str(tmp_path / "9.exr"))
+    finished = addon.mrpnn_addon.engine.render_job.render_scene(described, Settings(), str(tmp_path / "9.exr"))
     assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
     width, height = described.camera.resolution
     assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
     checked = addon.mrpnn_addon.status.scene_check.check_scene(blender_scenes.depsgraph())
     assert "no volume is left to render: volume \"Cloud\" has no file for frame 9" in checked.error
-    # Hidden, it is a mistake.
+    # Hidden, it is an error.
     scene.frame_set(10)
     assert read(addon).volumes
     scene.objects["Cloud"].visible_camera = False
-    with pytest.raises(addon.inference.SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
+    with pytest.raises(SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
         read(addon)
 
 
@@ -83,12 +85,12 @@ def test_a_missing_file_of_a_sequence_is_named(addon, scene, tmp_path):
     lit(scene)
     scene.frame_set(11)
     message = "\"Cloud\": this frame.s file of its sequence cannot be read .*fog_002.vdb"
-    with pytest.raises(addon.inference.SceneError, match=message):
+    with pytest.raises(SceneError, match=message):
         read(addon)
 
 
 def geometry_nodes(owner, *kinds):
-    """A modifier that makes geometry by a chain of nodes, of which it gives the last."""
+    """A modifier that makes geometry by a chain of nodes; gives the last node."""
     group = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
     group.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
     group.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
@@ -106,8 +108,8 @@ def geometry_nodes(owner, *kinds):
     return nodes
 
 
-def test_a_mesh_that_nodes_make_a_volume_of_is_that_volume_alone(addon, scene):
-    """Its own material is the volume's, as the mesh's inside would have it."""
+def test_a_mesh_that_nodes_turn_into_a_volume_is_only_that_volume(addon, scene):
+    """Its material is the volume's, as that of the mesh's interior would be."""
     source = cube(scene)
     points, volume, material = geometry_nodes(source, "MeshToPoints", "PointsToVolume", "SetMaterial")
     volume.inputs["Radius"].default_value = 0.5
@@ -145,7 +147,7 @@ def fog_material():
     return data, material
 
 
-@pytest.mark.parametrize("holder", ["volume object", "mesh object"])
+@pytest.mark.parametrize("holder", ["volume object", pytest.param("mesh object", marks=pytest.mark.slow)])
 def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     """Volume Cube with a material of its own, in a Volume object and in a mesh's modifier."""
     data, material = fog_material()
@@ -160,11 +162,11 @@ def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     assert "Made" in volume.name
     np.testing.assert_allclose(medium.sigma_t, 3.0 * 1.0)
     suns = described.suns
-    black = [(volume, addon.inference.Medium(medium.sigma_t, 0.0))]
-    layer = addon.inference.render(black, suns, described.camera, addon.inference.Settings(depth_samples=1))
+    black = [(volume, Medium(medium.sigma_t, 0.0))]
+    layer = render(black, suns, described.camera, Settings(depth_samples=1))
     expected = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 3]
     assert expected.mean() > 0.05
-    # Cycles 4.5 cuts what the outermost voxels fade to half a voxel outside them.
+    # Cycles 4.5 cuts off the half voxel over which the outermost voxels fade.
     assert layer.alpha.mean() == pytest.approx(expected.mean(), rel=0.04)
 
 

@@ -1,9 +1,11 @@
-"""Volume files read block by block, against OpenVDB's own copies of all voxels and renders of arrays."""
+"""Volume files read block by block, against OpenVDB's dense copies and dense renders."""
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+
+from inference import SceneError
 
 from tests.support import blender_scenes
 
@@ -49,7 +51,7 @@ def copied(grid):
     return values, np.array(low)
 
 
-def test_blocks_hold_what_all_voxels_hold(density_grid, everything_sparse, tmp_path):
+def test_blocks_equal_openvdbs_dense_copy(density_grid, everything_sparse, tmp_path):
     grid = uneven_grid()
     found = density_grid.read_density_grid(write(grid, tmp_path / "uneven.vdb"), "density", "Cloud")
     expected, low = copied(grid)
@@ -58,14 +60,14 @@ def test_blocks_hold_what_all_voxels_hold(density_grid, everything_sparse, tmp_p
     np.testing.assert_array_equal(found.low, low)
 
 
-def test_arrays_hold_what_all_voxels_hold(density_grid, monkeypatch, tmp_path):
+def test_arrays_equal_openvdbs_dense_copy(density_grid, monkeypatch, tmp_path):
     monkeypatch.setattr(density_grid, "DENSE_SPAN", 1 << 30)
     grid = uneven_grid()
     found = density_grid.read_density_grid(write(grid, tmp_path / "whole.vdb"), "density", "Cloud")
     np.testing.assert_array_equal(found.density, copied(grid)[0])
 
 
-def test_real_files_hold_what_all_voxels_hold(density_grid, everything_sparse, real_volumes):
+def test_real_files_equal_openvdbs_dense_copy(density_grid, everything_sparse, real_volumes):
     names = {"openvdb_smoke.vdb": "density", "blender_smoke_wind.vdb": "density", "torus_max100.vdb": None}
     for name, grid_name in names.items():
         path = str(real_volumes / name)
@@ -87,10 +89,10 @@ def test_negative_and_nan_voxels_become_0_in_blocks(density_grid, everything_spa
     assert "1 negative and 1 NaN" in found.warnings[0]
 
 
-def test_more_than_can_be_held_is_refused(addon, density_grid, everything_sparse, monkeypatch, tmp_path):
+def test_too_many_voxels_are_refused(addon, density_grid, everything_sparse, monkeypatch, tmp_path):
     path = write(uneven_grid(), tmp_path / "many.vdb")
     monkeypatch.setattr(density_grid, "MAX_VOXELS", 1 << 20)
-    with pytest.raises(addon.inference.SceneError, match="holds more than the 1048576 voxels"):
+    with pytest.raises(SceneError, match="holds more than the 1048576 voxels"):
         density_grid.read_density_grid(path, "density", "Cloud")
 
 
@@ -99,7 +101,7 @@ def test_more_than_can_be_held_is_refused(addon, density_grid, everything_sparse
 
 @pytest.fixture(scope="module")
 def fire(tmp_path_factory):
-    """Density, a flame beside it and a heat of another extent."""
+    """Density, a flame beside it, and a temperature of another extent."""
     vdb, grids = blender_scenes.openvdb(), []
     blob = blender_scenes.blob(20)
     for name, values, low in (("density", blob, (3, 5, -7)), ("flame", blob, (30, 5, -7)), ("heat", blob[:9], (0, 2, -3))):
@@ -140,12 +142,12 @@ def of_places(shader):
 
 
 @pytest.mark.parametrize("material", [plain, two_grids, of_places])
-def test_materials_see_the_same_voxels(addon, density_grid, scene, fire, monkeypatch, material):
+def test_materials_read_the_same_voxels(addon, density_grid, scene, fire, monkeypatch, material):
     _, shader = blender_scenes.add_volume(scene, fire, Density=2.0)
     material(shader)
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
-    # What is not linear in the grids is evaluated between an array's voxels too; here at the voxels alone.
+    # Shaders that are not linear in the grids are refined between an array's voxels; here only at the voxels.
     monkeypatch.setattr(addon.mrpnn_addon.volumes.source, "MAX_REFINED", 0)
 
     def read():

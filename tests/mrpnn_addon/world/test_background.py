@@ -10,6 +10,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import Cancelled
+
 from tests.support import blender_scenes
 from tests.support.exr_files import combined
 
@@ -18,19 +20,19 @@ SAMPLES = 64
 
 @pytest.fixture
 def veil(scene, tmp_path):
-    """A scene whose only volume is too thin to be seen and takes no light of the World."""
+    """A scene whose only volume is too thin to be seen and to take light from the World."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=1e-7)
     scene.mrpnn.depth_samples, scene.mrpnn.world_directions = 1, 0
     scene.render.resolution_x, scene.render.resolution_y = 48, 32
     scene.camera.rotation_euler = 1.3, 0.1, 0.4
     blender_scenes.set_up_cycles(scene, SAMPLES)
-    # It changes nothing that a camera sees, and takes seconds.
+    # It is invisible to the camera, and takes seconds.
     scene.world.cycles.sampling_method = 'NONE'
     return cloud
 
 
 def feed(scene, kind, output=0):
-    """A node that gives the World's colour."""
+    """Link a new node to the World's colour; gives the node."""
     tree = scene.world.node_tree
     node = tree.nodes.new(kind)
     tree.links.new(node.outputs[output], tree.nodes["Background"].inputs["Color"])
@@ -39,7 +41,7 @@ def feed(scene, kind, output=0):
 
 
 def around(scene, width=256):
-    """An environment image with stripes, turned by a mapping."""
+    """An environment image with stripes, rotated by a mapping."""
     image = bpy.data.images.new("Around", width, width // 2, float_buffer=True)
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(width // 2) + 0.5) / width * 2)
     colours = np.stack([0.2 + u, 0.3 + v, 0.6 + 0.5 * np.sin(24 * np.pi * u) * np.sin(20 * v), np.ones_like(u)], axis=2)
@@ -69,7 +71,7 @@ def gradient(scene):
 
 
 def window(scene):
-    """Colours that follow the image and not the direction."""
+    """Colours that follow the window coordinates, not the direction."""
     feed(scene, "ShaderNodeTexCoord", "Window")
 
 
@@ -94,7 +96,7 @@ def perspective(scene):
 
 
 def portrait(scene):
-    """Higher than wide, so that Blender fits the sensor to the height."""
+    """Taller than wide, so that Blender fits the sensor to the height."""
     scene.render.resolution_x, scene.render.resolution_y = 32, 48
     scene.camera.data.angle = 1.2
 
@@ -134,10 +136,11 @@ def shown(scene, path):
 
 
 @pytest.mark.parametrize("world, view", [
-    (colour, perspective), (around, perspective), (around, portrait), (around, equirectangular), (around, orthographic),
-    (around, region), (gradient, perspective), (gradient, orthographic), (window, perspective), (window, region),
-    (sky, sunwards), (sky_without_disc, equirectangular)])
-def test_it_is_what_cycles_shows(veil, scene, tmp_path, world, view):
+    (colour, perspective), (around, orthographic), (window, region), (sky, sunwards),
+    *(pytest.param(world, view, marks=pytest.mark.slow) for world, view in (
+        (around, perspective), (around, portrait), (around, equirectangular), (around, region),
+        (gradient, perspective), (gradient, orthographic), (window, perspective), (sky_without_disc, equirectangular)))])
+def test_the_background_equals_that_of_cycles(veil, scene, tmp_path, world, view):
     world(scene)
     view(scene)
     found, expected = shown(scene, tmp_path)
@@ -157,7 +160,7 @@ def background(addon, scene):
 
 
 def mixed_by_light_path(scene):
-    """Volumes are lit by red, the camera sees what was there before."""
+    """Volumes are lit by red; the camera still sees the former colour."""
     tree = scene.world.node_tree
     mixed, path, red = (tree.nodes.new(f"ShaderNode{name}") for name in ("MixShader", "LightPath", "Background"))
     red.inputs["Color"].default_value = 1.0, 0.0, 0.0, 1.0
@@ -167,8 +170,8 @@ def mixed_by_light_path(scene):
     tree.links.new(mixed.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
 
 
-@pytest.mark.parametrize("world", [colour, gradient, around])
-def test_the_camera_sees_another_world_than_volumes_do(addon, veil, scene, tmp_path, world):
+@pytest.mark.parametrize("world", [colour, *(pytest.param(world, marks=pytest.mark.slow) for world in (gradient, around))])
+def test_the_camera_may_see_another_world_than_volumes_do(addon, veil, scene, tmp_path, world):
     world(scene)
     alone = background(addon, scene)[0].pixels()
     mixed_by_light_path(scene)
@@ -189,7 +192,7 @@ def test_a_world_hidden_from_the_camera_is_black(veil, scene, tmp_path):
     assert not found[..., :3].any() and np.all(found[..., 3] == 1.0)
 
 
-def test_it_lies_behind_a_cloud_as_a_premultiplied_layer_does(addon, scene, tmp_path):
+def test_it_shows_through_a_cloud_by_alpha(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     scene.render.engine, scene.mrpnn.depth_samples, scene.mrpnn.world_directions = 'MRPNN', 1, 0
     gradient(scene)
@@ -207,7 +210,7 @@ def test_it_lies_behind_a_cloud_as_a_premultiplied_layer_does(addon, scene, tmp_
     assert np.all(image[..., 3] == 1.0)
 
 
-def test_parts_of_it_are_those_of_the_image(addon, veil, scene):
+def test_regions_equal_those_of_the_whole_background(addon, veil, scene):
     around(scene)
     whole, _ = background(addon, scene)
     assert whole.pixels().shape == (32, 48, 3) and not whole.warnings
@@ -224,7 +227,7 @@ def test_parts_of_it_are_those_of_the_image(addon, veil, scene):
     assert plain.pixels((x0, y0, x1, y1)).shape == (y1 - y0, x1 - x0, 3)
 
 
-def test_it_is_shown_again_only_where_it_has_changed(addon, veil, scene):
+def test_it_is_rendered_again_only_after_changes(addon, veil, scene):
     around(scene)
     first = background(addon, scene)[0].radiance
     scene.world.node_tree.nodes["Background"].location = 10.0, 20.0
@@ -236,7 +239,7 @@ def test_it_is_shown_again_only_where_it_has_changed(addon, veil, scene):
     np.testing.assert_allclose(background(addon, scene)[0].radiance, 2.0 * turned, rtol=1e-5)
 
 
-def test_an_image_read_in_another_colour_space_is_another_world(addon, veil, scene):
+def test_an_image_in_another_colour_space_is_another_world(addon, veil, scene):
     image = around(scene)
     image.colorspace_settings.name = "Non-Color"
     first = background(addon, scene)[0].radiance
@@ -255,15 +258,15 @@ def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp
         found, _ = background(addon, scene)
     (warning,) = found.warnings
     assert not found.pixels().any() and "World \"World\"" in warning and "no Cycles here" in warning
-    # What Blender holds and its file does not is not shown as it was.
+    # Unsaved edits of an image are not used.
     around(scene).pixels[0] = 3.0
     found, _ = background(addon, scene)
     (warning,) = found.warnings
     assert not found.pixels().any() and "image \"Around\"" in warning and "save or pack" in warning
 
 
-@pytest.mark.parametrize("view", [perspective, orthographic])
-def test_a_viewport_looks_it_up_from_all_around_before_it_is_sharp(addon, veil, scene, view):
+@pytest.mark.parametrize("view", [perspective, pytest.param(orthographic, marks=pytest.mark.slow)])
+def test_a_viewport_looks_it_up_in_a_panorama_before_it_is_sharp(addon, veil, scene, view):
     """Within a redraw."""
     backdrop = importlib.import_module("mrpnn.mrpnn_addon.engine.backdrop")
     around(scene)
@@ -273,29 +276,29 @@ def test_a_viewport_looks_it_up_from_all_around_before_it_is_sharp(addon, veil, 
     camera = replace(camera, resolution=(1600, 900))
     shown, watched = backdrop.Backdrop(lambda worker: watched.append(worker)), []
     shown.read(depsgraph)
-    shown.look(camera)
+    shown.update(camera)
     (first,) = watched
     first.wait()
     assert first.error is None and first.number >= 2 and not shown.status
-    # What is known is there at once.
-    shown.look(camera)
+    # A known panorama is there at once.
+    shown.update(camera)
     assert watched == [first]
     start = time.process_time()
-    shown.look(replace(camera, fov=camera.fov * 1.0001))
+    shown.update(replace(camera, fov=camera.fov * 1.0001))
     assert time.process_time() - start < 0.1
     rough, sharp = watched[1].picture, first.picture
     shown.stop()
     assert rough.shape[1] == 320 and sharp.shape == (900, 1600, 4) and np.all(sharp[..., 3] == 1.0)
-    # A pixel of the coarse picture against the mean of those that it stands for.
+    # A pixel of the coarse picture against the mean of the pixels that it covers.
     blocks = sharp.reshape(180, 5, 320, 5, 4).mean(axis=(1, 3))
     assert np.abs(rough - blocks).mean() < 0.01 * sharp[..., :3].mean()
     scene.render.film_transparent = True
     shown.read(blender_scenes.depsgraph())
-    shown.look(camera)
+    shown.update(camera)
     assert len(watched) == 2 and not shown.status
 
 
-def test_what_is_asked_to_stop_ends_the_process(addon, veil, scene):
+def test_cancelling_ends_the_process(addon, veil, scene):
     """Within a second, however many pixels there are."""
     gradient(scene)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.55
@@ -307,9 +310,9 @@ def test_what_is_asked_to_stop_ends_the_process(addon, veil, scene):
     def check():
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > 3.0:
-            raise addon.inference.Cancelled()
+            raise Cancelled()
 
-    with pytest.raises(addon.inference.Cancelled):
+    with pytest.raises(Cancelled):
         addon.mrpnn_addon.scene.film.read_background(depsgraph, camera, check)
     assert time.monotonic() - asked[-1] < 1.0
     assert not addon.mrpnn_addon.scene.film.world_behind(depsgraph)._process._running

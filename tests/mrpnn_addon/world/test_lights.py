@@ -8,6 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
+
 from tests.support import blender_scenes
 
 
@@ -19,7 +21,7 @@ def read(addon):
 
 
 @pytest.mark.parametrize("degrees, count", [(0.5, 1), (8.0, 4), (30.0, 7), (90.0, 19)])
-def test_a_soft_sun_keeps_its_light_and_its_spread(addon, scene, tmp_path, degrees, count):
+def test_a_soft_sun_keeps_its_irradiance_and_its_angle(addon, scene, tmp_path, degrees, count):
     blender_scenes.cloud_scene(scene, tmp_path)
     lamp = scene.objects["Sun"].data
     lamp.angle, lamp.energy = math.radians(degrees), 3.0
@@ -28,7 +30,7 @@ def test_a_soft_sun_keeps_its_light_and_its_spread(addon, scene, tmp_path, degre
     axis = np.array(scene.objects["Sun"].matrix_world)[:3, 2]
     cosine = np.array([sun.direction @ axis for sun in described.suns])
     light = np.array([sun.irradiance[0] for sun in described.suns])
-    # A surface that faces the sun gets its strength; light that is even over a cap has the mean cosine of the cap's middle
+    # A surface that faces the sun receives its strength; over a uniform cap the mean cosine is that of its middle
     # and rim.
     assert light @ cosine == pytest.approx(3.0, rel=1e-4)
     rim = math.cos(math.radians(degrees) / 2.0)
@@ -37,8 +39,9 @@ def test_a_soft_sun_keeps_its_light_and_its_spread(addon, scene, tmp_path, degre
         assert light @ cosine**2 / light.sum() == pytest.approx((1.0 + rim + rim**2) / 3.0, rel=5e-3)
 
 
-def test_a_wide_sun_gives_thin_fog_as_much_more_light_as_in_cycles(addon, scene, tmp_path):
-    """Beside a sun of no angle and the same strength; fog scatters evenly, and casts next to no shadow."""
+@pytest.mark.slow
+def test_a_wide_sun_lights_thin_fog_as_much_more_as_in_cycles(addon, scene, tmp_path):
+    """Against a sun of angle 0 and the same strength; the fog scatters isotropically and casts almost no shadow."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.02)
     cloud.data.materials[0].node_tree.nodes["Principled Volume"].inputs["Anisotropy"].default_value = 0.0
     scene.camera.location.z, scene.camera.data.angle = 6.0, 0.2
@@ -61,13 +64,13 @@ def environment(addon):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 20])
-def test_even_light_keeps_its_moments(environment, count):
+def test_uniform_light_keeps_its_moments(environment, count):
     sphere = environment.Sphere(64)
     assert sphere.solid_angle.sum() == pytest.approx(4 * math.pi)
     found = environment.quadrature(sphere, np.full((len(sphere.directions), 3), 0.5), count)
     assert len(found) == count
     if count == 12:
-        # Half of it is above the horizon, none on it.
+        # Half of it is above the horizon, nothing lies on it.
         assert sorted(np.sign(np.round(sun.direction[2], 3)) for sun in found) == [-1] * 6 + [1] * 6
     total = sum(sun.irradiance[0] for sun in found)
     assert total == pytest.approx(2 * math.pi)
@@ -75,7 +78,7 @@ def test_even_light_keeps_its_moments(environment, count):
     np.testing.assert_allclose(second, np.eye(3) / 3, atol={4: 0.01, 6: 0.01, 12: 0.01, 20: 0.12}.get(count, 1.0))
 
 
-def test_a_bright_spot_is_met(environment):
+def test_a_bright_spot_gets_a_light_of_its_own(environment):
     sphere = environment.Sphere(64)
     sun = np.array([0.3, -0.7, 0.5]) / np.linalg.norm([0.3, -0.7, 0.5])
     radiance = np.where(sphere.directions @ sun > math.cos(0.06), 300.0, 0.1)[:, None] * [1.0, 0.8, 0.6]
@@ -85,8 +88,8 @@ def test_a_bright_spot_is_met(environment):
     np.testing.assert_allclose(sum(light.irradiance for light in found), sphere.solid_angle @ radiance)
 
 
-def test_each_part_of_the_light_keeps_where_it_comes_from(environment):
-    """Together the parts' directions have the moments of all of the light, in fewer directions."""
+def test_each_part_of_the_light_keeps_its_mean_direction(environment):
+    """Together, the fewer directions have the moments of the whole light."""
     sphere = environment.Sphere(64)
     radiance = np.exp(4.0 * sphere.directions @ [0.6, 0.0, 0.8])[:, None] * [1.0, 0.8, 0.6]
     found = environment.quadrature(sphere, radiance, 12)
@@ -111,14 +114,14 @@ def background(scene, strength=1.0, colour=(1.0, 1.0, 1.0)):
     return node
 
 
-def test_a_coloured_world_is_light_from_all_around(addon, scene, tmp_path):
+def test_a_coloured_world_is_light_from_all_directions(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     background(scene, 0.5, (0.2, 0.4, 0.8))
     found = world_lights(addon)
     assert len(found) == 12 and read(addon).environment
     np.testing.assert_allclose(
         sum(sun.irradiance for sun in found), 0.5 * 4 * math.pi * np.array([0.2, 0.4, 0.8]), rtol=1e-5)
-    # Beside a bright sun fewer directions do.
+    # Beside a bright sun, fewer directions suffice.
     scene.objects["Sun"].data.energy = 1000.0
     assert len(world_lights(addon)) == 6
     bpy.data.objects.remove(scene.objects["Sun"])
@@ -126,7 +129,7 @@ def test_a_coloured_world_is_light_from_all_around(addon, scene, tmp_path):
     scene.mrpnn.world_directions = 5
     assert len(read(addon).suns) == 5
     scene.world.cycles_visibility.scatter = False
-    with pytest.raises(addon.inference.SceneError, match="no sun"):
+    with pytest.raises(SceneError, match="no sun"):
         read(addon)
 
 
@@ -134,7 +137,7 @@ def test_a_world_that_cannot_be_shown_is_named(addon, scene, tmp_path, monkeypat
     blender_scenes.cloud_scene(scene, tmp_path)
     tree, node = scene.world.node_tree, background(scene)
     tree.links.new(tree.nodes.new("ShaderNodeTexVoronoi").outputs["Color"], node.inputs["Color"])
-    # A process that cannot do what it is asked for.
+    # A process that fails at its task.
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
     monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world.process"), "WORKER", broken)
@@ -158,7 +161,7 @@ def panorama(width, height):
 
 
 def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
-    """Thin fog that scatters evenly shows its fluence: radiance = alpha albedo fluence / 4 pi."""
+    """Thin, isotropically scattering fog shows its fluence: radiance = alpha albedo fluence / 4 pi."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.1)
     shader = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
     shader.inputs["Anisotropy"].default_value = 0.0
@@ -173,11 +176,12 @@ def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
     scene.camera.location.z, scene.camera.data.angle = 6.0, 0.2
     scene.render.resolution_x = scene.render.resolution_y = 16
     seen = blender_scenes.render_cycles(scene, tmp_path, samples=512).mean(axis=(0, 1))
-    # Little of the light is lost on its way in.
+    # Little light is lost on its way in.
     lost = math.exp(-0.5 * seen[3])
     np.testing.assert_allclose(seen[3] * albedo * fluence / (4 * math.pi) * lost, seen[:3], rtol=0.06)
 
 
+@pytest.mark.slow
 def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_path):
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
     world = importlib.import_module("mrpnn.mrpnn_addon.world.lighting")
@@ -199,6 +203,6 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
         sphere = environment.Sphere(2)
         sphere.directions = -np.array(camera.matrix_world)[None, :3, 2]
         found = world._surface(
-            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeValues(sphere),
+            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(sphere),
             sockets.source_of(tree.get_output_node('CYCLES').inputs["Surface"]))
         np.testing.assert_allclose(found[0], seen, rtol=0.03)

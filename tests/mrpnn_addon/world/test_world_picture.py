@@ -1,4 +1,4 @@
-"""Worlds as Cycles shows them: against the nodes that are evaluated here, and the discs of skies."""
+"""Worlds rendered by Cycles: against the nodes evaluated in numpy, and the sun discs of skies."""
 
 import importlib
 import math
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+
+from inference import SceneError
 
 from tests.support import blender_scenes
 
@@ -29,8 +31,8 @@ def feed(scene, kind, output=0):
     return node
 
 
-def test_a_picture_is_what_the_nodes_give(scene, pictures):
-    """Colours that follow the direction, seen past a camera that is shown something else, and without the fog."""
+def test_a_picture_equals_the_evaluated_nodes(scene, pictures):
+    """Colours that follow the direction, whatever the camera is shown, and without the World's fog."""
     environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}")
                           for name in ("quadrature", "lighting"))
     tree, coordinates = scene.world.node_tree, feed(scene, "ShaderNodeTexCoord", "Generated")
@@ -48,13 +50,13 @@ def test_a_picture_is_what_the_nodes_give(scene, pictures):
     picture = shown(scene, pictures)
     assert not len(picture.suns)
     np.testing.assert_allclose(np.maximum(picture.radiance(sphere.directions), 0.0), expected, atol=0.02)
-    # It is kept until something changes that shows.
+    # It is kept until something visible changes.
     assert shown(scene, pictures) is picture
     tree.nodes["Background"].location = 100.0, 20.0
     assert shown(scene, pictures) is picture
 
 
-def test_a_skys_disc_is_a_sun_where_it_was_put(scene, pictures):
+def test_the_sun_disc_of_a_sky_becomes_a_sun(scene, pictures):
     sky = feed(scene, "ShaderNodeTexSky")
     sky.sun_elevation, sky.sun_rotation = 0.5, 0.8
     first = shown(scene, pictures)
@@ -69,7 +71,7 @@ def test_a_skys_disc_is_a_sun_where_it_was_put(scene, pictures):
     assert turned[2] == pytest.approx(sun[2], abs=2e-4) and abs(turned[:2] @ sun[:2]) < 1e-3
     np.testing.assert_allclose(turned[3:6], 0.25 * sun[3:6], rtol=0.03)
     assert turned[6] == pytest.approx(4.0 * sun[6], rel=0.03)
-    # The disc is no part of the sky around it.
+    # The disc is not part of the sky around it.
     assert second.sky.max() < 0.01 * sun[3] / (math.pi * (sky.sun_size / 8) ** 2)
 
 
@@ -85,12 +87,12 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     brightest = max(described.suns, key=lambda sun: sun.irradiance.sum())
     assert brightest is discs[0]
     scene.mrpnn.world_directions = 0
-    with pytest.raises(addon.inference.SceneError, match="no sun"):
+    with pytest.raises(SceneError, match="no sun"):
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
-def test_a_thread_has_the_world_shown_and_can_be_stopped(addon, scene, tmp_path, pictures):
-    """Reading asks for the World beside the volumes; once it is known nothing is left to wait for."""
+def test_a_thread_has_the_world_rendered_and_can_be_cancelled(addon, scene, tmp_path, pictures):
+    """Reading starts the World's render beside the volumes; once that is known there is nothing to wait for."""
     reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.volumes.{name}") for name in ("reader", "loading"))
     blender_scenes.cloud_scene(scene, tmp_path)
     feed(scene, "ShaderNodeTexVoronoi", "Color").inputs["Scale"].default_value = 3.25

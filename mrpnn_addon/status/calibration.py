@@ -1,9 +1,8 @@
-"""What renders of this session, and those of this machine before it, have told about the seconds that one takes."""
+"""Calibrates the cost model by renders, of this session and of earlier ones on this machine."""
 
 import json
 import math
 import os
-from typing import Optional
 
 import bpy
 
@@ -11,46 +10,46 @@ from ...inference.scene import SceneError
 from ..objects.workload import Workload
 from ..runtime.json_file import write_json
 from ..volumes.bounding_boxes import forget_densities
-from .cost_model import STAGES, Experience, learn
+from .cost_model import STAGES, Calibration, calibrate
 
 FILE = "mrpnn_speed.json"
-# A machine's rates that differ by less are not written again.
-SAME = 0.1
+# Smaller changes of a machine's rates are not written.
+TOLERANCE = 0.1
 
-_known: Optional[Experience] = None
+_known: Calibration | None = None
 
 
-def experience() -> Experience:
-    """What is known."""
+def calibration() -> Calibration:
+    """The current calibration."""
     global _known
     if _known is None:
         _known = _read()
     return _known
 
 
-def learn_from(asked: Optional[Workload], layer) -> None:
-    """Keep what a render tells. asked: what it had to do, or None where nothing was."""
-    if asked is None:
+def calibrate_by(workload: Workload | None, layer) -> None:
+    """Calibrate by a render. workload: its work, or None without volumes."""
+    if workload is None:
         return
-    known = experience()
+    known = calibration()
     before = dict(known.rates), known.threads
-    learn(known, asked, layer.report, layer.alpha)
+    calibrate(known, workload, layer.report, layer.alpha)
     rates, threads = before
     if threads != known.threads or any(
-            abs(rate - rates.get(stage, 0.0)) > SAME * rate for stage, rate in known.rates.items()):
+            abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
         _write(known)
 
 
 def forget() -> None:
-    """As at the start of a session; for tests."""
+    """Start over as in a new session; for tests."""
     global _known
     _known = None
 
 
 @bpy.app.handlers.persistent
 def _after_load(*_):
-    # Volumes of another file may have the same names.
-    experience().shares.clear()
+    # Another file's volumes may have the same names.
+    calibration().shares.clear()
     forget_densities()
 
 
@@ -63,29 +62,29 @@ def unregister():
 
 
 def _path() -> str:
-    """In Blender's folder of the user's settings; "" where there is none."""
+    """File in Blender's configuration folder; "" without one."""
     folder = bpy.utils.user_resource('CONFIG')
     return os.path.join(folder, FILE) if folder and os.path.isdir(folder) else ""
 
 
-def _read() -> Experience:
+def _read() -> Calibration:
     try:
         with open(_path()) as file:
             found = json.load(file)
         rates = {stage: float(found["rates"][stage]) for stage in STAGES if stage in found["rates"]}
         if all(0.0 < rate < math.inf for rate in rates.values()) and int(found["threads"]) > 0:
-            return Experience(rates=rates, threads=int(found["threads"]))
+            return Calibration(rates=rates, threads=int(found["threads"]))
     except (OSError, ValueError, TypeError, KeyError):
-        # None has been written, or by another version.
+        # The file is missing, or was written by another version.
         pass
-    return Experience()
+    return Calibration()
 
 
-def _write(known: Experience) -> None:
+def _write(known: Calibration) -> None:
     path = _path()
     try:
         if path:
             write_json(path, {"rates": known.rates, "threads": known.threads})
     except SceneError:
-        # It is a convenience: a folder that cannot be written to is no reason to speak.
+        # Calibration is optional: ignore folders that cannot be written to.
         pass

@@ -1,4 +1,4 @@
-"""The seconds that the panel says before rendering: what they count, and what they learn from renders."""
+"""The panel's estimate of render time: the work it counts, and what it learns from renders."""
 
 import os
 
@@ -7,15 +7,17 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import render
+
 from tests.support import blender_scenes
 
 
 @pytest.fixture
 def cloud(addon, scene, tmp_path, monkeypatch):
-    """A cloud of 64^3 voxels, of which nothing is known, on a machine of which nothing is known."""
+    """A cloud of 64^3 voxels, before anything is known of it or of the machine's speed."""
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(tmp_path))
-    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_told", {})
-    addon.mrpnn_addon.status.experience.forget()
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
+    addon.mrpnn_addon.status.calibration.forget()
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     scene.mrpnn.depth_samples = 1
     shown, _ = blender_scenes.add_volume(
@@ -24,7 +26,7 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     yield shown
-    addon.mrpnn_addon.status.experience.forget()
+    addon.mrpnn_addon.status.calibration.forget()
 
 
 @pytest.fixture
@@ -52,16 +54,16 @@ def test_dense_volumes_take_longer_once_their_density_is_known(addon, scene, clo
     assert seconds[0] < seconds[1] < seconds[2] and seconds[2] > 1.3 * seconds[0]
 
 
-def test_what_is_known_of_the_density_is_what_the_renderer_finds(addon, scene, cloud, said):
-    """Steps that rays are cut into, of the render and of the box around what was read."""
+def test_the_known_density_gives_the_renderers_step_count(addon, scene, cloud, said):
+    """Ray steps of the render, and estimated from the boxes of the file."""
     for density in (4.0, 200.0):
         shader(cloud).inputs["Density"].default_value = density
         found = described(addon)
-        report = addon.inference.render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
+        report = render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report
         np.testing.assert_allclose(found.workload(1).steps, report.counts["steps"], rtol=0.15)
 
 
-def test_black_lights_are_no_lights(addon, scene, cloud, said):
+def test_black_lights_are_ignored(addon, scene, cloud, said):
     one = said()
     assert one.suns == 1
     dark = blender_scenes.add_sun(scene, "Dark", strength=0.0, rotation=(1.0, 0.0, 0.0))
@@ -79,7 +81,7 @@ def test_black_lights_are_no_lights(addon, scene, cloud, said):
     assert said().suns == 1 + scene.mrpnn.world_directions and said().seconds > 3 * one.seconds
 
 
-def test_pixels_in_the_box_count_and_no_others(addon, scene, cloud, said):
+def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
     whole = said().seconds
     scene.camera.location.z = 60.0
     far = said()
@@ -93,14 +95,15 @@ def test_pixels_in_the_box_count_and_no_others(addon, scene, cloud, said):
 
 def shown_volumes(addon):
     visibility = addon.mrpnn_addon.objects.visibility
-    return (shown for shown in visibility.shown_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
+    return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
 
 
-def test_one_render_tells_the_work_of_others(addon, scene, cloud, said):
-    """Steps and points of renders of other resolution, samples and lights, which machines count alike."""
+@pytest.mark.slow
+def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
+    """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
     cost_model = addon.mrpnn_addon.status.cost_model
     bpy.ops.mrpnn.render()
-    known = addon.mrpnn_addon.status.experience.experience()
+    known = addon.mrpnn_addon.status.calibration.calibration()
     second = blender_scenes.add_sun(scene, "Second", strength=0.0, rotation=(1.0, 0.4, 0.0))
     for percentage, samples, strength in ((200, 1, 0.0), (200, 4, 0.0), (100, 4, 1.0), (150, 2, 1.0)):
         scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
@@ -108,7 +111,7 @@ def test_one_render_tells_the_work_of_others(addon, scene, cloud, said):
         found = described(addon)
         asked = found.workload(samples)
         assert asked.lights == said().suns or strength == 0.0
-        counts = addon.inference.render(
+        counts = render(
             found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
         shares = known.shares[asked.names]
         _, points = cost_model._points(asked, shares)
@@ -116,14 +119,14 @@ def test_one_render_tells_the_work_of_others(addon, scene, cloud, said):
         np.testing.assert_allclose(points * counts["suns"], counts["network points"], rtol=0.3)
 
 
-def test_after_a_render_its_own_seconds_are_said(addon, scene, cloud, said):
+def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
     scene.render.resolution_percentage, scene.mrpnn.depth_samples = 500, 4
     # Without the seconds in which the network is loaded.
     bpy.ops.mrpnn.render()
     bpy.ops.mrpnn.render()
     taken = addon.mrpnn_addon.status.last_render.last_render().seconds
     assert abs(said().seconds / taken - 1.0) < 0.3
-    # On as many threads again it is said to take about half.
+    # On twice as many threads it is estimated to take about half.
     scene.mrpnn.threads = 2 * (os.cpu_count() or 1)
     assert 0.45 * taken < said().seconds < 0.75 * taken
 
@@ -131,16 +134,16 @@ def test_after_a_render_its_own_seconds_are_said(addon, scene, cloud, said):
 def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
     scene.render.resolution_percentage = 400
     bpy.ops.mrpnn.render()
-    experience = addon.mrpnn_addon.status.experience
-    rates = dict(experience.experience().rates)
+    calibration = addon.mrpnn_addon.status.calibration
+    rates = dict(calibration.calibration().rates)
     assert rates
-    experience.forget()
-    assert experience.experience().rates.keys() == rates.keys() and not experience.experience().shares
-    # A damaged file is as none.
+    calibration.forget()
+    assert calibration.calibration().rates.keys() == rates.keys() and not calibration.calibration().shares
+    # A damaged file counts as none.
     for text in ("{", "[]", '{"rates": {"march": -1}, "threads": 2}'):
-        (tmp_path / experience.FILE).write_text(text)
-        experience.forget()
-        assert experience.experience().rates == {}
+        (tmp_path / calibration.FILE).write_text(text)
+        calibration.forget()
+        assert calibration.calibration().rates == {}
     assert said().seconds > 0.0
 
 
@@ -148,10 +151,10 @@ def test_another_file_is_another_scene(addon, scene, cloud, said):
     bpy.ops.mrpnn.render()
     assert not said().rough
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not addon.mrpnn_addon.status.experience.experience().shares and not addon.mrpnn_addon.volumes.bounding_boxes._told
+    assert not addon.mrpnn_addon.status.calibration.calibration().shares and not addon.mrpnn_addon.volumes.bounding_boxes._densities
 
 
-def test_a_folder_that_cannot_be_written_to_keeps_nothing_from_rendering(addon, scene, cloud, monkeypatch, tmp_path):
+def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monkeypatch, tmp_path):
     folder = tmp_path / "file"
     folder.write_text("no folder")
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(folder))

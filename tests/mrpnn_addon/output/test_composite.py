@@ -1,4 +1,4 @@
-"""The volumes by MRPNN over the rest of the scene by Cycles, in one F12."""
+"""Compositing: the volumes by MRPNN over the rest of the scene by Cycles, in one F12."""
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ def cloud(scene, tmp_path):
 
 
 def wall(scene, z):
-    """A glowing square of edge 4 over the left half of the view."""
+    """An emissive square of edge 4 over the left half of the view."""
     mesh = bpy.data.meshes.new("Wall")
     mesh.from_pydata([(-4, -2, z), (0, -2, z), (0, 2, z), (-4, 2, z)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("ScatteredEmission")
+    material = bpy.data.materials.new("Emission")
     material.use_nodes = True
     nodes = material.node_tree.nodes
     nodes.clear()
@@ -31,8 +31,8 @@ def wall(scene, z):
 
 
 @pytest.mark.parametrize("z, before", [(-3.0, False), (3.0, True)])
-def test_the_layer_lies_over_surfaces_behind_it_and_under_those_before_it(addon, scene, cloud, tmp_path, z, before):
-    # The wall keeps a little light from the layer too.
+def test_the_layer_covers_surfaces_behind_it_and_is_covered_by_those_in_front(addon, scene, cloud, tmp_path, z, before):
+    # The wall also blocks a little light from the layer.
     wall(scene, z)
     bpy.ops.mrpnn.render()
     image = bpy.data.images["MRPNN"]
@@ -66,7 +66,7 @@ def layer_of(scene):
 
 
 def state(scene):
-    """All of a scene that compositing could leave changed."""
+    """Everything in a scene that compositing could leave changed."""
     tree = scene.node_tree if bpy.app.version < (5, 0, 0) else scene.compositing_node_group
     return {
         "scenes": sorted(one.name for one in bpy.data.scenes),
@@ -87,7 +87,8 @@ def ground(scene, z=-1.5):
     return blender_scenes.add_object(scene, "Ground", mesh)
 
 
-def test_volumes_shade_surfaces_where_asked_and_stay_what_they_are(addon, scene, cloud, tmp_path):
+@pytest.mark.slow
+def test_volumes_cast_shadows_on_surfaces_on_request(addon, scene, cloud, tmp_path):
     ground(scene)
     found, before = {}, state(scene)
     for shadows in (True, False):
@@ -95,7 +96,7 @@ def test_volumes_shade_surfaces_where_asked_and_stay_what_they_are(addon, scene,
         assert bpy.ops.mrpnn.composite(shadows=shadows) == {'FINISHED'}
         assert [one.name for one in bpy.data.scenes] == ["Scene", "Scene MRPNN"]
         found[shadows] = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 1]
-    # The sun's light that the cloud keeps from the floor.
+    # The sunlight that the cloud blocks from the floor.
     assert np.median(found[True]) > 0.9 * np.median(found[False]) and (found[True] < 0.7 * found[False]).sum() > 20
     after = state(scene)
     assert [after[name] for name in ("collections", "objects", "layers")] == [
@@ -103,7 +104,7 @@ def test_volumes_shade_surfaces_where_asked_and_stay_what_they_are(addon, scene,
 
 
 def nested(scene, cloud):
-    """The cloud and a small bright block in a collection inside another one, shown only by an instance of that."""
+    """The cloud and a small bright block in a nested collection, shown only by an instance."""
     inner, outer = bpy.data.collections.new("Inner"), bpy.data.collections.new("Outer")
     outer.children.link(inner)
     block = wall(scene, 0.5)
@@ -120,7 +121,7 @@ def instance(scene, collection):
     return empty
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("linked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, cloud, tmp_path, linked):
     outer = nested(scene, cloud)
     if linked:
@@ -135,7 +136,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
         outer = here.collections[0]
         assert outer.library is not None
     instance(scene, outer)
-    # Cycles' own noise aside, the picture is the layer over the block, which shows nowhere twice.
+    # Up to Cycles' noise, the picture is the layer over the block, which nowhere shows twice.
     alone = layer_of(scene)
     assert alone[..., 3].max() > 0.2
     before = state(scene)
@@ -147,7 +148,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
     blue |= np.roll(blue, 1, 0) | np.roll(blue, -1, 0)
     blue |= np.roll(blue, 1, 1) | np.roll(blue, -1, 1)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
-    # Where Cycles keeps the volumes for their shadows, the camera sees them once all the same.
+    # Where Cycles keeps the volumes for their shadows, the camera still sees them once.
     bpy.ops.mrpnn.composite(shadows=True)
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
@@ -182,7 +183,7 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     assert volumes.render.image_settings.file_format == 'OPEN_EXR' != 'PNG'
     assert volumes.render.image_settings.color_depth == '32' and volumes.render.filepath != scene.render.filepath
     assert volumes.render.engine == 'MRPNN' and scene.render.engine == 'CYCLES'
-    # A further view layer that is rendered shows what the first one does not.
+    # Another rendered view layer shows what the first one does not.
     layer = scene.view_layers.new("Behind")
     layer.layer_collection.children["Hidden"].exclude = False
     third.location = (-1.5, 0.0, 0.0)
@@ -196,7 +197,7 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     assert second.name not in volumes.objects
 
 
-def test_a_saved_file_has_the_scenes_alike(addon, scene, cloud, tmp_path):
+def test_a_saved_file_keeps_both_scenes_in_step(addon, scene, cloud, tmp_path):
     bpy.ops.mrpnn.composite()
     scene.render.resolution_x, scene.frame_end = 33, 12
     path = str(tmp_path / "composite.blend")
@@ -233,7 +234,7 @@ def turned_panorama(scene):
 @pytest.mark.parametrize("change, said", [
     (broken_scene, "was deleted"), (broken_nodes, "does not show the volumes"), (broken_engine, "not Cycles"),
     (broken_compositing, "Compositing is off"), (turned_panorama, "panorama now")])
-def test_what_cannot_follow_by_itself_is_said_and_mended(addon, scene, cloud, tmp_path, change, said):
+def test_differences_that_do_not_follow_are_named_and_repaired(addon, scene, cloud, tmp_path, change, said):
     bpy.ops.mrpnn.composite(shadows=False)
     out_of_date = addon.mrpnn_addon.output.composite.out_of_date
     assert out_of_date(scene) == []
@@ -246,7 +247,7 @@ def test_what_cannot_follow_by_itself_is_said_and_mended(addon, scene, cloud, tm
     assert found.max() > 0.01
 
 
-@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
     scene.render.use_persistent_data = persistent
@@ -260,7 +261,7 @@ def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path
     np.testing.assert_array_equal(blender_scenes.render_cycles(scene, tmp_path, samples=4), plain)
 
 
-def test_a_compositor_of_ones_own_stays_and_comes_back(addon, scene, cloud, tmp_path):
+def test_the_users_compositor_is_kept_and_restored(addon, scene, cloud, tmp_path):
     tree, result = blender_scenes.compositor(scene)
     shown, invert = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
     tree.links.new(shown.outputs["Image"], invert.inputs["Image"])
@@ -273,7 +274,7 @@ def test_a_compositor_of_ones_own_stays_and_comes_back(addon, scene, cloud, tmp_
     assert result.links[0].from_node == invert and invert.inputs["Image"].links[0].from_node == shown
 
 
-def test_a_copy_of_the_scene_says_that_its_volumes_are_the_others(addon, scene, cloud, tmp_path):
+def test_a_copy_of_the_scene_warns_that_it_shares_volumes(addon, scene, cloud, tmp_path):
     bpy.ops.mrpnn.composite()
     other = scene.copy()
     other.render.resolution_x = 50
@@ -285,7 +286,7 @@ def test_a_copy_of_the_scene_says_that_its_volumes_are_the_others(addon, scene, 
 
 
 def test_the_viewport_shows_the_volumes_as_before(addon, scene, cloud, tmp_path):
-    """What Cycles is given for a viewport, after a render as well."""
+    """What Cycles is given for a viewport, also after a render."""
     instance(scene, nested(scene, cloud))
     bpy.ops.mrpnn.composite(shadows=False)
     blender_scenes.render_cycles(scene, tmp_path, samples=1)
@@ -304,9 +305,9 @@ def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
     assert list(bpy.data.scenes) == [scene] and not scene.collection.children
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, cloud, tmp_path, angle):
-    """Fog that only absorbs, and a wall that glows: pixel by pixel, edges included."""
+    """Absorbing fog and an emissive wall: pixel by pixel, edges included."""
     scene.render.resolution_x = scene.render.resolution_y = 48
     fog = cloud.data.materials[0].node_tree.nodes["Principled Volume"].inputs
     fog["Color"].default_value, fog["Density"].default_value = (0.0, 0.0, 0.0, 1.0), 2.0

@@ -2,22 +2,21 @@
 
 import ast
 import re
-from pathlib import Path
-from typing import Iterator, List, Tuple
+from collections.abc import Iterator
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.support.paths import ROOT
 
-# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, and take
-# procedural volumes and the reference path tracer from training.
+# What each package may import of the others. Benchmarks render real Blender scenes through the add-on, take procedural
+# volumes and the reference path tracer from training, and the scene of the soak from the tests' support.
 PACKAGES = {
     "inference": (),
     "mrpnn_addon": ("inference",),
     "operators": ("mrpnn_addon", "inference"),
     "panels": ("operators", "mrpnn_addon", "inference"),
     "training": ("inference",),
-    "benchmarks": ("training", "mrpnn_addon", "inference"),
+    "benchmarks": ("tests", "training", "mrpnn_addon", "inference"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
@@ -30,7 +29,7 @@ ROOMS = {
 }
 
 
-def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[str, ...]]]:
+def imports(source: str, module: tuple[str, ...]) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Line and dotted path, from the repository's root, of each name that a module imports, in functions too.
 
     The root itself is package `mrpnn` where Blender loads it.
@@ -49,7 +48,7 @@ def imports(source: str, module: Tuple[str, ...]) -> Iterator[Tuple[int, Tuple[s
                 yield node.lineno, (*path, name.name)
 
 
-def package_imports(package: str) -> List[Tuple[str, Tuple[str, ...], Tuple[str, ...]]]:
+def package_imports(package: str) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
     """(place, importing module, imported path) of each import in a package."""
     found = []
     for file in sorted((ROOT / package).rglob("*.py")):
@@ -64,7 +63,7 @@ def test_imports_are_found_wherever_they_stand():
               "from ..b.c import d\n"
               "def f():\n"
               "    import e.f\n"
-              "    from mrpnn.inference import g\n")
+              "    from inference import g\n")
     assert [path for _, path in sorted(imports(source, ("x", "y", "z")))] == [
         ("x", "y", "a"), ("x", "b", "c", "d"), ("e", "f"), ("inference", "g")]
 
@@ -76,6 +75,11 @@ def test_packages_import_only_those_below(package):
     assert found
     assert [(place, ".".join(path)) for place, _, path in found
             if path[0] in known - {package, *PACKAGES[package]}] == []
+
+
+def test_no_test_imports_a_test():
+    assert [(place, ".".join(path)) for place, _, path in package_imports("tests")
+            if path[0] == "tests" and path[1] != "support"] == []
 
 
 @pytest.mark.parametrize("package", ["inference", "training"])

@@ -1,4 +1,4 @@
-"""Files that are there complete or not at all."""
+"""Files that are complete or absent."""
 
 import os
 import secrets
@@ -6,13 +6,14 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def whole_file(path: str):
-    """A binary file to write, which appears under `path` in one step at the end of the `with` block.
+def atomic_write(path: str):
+    """A binary file to write, renamed to `path` when the `with` block ends.
 
-    Raises OSError, saying which file and why, where it cannot be written; then nothing is left of it, and a file that
-    was there before stays as it was.
+    Raises OSError, naming the file and the reason, where it cannot be written. An earlier file at `path` is then
+    unchanged, and no partial file is left.
     """
-    # Beside the target, so that it can be renamed; the name cannot be foreseen, and what exists is never opened.
+    # In the target's folder, so that it can be renamed; the name is unpredictable, and an existing file is never
+    # opened.
     unfinished = os.path.join(os.path.dirname(os.path.abspath(path)), f".mrpnn-{secrets.token_hex(8)}.part")
     try:
         with open(unfinished, "xb") as file:
