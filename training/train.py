@@ -44,9 +44,9 @@ BINS = {
     "gamma": np.linspace(0.0, np.pi, 9)[1:-1],
     "anisotropy": np.array([0.01, 0.4, 0.7, 0.84, 0.9]),
 }
-TYPICAL_SHARE, TYPICAL_LEAST = 0.5, 1e-4
+TYPICAL_SHARE, MIN_TYPICAL = 0.5, 1e-4
 #: Added to the targets' relative squared noise: noise below the network's own error does not matter.
-NOISE_LEAST = 0.1
+NOISE_FLOOR = 0.1
 #: Radiance below which the error on held-back volumes is not relative.
 RADIANCE_EPS = 3e-3
 AVERAGING = 0.999
@@ -105,7 +105,7 @@ def typical_radiance(data):
     index = bins(data)
     counts = np.maximum(np.bincount(index), 1)
     means = [np.bincount(index, column.numpy()) / counts for column in data["radiance"].mean(dim=1).T]
-    return torch.from_numpy(np.stack(means, axis=1)[index].astype(np.float32)).clamp(min=TYPICAL_LEAST)
+    return torch.from_numpy(np.stack(means, axis=1)[index].astype(np.float32)).clamp(min=MIN_TYPICAL)
 
 
 def trust(data, typical):
@@ -120,7 +120,7 @@ def trust(data, typical):
     for (a, b), like in zip(data["radiance"].permute(2, 1, 0).numpy(), typical.T.numpy()):
         noise = np.bincount(index, 0.25 * (a - b) ** 2)
         scale = np.maximum(np.bincount(index, a * b), 0.0) + np.bincount(index, (TYPICAL_SHARE * like) ** 2)
-        weights.append((1.0 / (noise / np.maximum(scale, 1e-30) + NOISE_LEAST))[index])
+        weights.append((1.0 / (noise / np.maximum(scale, 1e-30) + NOISE_FLOOR))[index])
     weights = torch.from_numpy(np.stack(weights, axis=1).astype(np.float32))
     return weights / weights.mean()
 
@@ -267,7 +267,7 @@ def main(options=None):
         "learning_rate": arguments.learning_rate,
         "weight_decay": WEIGHT_DECAY,
         "typical_share": TYPICAL_SHARE,
-        "noise_least": NOISE_LEAST,
+        "noise_least": NOISE_FLOOR,
         "averaging": AVERAGING,
         "parameters": sum(p.numel() for p in net.parameters()),
         "seed": arguments.seed,

@@ -36,8 +36,9 @@ POLL_INTERVAL = 0.005
 
 def write_cloud(path: Path, cells: int, share: float) -> None:
     """Write a trilinearly refined cloud with a puff in two corners, less the threshold that leaves `share` above 0."""
-    from inference.grids.dense_grid import DenseGrid
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+
+    from inference.grids.dense_grid import DenseGrid
     from training.data.volumes import make_volume
 
     density = make_volume(SEED, cells // SPLIT).density

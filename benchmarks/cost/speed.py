@@ -15,8 +15,8 @@ import numpy as np
 import onnx
 
 from inference import Camera, Medium, Settings, Sun, render
-from inference.network.predictor import POINTS_PER_TASK
 from inference.network.network import WEIGHTS, load_network
+from inference.network.predictor import POINTS_PER_TASK
 from inference.runtime.report import process_peak_memory
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume

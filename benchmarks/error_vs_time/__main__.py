@@ -82,8 +82,8 @@ def weights() -> str:
 def measured(case, options) -> dict:
     """Run the comparison of a case; gives its figures."""
     from mrpnn.mrpnn_addon.comparison.run import ComparisonRun, Options
-    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
     from mrpnn.mrpnn_addon.scene.reader import read_scene
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
 
     scene = make(case, options.out, load_openvdb(), read_scene)
     bpy.context.view_layer.update()

@@ -1,7 +1,7 @@
 """A case, how it is violated, and what must hold for every picture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Optional
 
 import numpy as np
 
@@ -20,7 +20,7 @@ class Case:
     name: str
     against: str
     measure: Callable
-    bounds: Dict[str, float]
+    bounds: dict[str, float]
     quick: bool = False
 
 
@@ -28,8 +28,8 @@ class Case:
 class Outcome:
     """errors: by quantity. picture: float (H, W, 3) linear, or None."""
 
-    errors: Dict[str, float] = field(default_factory=dict)
-    picture: Optional[np.ndarray] = None
+    errors: dict[str, float] = field(default_factory=dict)
+    picture: np.ndarray | None = None
 
 
 def violations(case: Case, outcome: Outcome):

@@ -7,8 +7,8 @@ import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from inference.network.predictor import MAX_FLUENCE
 from inference.network.network import register_system
+from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome, unsound

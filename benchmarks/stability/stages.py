@@ -3,16 +3,16 @@
 import numpy as np
 
 from inference import Medium
-from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.features.phase_features import cumulative_phase
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.marching.ray_march import mean_transmittance
-from inference.features.phase_features import cumulative_phase
-from inference.scene.phase_function import henyey_greenstein
-from inference.marching.ray_features import SampleSteps, gather_ray_features
-from inference.marching.ray_steps import Blocks
 from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.marching.ray_features import SampleSteps, gather_ray_features
+from inference.marching.ray_march import mean_transmittance
+from inference.marching.ray_steps import Blocks
+from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome
 from .exact import ExactVolume

@@ -1,11 +1,10 @@
 """The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
 
-
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
 
 from ..support import pages
 

@@ -4,8 +4,8 @@ import csv
 import io
 import os
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Iterable, List, Sequence
 
 
 def replace(path: Path, text: str) -> None:
@@ -30,11 +30,11 @@ def csv_text(made_by: Sequence[str], header: Sequence, rows: Iterable[Sequence])
     return text.getvalue()
 
 
-def read_csv(path: Path) -> List[dict]:
+def read_csv(path: Path) -> list[dict]:
     """Rows of a file that `csv_text` made, by column."""
     return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
 
 
-def csv_made_by(path: Path) -> List[str]:
+def csv_made_by(path: Path) -> list[str]:
     """The sentences of such a file on what made it."""
     return [line[2:] for line in path.read_text().splitlines() if line.startswith("# ")]

@@ -2,7 +2,6 @@
 
 import tempfile
 from pathlib import Path
-from typing import List, Tuple
 
 import bpy
 import numpy as np
@@ -57,7 +56,7 @@ def signed_map(error: np.ndarray, limit: float) -> Image.Image:
     return Image.fromarray((255 * mapped + 0.5).astype(np.uint8))
 
 
-def row(panels: List[Tuple[str, Image.Image]], height: int) -> Image.Image:
+def row(panels: list[tuple[str, Image.Image]], height: int) -> Image.Image:
     """Pictures side by side at one height, each under its caption."""
     scaled = [(caption, picture.resize((round(picture.width * height / picture.height), height), Image.LANCZOS
                                        if picture.height > height else Image.NEAREST))

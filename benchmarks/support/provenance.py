@@ -4,7 +4,7 @@ import hashlib
 import shlex
 import subprocess
 import sys
-from typing import Optional, Sequence
+from collections.abc import Sequence
 
 from .data import ROOT
 
@@ -12,7 +12,7 @@ from .data import ROOT
 DIGITS = 12
 
 
-def made_by(program: str, arguments: Optional[Sequence] = None, models: Sequence[str] = ("mrpnn",)) -> str:
+def made_by(program: str, arguments: Sequence | None = None, models: Sequence[str] = ("mrpnn",)) -> str:
     """For example: Weights `mrpnn` 0123456789ab, commit 0123456, `python -m benchmarks.cost.speed --size 256`.
 
     arguments: by default the command line's. models: names of the networks that were measured; those without weights,

@@ -211,7 +211,7 @@ def test_noisy_rows_weigh_less_but_not_by_their_own_noise():
     weights = train.trust(data, train.typical_radiance(data))[:, 0].numpy()
     assert weights.mean() == pytest.approx(1.0, rel=1e-5)
     # A target is the mean of two halves, with half their variance; the scale is 1 + 1/4.
-    expected = (0.5 * 9.0 / 1.25 + train.NOISE_LEAST) / (0.5 * 0.01 / 1.25 + train.NOISE_LEAST)
+    expected = (0.5 * 9.0 / 1.25 + train.NOISE_FLOOR) / (0.5 * 0.01 / 1.25 + train.NOISE_FLOOR)
     assert weights[0] / weights[-1] == pytest.approx(expected, rel=0.1)
     assert np.ptp(weights[:5000]) == np.ptp(weights[5000:]) == 0.0
 

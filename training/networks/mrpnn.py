@@ -20,12 +20,12 @@ ORDERS = (1, 2, 3, 4, 6, 9, 14, 24, 48, 100, 250, 800)
 # Scales of extinction at which transmittance towards the sun, and ahead, enters.
 SUN_SCALES = tuple(0.578**k for k in (0, 1, 2, 3, 4, 5, 6, 8))
 AHEAD_SCALES = (1.0, 0.334, 0.1)
-LOG_RADIANCE_MOST = 4.0
+MAX_LOG_RADIANCE = 4.0
 # Points of the sparse stencil, per layer.
 LAYERS = [n // SPARSE for n in LAYER_POINTS]
 POINTS = sum(LAYERS)
 # Added before logarithms of layers' mean densities and of the light ahead.
-POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
+POOLED_OFFSET, AHEAD_OFFSET = 3e-4, 1e-3
 #: Light features: values ahead on the ray, logarithms of fluence around the point, and fluxes there.
 AHEAD = ray_features.COLUMNS - 2
 LOGS = scattered_fluence.PROBES + 1
@@ -122,7 +122,7 @@ class RayMRPNN(nn.Module):
     def assemble(self, stencil, ray, anisotropy, gamma):
         """The inputs (N, k) without the angles, and the angles (N, 8), before standardisation."""
         with torch.autocast("cpu", enabled=False):
-            pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
+            pooled = torch.log(stencil @ self.pooling + POOLED_OFFSET)
         tau_sun = ray[:, :1].clamp(0.0, MAX_TAU_SUN)
         tau_ahead = ray[:, 1:2].clamp(0.0, MAX_TAU_AHEAD)
         ahead, logs, fluxes = ray[:, 2:].split([AHEAD, LOGS, FLUXES], dim=1)
@@ -136,7 +136,7 @@ class RayMRPNN(nn.Module):
             dim=1,
         )
         x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
-        x += [ahead, torch.log(ahead + AHEAD_LEAST), torch.log1p(tau_ahead)]
+        x += [ahead, torch.log(ahead + AHEAD_OFFSET), torch.log1p(tau_ahead)]
         x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), logs, torch.exp(logs), fluxes]
         return torch.cat(x, dim=1), angles
 
@@ -150,7 +150,7 @@ class RayMRPNN(nn.Module):
         for layer in self.hidden:
             h = h + torch.relu(layer(h))
         y = self.last(h) + self.skip(ray[:, 2 + AHEAD :][:, :LOGS])
-        return torch.exp(y.float().clamp(max=LOG_RADIANCE_MOST))
+        return torch.exp(y.float().clamp(max=MAX_LOG_RADIANCE))
 
     def forward(self, stencil, ray, anisotropy, gamma, albedo):
         """Radiance (A, N) for albedos (A, N); the other inputs as `inputs` returns them."""
@@ -190,7 +190,7 @@ class RayMRPNN(nn.Module):
         for layer in self.hidden:
             h = g.op("Add", h, g.relu(g.linear(h, layer)))
         y = g.op("Gemm", logs, g.constant(self.skip.weight), g.linear(h, self.last), transB=1)
-        y = g.op("Min", y, g.number(LOG_RADIANCE_MOST))
+        y = g.op("Min", y, g.number(MAX_LOG_RADIANCE))
         powers = g.op("Pow", g.column("albedo"), g.constant(np.array([ORDERS], np.float32)))
         radiance = g.op("MatMul", powers, g.op("Transpose", g.op("Exp", y), perm=[1, 0]))
         g.output("radiance", radiance, ["A", "N"])
@@ -205,13 +205,13 @@ class RayMRPNN(nn.Module):
             return g.op("Log", g.op("Add", x, g.number(1.0)))
 
         pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
-        pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
+        pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_OFFSET)))
         tau_sun, tau_ahead, ahead, logs, fluxes = g.split("ray", [1, 1, AHEAD, LOGS, FLUXES], axis=1)
         tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(MAX_TAU_SUN))
         tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(MAX_TAU_AHEAD))
         ahead = g.relu(ahead)
         x = [pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
-        x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead)]
+        x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_OFFSET))), log1p(tau_ahead)]
         x += [scaled_exp(tau_ahead, AHEAD_SCALES)]
         x += [logs, g.op("Exp", logs), fluxes]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")

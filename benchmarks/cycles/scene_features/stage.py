@@ -83,10 +83,10 @@ def make_stage(folder: Path, cloud_file: Path, size: int) -> Stage:
     return Stage(scene, cloud, shader, sun, camera, folder)
 
 
-def aim(camera, location, at=Vector((0.0, 0.0, 0.0))):
+def aim(camera, location, at=(0.0, 0.0, 0.0)):
     """Put a camera somewhere, looking at a point."""
     camera.location = location
-    camera.rotation_euler = (location - at).to_track_quat('Z', 'Y').to_euler()
+    camera.rotation_euler = (location - Vector(at)).to_track_quat('Z', 'Y').to_euler()
 
 
 def fog(data, name, density=DENSITY):
