@@ -30,9 +30,10 @@ class ScatteringGroup:
 class RenderCache:
     """Networks, grids, predictors and scattered emission of earlier renders, keyed by what they were made from.
 
-    Never out of date, and safe to share between renders on several threads. Holds every network that was asked for, and
-    the rest as of the last render, until it is dropped. Every method raises Cancelled. any_view: whether lookup
-    lattices cover the whole of a volume, so that they serve other views too, rather than the part that one view shows.
+    Never out of date, as long as the arrays of rendered volumes are not modified in place. Safe to share between
+    renders on several threads. Holds every network that was asked for, and the rest as of the last render, until it is
+    dropped. Every method raises Cancelled. any_view: whether lookup lattices cover the whole of a volume, so that they
+    serve other views too, rather than the part that one view shows.
     """
 
     def __init__(self, any_view: bool = True):

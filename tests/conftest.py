@@ -46,8 +46,9 @@ def pytest_collection_modifyitems(config, items):
     _longest_first(items)
     # -k and -m choose among them.
     yield
-    # A file or test that is named is run as it is.
-    if not (config.option.all or config.option.markexpr or any(".py" in name for name in config.args)):
+    # A file or test that is named runs with all that is in it.
+    named = any(name.partition("::")[0].endswith(".py") for name in config.args)
+    if not (config.option.all or config.option.markexpr or named):
         _leave_out(config, items)
 
 

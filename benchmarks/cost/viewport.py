@@ -1,11 +1,11 @@
-"""How soon the viewport's preview shows something: seconds to its first and to its last picture.
+"""How soon the viewport's preview shows a picture: seconds to its first and to its last one.
 
     python -m benchmarks.cost.viewport [--size 480 270] [--voxels 128] [--depth-samples 8]
 
-A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with what is
-kept from before. "Wall" is seconds; "processor" is seconds of all threads together, which a busy machine
-stretches less; "share" is the processor's seconds to the first picture over those of a whole render of the same
-view with nothing kept, in the same run. Reading the scene, for which Blender waits, stands apart.
+A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with the render cache
+of the rows before. "Wall" is wall-clock seconds; "processor" is processor seconds of all threads, which a busy machine
+affects less; "share" is the processor seconds to the first picture over those of a whole render of the same view
+without a cache, in the same run. Reading the scene, for which Blender waits, is told separately.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def clock():
 
 
 def since(start):
-    """(wall, processor) seconds since a clock's reading."""
+    """(wall, processor) seconds since a reading of `clock`."""
     return tuple(now - then for now, then in zip(clock(), start))
 
 
@@ -56,7 +56,8 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     scene, volume, shader = make_scene(path, size, "density", y_up=False)
     fit(scene, volume, shader, package.scene.reader.read_scene, OPTICAL_DEPTH)
     sun = next(item for item in scene.objects if item.type == 'LIGHT')
-    reader, prepared = package.volumes.reader.VolumeReader(), package.engine.preview.Prepared(addon.inference.RenderCache())
+    reader = package.volumes.reader.VolumeReader()
+    prepared = package.engine.preview.Prepared(addon.inference.RenderCache())
 
     def read():
         bpy.context.view_layer.update()
@@ -105,7 +106,7 @@ def main():
     try:
         with tempfile.TemporaryDirectory() as folder:
             measure(addon, tuple(arguments.size), arguments.voxels, arguments.depth_samples, folder)
-        print(f"made by {made_by(PROGRAM)}")
+        print(made_by(PROGRAM))
     finally:
         addon.unregister()
 

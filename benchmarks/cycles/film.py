@@ -122,7 +122,7 @@ def page(found, options) -> str:
     width, height = options.size
     lines = [
         "# A film", "",
-        f"Made by {found['made_by']}.", "",
+        found["made_by"], "",
         "A sequence of `.vdb` files, rendered by the extension in Blender. Some of its frames are compared with Cycles",
         f"{bpy.app.version_string} at {options.scale} % of the size, in two renders with {options.samples} samples",
         "per pixel each, so that Cycles' own noise does not count.",

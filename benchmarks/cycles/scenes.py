@@ -59,6 +59,7 @@ def main(arguments=None) -> int:
 
 def write_cloud(path: Path) -> None:
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+
     from training.data.volumes import make_volume
 
     demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
@@ -127,7 +128,7 @@ def picture(name: str) -> Path:
 
 
 def sources(results) -> list:
-    """What made the figures, as `made_by` tells it, each once."""
+    """The sentences on what made the figures, each once."""
     return list(dict.fromkeys(found["made_by"] for found in results.values() if "made_by" in found))
 
 
@@ -135,7 +136,7 @@ def page(results) -> str:
     """The page's text."""
     lines = [
         "# Scenes against Cycles", "",
-        *(f"Made by {line}." for line in sources(results)), "",
+        *sources(results), "",
         f"Each scene is rendered by the extension and, twice and independently, by Cycles {bpy.app.version_string}",
         "with 1024 bounces, no clamping and no denoising; errors do not count Cycles' noise",
         "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",

@@ -122,7 +122,7 @@ def main(arguments=None) -> int:
             continue
         say("\n" + table)
     say(f"pictures are in {os.path.relpath(options.out)}")
-    say(f"made by {made_by('benchmarks.demo', arguments)}")
+    say(made_by("benchmarks.demo", arguments))
     return 1 if failed else 0
 
 

@@ -14,7 +14,7 @@ MARGIN = 0.97
 LENS_DEGREES = 32.0
 VIEW_FROM = Vector((0.35, -1.0, 0.12))
 SUN_FROM = Vector((-0.85, -0.2, 0.6))
-# The generated cloud's seed; one of those that no training uses.
+# Seed of the generated cloud; no training uses it.
 CLOUD_SEED = 1_000_011
 CLOUD_CELLS = 192
 
@@ -39,7 +39,7 @@ def write_grid(path: Path, density: np.ndarray, openvdb) -> None:
 
 
 def make_scene(path: Path, size, grid_name: str, y_up: bool):
-    """An otherwise empty scene that shows the volume file lit by a sun; gives (scene, volume object, shader).
+    """An otherwise empty scene with the volume file, lit by a sun; gives (scene, volume object, shader).
 
     size: (width, height) in pixels.
     """
@@ -69,8 +69,8 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
 def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     """Scale the volume to edge EDGE around the origin, set its density, and frame it.
 
-    read_scene: the extension's own reader, so that the demo sees the file as the render does.
-    optical_depth: of EDGE at the grid's densest (99.9th percentile of what is not empty).
+    read_scene: the extension's reader, so that the demo reads the file as the render does.
+    optical_depth: of EDGE at the grid's densest (99.9th percentile of the voxels above 0).
     """
     grid, _ = read_scene(bpy.context.evaluated_depsgraph_get()).volumes[0]
     corners = _corners(grid)
@@ -79,7 +79,7 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     centre = Vector((corners.max(axis=0) + corners.min(axis=0)) / 2)
     volume.scale = (scale,) * 3
     volume.location = -scale * centre
-    # Densities of the material per world unit, whatever the object's scale.
+    # The material's density is per world unit, whatever the object's scale.
     volume.data.render.space = 'WORLD'
     values = getattr(grid.density, "values", grid.density)
     densest = np.percentile(values[values > 0], 99.9)

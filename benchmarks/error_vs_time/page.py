@@ -64,7 +64,7 @@ def counted(results) -> list:
 
 
 def sources(results) -> list:
-    """What made the figures, as `made_by` tells it, each once."""
+    """The sentences on what made the figures, each once."""
     return list(dict.fromkeys(result["made_by"] for result in results if "made_by" in result))
 
 
@@ -90,7 +90,7 @@ def page(results, wanted: int) -> str:
     size = results[0]["case"]["size"]
     parts = [
         "# Error against run time\n",
-        *(f"Made by {line}.\n" for line in sources(results)),
+        *(f"{sentence}\n" for sentence in sources(results)),
         f"{len(results)} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
         f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "

@@ -73,7 +73,7 @@ def main(options=None):
         measured += found
         # After each view, so that a run that is stopped leaves what it has.
         write_csv(arguments.out / "fidelity.csv", measured, source)
-        facts = f"Made by {source}. {arguments.depth_samples} depth samples."
+        facts = f"{source} {arguments.depth_samples} depth samples."
         text = tables.document(measured, published_network(), facts)
         (arguments.out / "fidelity.md").write_text(text)
 

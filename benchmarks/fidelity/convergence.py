@@ -13,12 +13,11 @@ import pathlib
 
 import matplotlib
 
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
 from ..support import pages
 from ..support.provenance import made_by
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-
 
 PROGRAM = "benchmarks.fidelity.convergence"
 HEAD = ["network", "volumes", "rows", "rows_seen", "held_rmse", "held_bias"]

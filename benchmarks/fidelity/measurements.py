@@ -17,6 +17,7 @@ from . import pictures
 from .references import relative_variance, seconds_per_sample
 from .views import MASK_ALPHA, View
 
+
 @dataclass
 class Measurement:
     """One system on one view.

@@ -3,7 +3,6 @@
 import functools
 import itertools
 import pathlib
-from typing import List, Tuple
 
 import numpy as np
 
@@ -40,7 +39,7 @@ def real_density(name: str) -> np.ndarray:
     return np.maximum(density, 0.0) / density.max()
 
 
-def real_views(size: int, samples: int, folder: pathlib.Path) -> Tuple[List[View], List[pathlib.Path]]:
+def real_views(size: int, samples: int, folder: pathlib.Path) -> tuple[list[View], list[pathlib.Path]]:
     """Every volume at every optical thickness, at the strongest and no anisotropy, in every light.
 
     size: pixels per edge; samples: paths per pixel in each half; folder: of references. Gives the views and the files

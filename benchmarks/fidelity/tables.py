@@ -59,7 +59,7 @@ class Measured:
 
 
 def summary(measured: Measured) -> str:
-    """Each system over the views that all systems were measured on, so that means compare."""
+    """Each system over the views that all systems were measured on, so that means are comparable."""
     common = set.intersection(*({m.view for m in measured.all if m.system == s} for s in measured.systems))
     every = {m.view for m in measured.all}
     rows = []
@@ -73,7 +73,7 @@ def summary(measured: Measured) -> str:
                     percent(_mean(m.bias for m in found)), f"{percent(worst.bias)} ({worst.view})",
                     f"{_mean(m.paper for m in found):.2f}", f"{_mean(m.seconds for m in found):.1f}",
                 ])
-    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds a frame"]
+    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds per frame"]
     return table(head, rows)
 
 
@@ -141,7 +141,7 @@ def table1(measured: Measured) -> str:
     head = ["volume", "light", *measured.systems]
     return (
         "Error: relative RMSE (95 %) · the paper's metric\n\n" + table(head, errors)
-        + "\nSeconds a frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
+        + "\nSeconds per frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
     )
 
 
@@ -184,7 +184,7 @@ def document(measurements, published: dict, source: str) -> str:
         parts += ["## Independent references\n", independent_tables(measured, published)]
     parts += [
         f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
-        "The boost against RPNN is the ratio of seconds a frame at equal samples, as in the paper. That against the "
+        "The boost against RPNN is the ratio of seconds per frame at equal samples, as in the paper. That against the "
         "path tracer is the time in which its noise would be as large as the system's whole error, over the "
         "system's seconds.\n",
         table1(measured),

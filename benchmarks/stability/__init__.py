@@ -1,1 +1,1 @@
-"""What extreme scenes do to a render, each against an independent result and within a stated bound."""
+"""Extreme scenes and single stages, each against an independent result and within a stated bound."""

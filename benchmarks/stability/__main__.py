@@ -24,7 +24,7 @@ CASES = [case for part in (densities, files, placements, lights, stages, laws, r
 
 
 def measure(case) -> Outcome:
-    """The case's outcome; a warning of numpy's or an exception is none."""
+    """The case's outcome; an empty one where it warns or raises."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:

@@ -1,4 +1,4 @@
-"""What holds in every scene: renders with the shipped network against each other, and against the path tracer."""
+"""What holds in every scene: renders with the shipped network, against each other and against the path tracer."""
 
 import functools
 from dataclasses import replace
@@ -7,8 +7,8 @@ import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from inference.network.predictor import MAX_FLUENCE
 from inference.network.network import register_system
+from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome, unsound
@@ -69,7 +69,7 @@ def coloured():
 
 
 def large_image():
-    """8192 × 8192 pixels, a tenth of a thousandth of which show something, against that part rendered alone."""
+    """8192 × 8192 pixels, one in 10 000 of which shows something, against that part rendered alone."""
     view = camera(pixels=8192, fov=2.9)
     whole = draw(view=view, settings=Settings(1))
     rows, columns = np.nonzero(whole.alpha)
@@ -88,7 +88,7 @@ def black():
 
 
 def bounded(**changed):
-    """No more than the largest fluence of a conservative medium, where the phase function peaks."""
+    """At most what the largest fluence of a conservative medium scatters at the phase function's peak."""
     def measure():
         layer = draw(**changed)
         medium = changed.get("medium", MEDIUM)
@@ -125,10 +125,10 @@ def more_depths():
 
 
 def furnace(anisotropy: float):
-    """Albedo 1 under an even sky of radiance 1 looks like the sky; here 14 suns are the sky."""
+    """Albedo 1 under an even sky of radiance 1 looks like the sky, which 14 suns approximate."""
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = [tuple(sign * (i == axis) for i in range(3)) for axis in range(3) for sign in (-1, 1)]
-    # Weights with which these 14 integrate polynomials of degree 5 over the sphere.
+    # The weights of the quadrature that integrates polynomials of degree 5 over the sphere.
     suns = [Sun(d, 4 * np.pi * 3 / 40) for d in corners] + [Sun(d, 4 * np.pi / 15) for d in faces]
 
     def measure():
@@ -141,7 +141,7 @@ def furnace(anisotropy: float):
 
 
 def traced(**changed):
-    """The network's picture against two independent halves of the path tracer's, whose noise does not count."""
+    """The network's picture against two independent halves by the path tracer, whose noise does not count."""
     def measure():
         from training.reference import PathTracer
 

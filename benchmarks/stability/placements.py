@@ -1,4 +1,4 @@
-"""Where volumes and cameras are, and how they are turned, scaled and sheared."""
+"""Volumes and cameras in extreme places, turned, scaled and sheared."""
 
 import numpy as np
 

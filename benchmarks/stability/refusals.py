@@ -1,4 +1,4 @@
-"""What cannot be rendered, and the words that say so."""
+"""Input that must be refused, and what the message must say."""
 
 import numpy as np
 

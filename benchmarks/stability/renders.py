@@ -1,7 +1,7 @@
 """Small renders against double precision: alpha and single scattering, which hold nothing learned."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Callable, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -31,20 +31,20 @@ class RenderSpec:
     is not all of it.
     """
 
-    volume: Union[Volume, np.ndarray, Callable[[], Volume]]
+    volume: Volume | np.ndarray | Callable[[], Volume]
     sigma_t: float = 10.0
-    view: Optional[Camera] = None
+    view: Camera | None = None
     suns: Sequence[Sun] = (SUN,)
     anisotropy: float = 0.0
     albedo: float = 0.5
-    visible: Optional[Volume] = None
+    visible: Volume | None = None
 
     def placed_volume(self) -> Volume:
         if callable(self.volume):
             return self.volume()
         return self.volume if isinstance(self.volume, Volume) else placed(self.volume)
 
-    def exact(self, volume: Volume, view: Camera) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def exact(self, volume: Volume, view: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Alpha (R,), single scattering (R,) and single scattering without shadows (R,), in double precision."""
         alpha, transmittance = exact_view(self.visible or volume, self.sigma_t, self.suns, view)
         cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in self.suns]).T

@@ -1,18 +1,18 @@
-"""Each stage in the precision that renders use, against the same in double precision or a closed form."""
+"""Each stage in the precision of renders, against double precision or a closed form."""
 
 import numpy as np
 
 from inference import Medium
-from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.features.phase_features import cumulative_phase
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.marching.ray_march import mean_transmittance
-from inference.features.phase_features import cumulative_phase
-from inference.scene.phase_function import henyey_greenstein
-from inference.marching.ray_features import SampleSteps, gather_ray_features
-from inference.marching.ray_steps import Blocks
 from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.marching.ray_features import SampleSteps, gather_ray_features
+from inference.marching.ray_march import mean_transmittance
+from inference.marching.ray_steps import Blocks
+from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome
 from .exact import ExactVolume
@@ -92,7 +92,7 @@ def cones():
 
 
 def mass():
-    """What the working frame's 256³ cells and their pyramid hold, against the voxels."""
+    """The mass in the working cube's 256³ cells and in their pyramid, against that of the voxels."""
     volume = placed(np.exp(12.0 * np.random.default_rng(3).random((20, 14, 17))))
     cube = fit_cube(volume)
     cells = level0_density(volume, cube)
@@ -103,7 +103,7 @@ def mass():
 
 
 def half_floats():
-    """The viewport's picture is stored in half precision, the only place."""
+    """The viewport's picture, which alone is stored in half precision."""
     values = np.float32(10.0) ** np.linspace(-4, 4.8, 1000, dtype=np.float32)
     return Outcome({"largest": float(np.abs(values.astype(np.float16).astype(np.float32) / values - 1).max())})
 

@@ -1,8 +1,7 @@
-"""Pictures for people: view-transformed images, signed error maps, captioned rows of both."""
+"""Pictures to look at: view-transformed images, signed error maps, captioned rows of both."""
 
 import tempfile
 from pathlib import Path
-from typing import List, Tuple
 
 import bpy
 import numpy as np
@@ -50,14 +49,14 @@ def pixels(image_name: str) -> np.ndarray:
 
 
 def signed_map(error: np.ndarray, limit: float) -> Image.Image:
-    """(H, W) as colour: red too bright, blue too dark, white right, full colour at `limit`."""
+    """(H, W) as colours: red where too bright, blue where too dark, white at 0, saturated at `limit`."""
     share = np.clip(error / limit, -1.0, 1.0)[..., None]
     colour = np.where(share > 0, TOO_BRIGHT, TOO_DARK)
     mapped = 1.0 + np.abs(share) * (colour - 1.0)
     return Image.fromarray((255 * mapped + 0.5).astype(np.uint8))
 
 
-def row(panels: List[Tuple[str, Image.Image]], height: int) -> Image.Image:
+def row(panels: list[tuple[str, Image.Image]], height: int) -> Image.Image:
     """Pictures side by side at one height, each under its caption."""
     scaled = [(caption, picture.resize((round(picture.width * height / picture.height), height), Image.LANCZOS
                                        if picture.height > height else Image.NEAREST))

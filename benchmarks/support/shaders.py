@@ -1,4 +1,4 @@
-"""Materials of one shader, for the scenes of benchmarks."""
+"""Materials with a single shader, for the scenes of the benchmarks."""
 
 import bpy
 

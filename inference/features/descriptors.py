@@ -80,7 +80,9 @@ class FieldLookup:
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers int (V,) of the rows (N, k) that differ from the previous one, and int32 (N,) which of them each row
+    """Run-length encoding of rows (N, k).
+
+    Returns the numbers int (V,) of the rows that differ from the previous one, and int32 (N,) which of them each row
     equals.
     """
     new = np.ones(len(rows), bool)

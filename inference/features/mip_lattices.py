@@ -118,8 +118,9 @@ class Lattices:
         return self.values.itemsize // 2
 
     def read(self, index: np.ndarray, features: np.ndarray) -> None:
-        """Fill features, float32 (N, k, columns), with density and, if stored, transmittance at places (N, k) in
-        `values`.
+        """Fill features, float32 (N, k, columns), with density and, if stored, transmittance.
+
+        index: (N, k), places in `values`.
         """
         # The lattices contain every cell that a stencil can read; clipping is cheaper than checking.
         steps = self.values.take(index, mode="clip").view(np.uint16)

@@ -47,9 +47,7 @@ class Stencil:
 
     @classmethod
     def read(cls, values: np.ndarray, every: int = 1) -> "Stencil":
-        """From the floats (640,), or (160,) of a sparse stencil, that `written` gives. Raises ValueError for other
-        sizes.
-        """
+        """From the floats that `written` gives. Raises ValueError for another number of them."""
         low = 3 * (LOW_POINTS // every)
         return cls(values[:low].reshape(-1, 3), values[low:], every)
 

@@ -62,9 +62,9 @@ class Squares:
 
     def known_pixels(self) -> np.ndarray:
         """bool (P,): corners and centres."""
-        look = np.zeros(self.size, bool)
-        look[self.known] = True
-        return look
+        known = np.zeros(self.size, bool)
+        known[self.known] = True
+        return known
 
     def centres(self, values: np.ndarray) -> np.ndarray:
         """(S,), values (P,) at the centres."""

@@ -63,7 +63,7 @@ def march_tile(
 ) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
-    Returns the depth samples of all its rays, or None if no ray meets a volume. Raises Cancelled, and SceneError for
+    Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
     """
     report, settings = context.report, context.settings
@@ -75,8 +75,8 @@ def march_tile(
     longest = counts.max()
     if longest > MAX_STEPS:
         raise SceneError(
-            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
-            "another; render volumes of so different sizes in view layers of their own"
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
+            "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
@@ -143,6 +143,7 @@ def estimate_march(
 
 
 def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
+    """What is gathered along the rays of a channel pass."""
     return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
                         scene.plan.groups, context.settings.leave_out)
 
@@ -205,7 +206,7 @@ class _Shading:
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
         phase[..., self.extended], ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
-        # Light from ahead is attenuated along the whole ray, wherever on it it scatters.
+        # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
         straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
         single = segment.single * phase
@@ -260,10 +261,10 @@ def _ray_intervals(
     plan: Plan, media: Sequence[BoundMedium], origins: np.ndarray, directions: np.ndarray,
     clip: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Distances (P,) between which each ray meets any medium that attenuates or emits, near > far on a miss, and
-    warnings.
+    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
 
-    clip: distances (P,) to the near and the far clipping plane. Volumes that the near one cuts cause a warning.
+    near > far on a miss. clip: distances (P,) to the near and the far clipping plane. Volumes that the near plane cuts
+    cause a warning.
     """
     clip_near, clip_far = clip
     near, far, warnings = np.full(len(origins), np.inf), np.full(len(origins), -np.inf), []
@@ -274,9 +275,9 @@ def _ray_intervals(
                 warnings.append(f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
                                 "Cycles would not render it there at all")
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            meets = enter < leave
-            near[meets] = np.minimum(near[meets], enter[meets])
-            far[meets] = np.maximum(far[meets], leave[meets])
+            hits = enter < leave
+            near[hits] = np.minimum(near[hits], enter[hits])
+            far[hits] = np.maximum(far[hits], leave[hits])
     return near, far, warnings
 
 

@@ -70,13 +70,13 @@ class ExtendedLights:
 def equivalent_directions(
     camera: Camera, pixel: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
 ) -> np.ndarray:
-    """Camera rays equivalent_directions towards or away from the sun, such that the phase function takes its mean over
-    the sun's extent.
+    """Camera rays, rotated such that the phase function at one direction of light takes its mean over the sun's extent.
 
     A network that knows a single direction of light then predicts approximately the mean over the extent. The phase
-    function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power. pixel: int (N,) of
-    the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the plane of ray and
-    sun.
+    function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power.
+
+    pixel: int (N,) of the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the
+    plane of ray and sun.
     """
     g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     if abs(g) < MIN_ANISOTROPY:
@@ -96,8 +96,9 @@ def _means(
     directions: np.ndarray, sun: Sun, phase: Callable[[np.ndarray], np.ndarray], split_forward: bool,
     cancel: CancelToken,
 ) -> np.ndarray:
-    """Means (P, 2) of a phase function over the sun's extent at unit directions (P, 3): without the light ahead, and of
-    it.
+    """Means (P, 2) of a phase function over the sun's extent: without the light from ahead, and of that light.
+
+    directions: unit (P, 3) of the camera rays.
     """
     assert sun.spread is not None
     towards, weights = sun.spread

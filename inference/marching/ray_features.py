@@ -76,9 +76,7 @@ def gather_ray_features(
         ahead = np.minimum(whole[blocks.ray[block]] - at, MAX_TAU_AHEAD)
 
         def integral(a: float, light: np.ndarray) -> np.ndarray:
-            """(M,) integral of exp(-a tau) light a d(tau) ahead of the samples; light: (P, S), constant in each
-            step.
-            """
+            """Integral (M,) of exp(-a tau) light a d(tau) ahead of the samples; light: (P, S), of each step."""
             # Contributions of whole steps at the start of the ray, then suffix sums: within the block, and over later
             # blocks.
             given = light * ends[a]

@@ -165,9 +165,7 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
 def ray_features_at(
     medium: BoundMedium, positions: np.ndarray, directions: np.ndarray, fluence: ScatteredFluence
 ) -> RayFeatures:
-    """Ray features at the start of rays from world positions (N, 3) along unit directions (N, 3), in one medium
-    alone.
-    """
+    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), in one medium alone."""
     _, far = medium.grid.interval(positions, directions)
     far = np.maximum(far, 1e-6 * medium.grid.voxel)
     rays = RayBatch(positions, directions, np.zeros(len(positions)), far)
@@ -187,8 +185,9 @@ def _cut_into_steps(
     media: Sequence[BoundMedium], rays: RayBatch, behind: float, always_first: bool = False,
     refinements: int = REFINEMENTS, skip_empty: bool = True,
 ) -> _MarchedMedium:
-    """Cut rays into steps, refined where these are too thick, and sample the medium up to the optical depth
-    `behind`.
+    """Cut rays into steps, refined where these are too thick, and sample the medium on them.
+
+    behind: optical depth beyond which the medium is not sampled.
     """
     count = step_counts(media, rays)
     thick = step_thickness(media) > MAX_STEP_THICKNESS
@@ -247,8 +246,9 @@ def _sample_depths(
 def _sun_depths(
     media: Sequence[BoundMedium], medium: _MarchedMedium, filled: np.ndarray, may_be_outside: bool = False
 ) -> np.ndarray:
-    """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps, (P,
-    STEPS).
+    """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps.
+
+    filled: bool (P, STEPS).
     """
     volumes, suns = len(media), len(media[0].sun_depths)
     ends = np.zeros((len(filled), STEPS + 1), bool)
@@ -304,12 +304,12 @@ def _scattered_source(
         filled = np.flatnonzero(sigma[v])
         number = step.reshape(-1)[filled]
         ray_of = np.repeat(ray, STEPS)[filled]
-        places = frames.index(known, ray_of, number + np.float32(0.5))
+        indices = frames.index(known, ray_of, number + np.float32(0.5))
         # Jittered from step to step, so that neighbouring rays do not enter a cell at the same step, which would be
         # visible.
         jitter = number.astype(np.float32) * JITTER
-        places += jitter - np.floor(jitter) - np.float32(0.5)
-        cells, towards = one.cells(places), one.towards(rays.directions).take(ray_of, axis=0)
+        indices += jitter - np.floor(jitter) - np.float32(0.5)
+        cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
         for l, values in enumerate(one.lights):
             found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
             source[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0))

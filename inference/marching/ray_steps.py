@@ -105,9 +105,9 @@ class RaySteps:
         """
         along = step.astype(np.float32) * self.dt[ray].reshape(-1, *[1] * (step.ndim - 1))
         shape = (3, len(ray)) + (1,) * (step.ndim - 1)
-        places = along * self.slope[v].take(ray, axis=1).reshape(shape)
-        places += self.first[v].take(ray, axis=1).reshape(shape)
-        return places.reshape(3, -1)
+        indices = along * self.slope[v].take(ray, axis=1).reshape(shape)
+        indices += self.first[v].take(ray, axis=1).reshape(shape)
+        return indices.reshape(3, -1)
 
     def mean(
         self, sample: Callable[[np.ndarray], np.ndarray], v: int, ray: np.ndarray, number: np.ndarray
@@ -117,8 +117,8 @@ class RaySteps:
         sample: values (M,) at indices (3, M) into frame v. ray, number: (N,), of each block its ray and its place on
         it.
         """
-        places = (np.arange(STEPS * SAMPLES, dtype=np.float32) + np.float32(0.5)) / np.float32(SAMPLES)
-        values = sample(self.index(v, ray, (number * STEPS)[:, None] + places)).reshape(-1, STEPS, SAMPLES)
+        samples = (np.arange(STEPS * SAMPLES, dtype=np.float32) + np.float32(0.5)) / np.float32(SAMPLES)
+        values = sample(self.index(v, ray, (number * STEPS)[:, None] + samples)).reshape(-1, STEPS, SAMPLES)
         return product(values, np.full(SAMPLES, 1.0 / SAMPLES, np.float32))
 
 

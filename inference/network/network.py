@@ -130,7 +130,7 @@ def load_network(name: str, provider: str = "CPU") -> System:
     available = ", ".join(available_models()) or "none"
     if name == "reference":
         raise SceneError(
-            "the path-traced reference is no part of the extension: in the project's repository import "
+            "the path-traced reference is not part of the extension: in the project's repository import "
             f"training.reference first; available here: {available}"
         )
     if name not in available_models():

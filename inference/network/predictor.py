@@ -55,8 +55,9 @@ class VolumePredictor:
     def warnings(
         self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS
     ) -> list[str]:
-        """Properties of a medium and of occluders that the network does not support; name: of the volume, for
-        messages.
+        """Properties of a medium and of occluders that the network does not support.
+
+        name: of the volume, for the messages.
         """
         found, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:

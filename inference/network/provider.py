@@ -37,10 +37,10 @@ class OpenedSession:
 
 
 def open_session(content: bytes, provider: str) -> OpenedSession:
-    """Open the network in an ONNX file's `content` with `provider`, or on the processor if that is unavailable or
-    inaccurate.
+    """Open the network in an ONNX file's `content` with a provider.
 
-    Raises SceneError for an unknown provider and if onnxruntime is missing, and onnxruntime's own errors.
+    The processor takes the place of a provider that is unavailable or inaccurate. Raises SceneError for an unknown
+    provider and if onnxruntime is missing, and onnxruntime's own errors.
     """
     if provider not in PROVIDERS:
         raise SceneError(f"there is no provider called {provider!r}; there are: {', '.join(PROVIDERS)}")

@@ -59,10 +59,9 @@ class DepthBuffer:
         return place, value
 
     def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
-        """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row; infinity without a
-        surface.
+        """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row.
 
-        Raises Cancelled.
+        Infinity where there is no surface. Raises Cancelled.
         """
         x0, y0, x1, y1 = window
         size = np.array([x1 - x0, y1 - y0]) * SAMPLES

@@ -79,8 +79,9 @@ class Plan:
             for v in self.groups[group])
 
     def in_small_tiles(self, camera: Camera) -> "Plan":
-        """The plan for a network whose lookup lattices serve every sun: small tiles then show results early at no
-        cost.
+        """The plan in smaller tiles, for networks whose lookup lattices serve every sun.
+
+        Small tiles show results early, and cost such networks nothing.
         """
         x0, y0, x1, y1 = camera.window
         tiles = make_tiles(y0, y1, small_tile_rows(x1 - x0, y1 - y0))
@@ -164,8 +165,9 @@ def attenuates(volume: Volume, medium: Medium) -> bool:
 
 
 def make_tiles(y0: int, y1: int, rows: int) -> list[tuple[int, int]]:
-    """Rows of pixels from y0 to y1 in tiles of approximately `rows`, each made of whole bands: first and end of
-    each.
+    """Rows of pixels from y0 to y1 in tiles of approximately `rows`: first and end of each.
+
+    Tiles consist of whole bands.
     """
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]

@@ -73,8 +73,9 @@ class TilePlan:
         return found
 
     def rows(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield rows of blocks from the sun on: number, bool (tiles, tiles) that it changes, and that it leaves for
-        good.
+        """Yield rows of blocks from the sun on: number, and bool (tiles, tiles) that it changes and that it leaves.
+
+        A row leaves the tiles that the previous row changed and it does not.
         """
         before = np.zeros(self.shape, bool)
         for slab in self.shear.towards_sun(0, len(self.slabs)):

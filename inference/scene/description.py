@@ -15,9 +15,9 @@ from .sparse_grid import SparseGrid
 from .validation import affine_matrix, rgb_triple
 
 # The limit that Cycles has: the phase function degenerates at -1 and 1.
-ANISOTROPY_MOST = 0.999
+MAX_ANISOTROPY = 0.999
 # Brighter light overflows single precision where the phase function peaks.
-IRRADIANCE_MOST = 1e30
+MAX_IRRADIANCE = 1e30
 
 
 @dataclass
@@ -118,8 +118,8 @@ class Medium:
             raise SceneError(f"extinction must not be negative: {self.sigma_t.tolist()}")
         if np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0):
             raise SceneError(f"albedo must lie in [0, 1]: {self.albedo.tolist()}")
-        if not abs(self.anisotropy) <= ANISOTROPY_MOST:
-            raise SceneError(f"anisotropy must lie between -{ANISOTROPY_MOST} and {ANISOTROPY_MOST}, "
+        if not abs(self.anisotropy) <= MAX_ANISOTROPY:
+            raise SceneError(f"anisotropy must lie between -{MAX_ANISOTROPY} and {MAX_ANISOTROPY}, "
                              f"not {self.anisotropy:g}")
         if not 0.0 <= self.emission < np.inf:
             raise SceneError(f"emission must be finite and not negative, not {self.emission:g}")
@@ -159,8 +159,8 @@ class Sun:
             raise SceneError(f"{self.name}: direction must be three finite numbers, not all zero")
         self.direction = direction / length
         self.irradiance = rgb_triple(self.irradiance, f"{self.name}: irradiance")
-        if np.any(self.irradiance < 0.0) or np.any(self.irradiance > IRRADIANCE_MOST):
-            raise SceneError(f"{self.name}: irradiance must not be negative or above {IRRADIANCE_MOST:g}")
+        if np.any(self.irradiance < 0.0) or np.any(self.irradiance > MAX_IRRADIANCE):
+            raise SceneError(f"{self.name}: irradiance must not be negative or above {MAX_IRRADIANCE:g}")
 
 
 @dataclass

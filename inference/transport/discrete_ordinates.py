@@ -166,9 +166,7 @@ class DiscreteOrdinates:
         self._limit_flux(field)
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
-        """Values on cells half as large, interpolated between the centres of the large ones, but not across
-        surfaces.
-        """
+        """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
         return _interpolated(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
     def _limit_flux(self, field: np.ndarray) -> None:
@@ -177,8 +175,9 @@ class DiscreteOrdinates:
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
     def _sweep(self, field: np.ndarray, phases: list[Phases], total: float, cancel: CancelToken) -> np.ndarray:
-        """Fluence and flux (4, x, y, z) of the light emitted by the sources of a field (5, x, y, z): phi, F and
-        beam.
+        """Fluence and flux (4, x, y, z) of the light that the sources of a field (5, x, y, z) emit.
+
+        The field holds phi, F and the beam.
         """
         swept = np.zeros((4, *field.shape[1:]), np.float32)
         for axis, steps in enumerate(STEPS):
@@ -195,8 +194,9 @@ class DiscreteOrdinates:
         self, axis: int, steps: np.ndarray, phase: np.ndarray, sources: np.ndarray, sums: np.ndarray,
         links: np.ndarray | None,
     ) -> None:
-        """Add fluence and flux (slices, 4, b, c) of light along steps (D, 3), all to one side along an axis, to
-        `sums`.
+        """Add fluence and flux of light along steps (D, 3) to `sums` (slices, 4, b, c).
+
+        All steps lead to one side along an axis.
         """
         n, count = len(sources), len(steps)
         kinds = np.abs(steps).sum(axis=1)

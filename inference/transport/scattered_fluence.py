@@ -1,6 +1,4 @@
-"""Fluence and flux of scattered light on coarse cells, as networks read them at points and camera rays along their
-way.
-"""
+"""Fluence and flux of scattered light on coarse cells, for networks at points and for camera rays on their way."""
 
 from dataclasses import dataclass
 
@@ -114,8 +112,9 @@ class ScatteredFluence:
         return max(1.0 - self.anisotropy**2, MIN_REDUCED_FRACTION)
 
     def towards(self, directions: np.ndarray) -> np.ndarray:
-        """Weights float32 (R, 4) of fluence and flux in the light scattered against rays along (R, 3), phi - 3 G' F .
-        omega.
+        """Weights float32 (R, 4) of fluence and flux in the light scattered against rays, phi - 3 G' F . omega.
+
+        directions: (R, 3) of the rays in the world.
         """
         omega = directions @ (self.linear.T / np.linalg.norm(self.linear[0]))
         flux = (-3.0 * reduced_anisotropy(self.anisotropy)) * omega

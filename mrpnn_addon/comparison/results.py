@@ -70,11 +70,13 @@ class Comparison:
     """Figures of all candidates.
 
     rmse, bias, alpha_bias: of the judged image, relative, with 95 % intervals, where its alpha exceeds MASK_ALPHA.
-    paper: the paper's metric over the whole image. noise: relative standard deviation of the reference per pixel, both
-    halves together. layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock. resolution:
-    (width, height). pixels: those in the mask. samples: per pixel in each half. bounces: most scattering events.
-    cycles: Blender's version. rungs: every candidate. equal: against Cycles with and without denoising. path_tracing:
-    its convergence law by clock. marks: caveats about fairness or certainty. warnings: what the layer leaves out.
+    paper: the paper's metric over the whole image.
+    noise: relative standard deviation of the reference per pixel, both halves together.
+    layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock.
+    resolution: (width, height). pixels: those in the mask.
+    samples: per pixel in each half. bounces: most scattering events. cycles: Blender's version.
+    rungs: every candidate. equal: against Cycles with and without denoising. path_tracing: convergence law by clock.
+    marks: caveats about fairness or certainty. warnings: what the layer leaves out.
     """
 
     rmse: Estimate

@@ -21,8 +21,10 @@ DEFAULTS = PathTracing()
 class Reference:
     """Two independent renders of one view.
 
-    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha. seconds: wall-clock time of
-    both, scene preparation included. samples: per pixel in each half. bounces: most scattering events along a path.
+    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha.
+    seconds: wall-clock time of both, scene preparation included.
+    samples: per pixel in each half.
+    bounces: most scattering events along a path.
     version: of the Blender that rendered them.
     """
 

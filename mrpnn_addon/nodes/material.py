@@ -19,9 +19,12 @@ SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
 class Closure:
     """One volume shader at n points.
 
-    weight: float64 (n, 1) or (1, 1), scales both coefficients. scatter, absorb: (n, 3) or (1, 3), per world unit.
-    phase: phase function. grid: name of the grid whose values are `weight`, or "". emission: (n, 3) or (1, 3), radiance
-    per world unit, not scaled by the weight. hot: whether a grid drives a blackbody's temperature.
+    weight: float64 (n, 1) or (1, 1), scales both coefficients.
+    scatter, absorb: (n, 3) or (1, 3), per world unit.
+    phase: phase function.
+    grid: name of the grid whose values are `weight`, or "".
+    emission: (n, 3) or (1, 3), radiance per world unit, not scaled by the weight.
+    hot: whether a grid drives a blackbody's temperature.
     """
 
     weight: np.ndarray

@@ -13,8 +13,9 @@ class Unsupported(Exception):
 class Source:
     """What drives a socket.
 
-    node, output: the node and its output socket; both None where nothing is linked. socket: the input that holds the
-    value where nothing is linked. groups: the enclosing group nodes, outermost first.
+    node, output: the node and its output socket; both None where nothing is linked.
+    socket: the input that holds the value where nothing is linked.
+    groups: the enclosing group nodes, outermost first.
     """
 
     # Quoted: see `objects.visibility.VisibleObject`.

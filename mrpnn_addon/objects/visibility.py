@@ -13,8 +13,10 @@ from ..nodes.material import shows_volume
 class VisibleObject:
     """One visible object or instance.
 
-    object: the evaluated object; valid only until the iterator advances. matrix: float64 (4, 4), object to world. name:
-    for messages. source: the original object, or the one that instances it.
+    object: the evaluated object; valid only until the iterator advances.
+    matrix: float64 (4, 4), object to world.
+    name: for messages.
+    source: the original object, or the one that instances it.
     """
 
     # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then

@@ -22,13 +22,16 @@ NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add
 class SceneDescription:
     """What a render needs of a scene.
 
-    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces. crop: whether the
-    image has the region's size instead of the full frame's. view_layer: its name. frame: its number. environment:
-    whether `suns` include the World's light. warnings: what is left out or approximated, naming each object. left_out:
-    names of visible volumes and lights that are not in the description. unseen: which volumes are invisible, and why.
-    empty: those among them that are empty in this frame; a scene of only such volumes has a description without
-    volumes. refused: user errors of objects or the World, which are left out, naming each. boxes: around the volumes,
-    each with the number of colour channels that differ; for `workload`.
+    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces.
+    crop: whether the image has the region's size instead of the full frame's.
+    view_layer: its name. frame: its number.
+    environment: whether `suns` include the World's light.
+    warnings: what is left out or approximated, naming each object.
+    left_out: names of visible volumes and lights that are not in the description.
+    unseen: which volumes are invisible, and why. empty: those among them that are empty in this frame; a scene of only
+        such volumes has a description without volumes.
+    refused: user errors of objects or the World, which are left out, naming each.
+    boxes: around the volumes, each with the number of colour channels that differ; for `workload`.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)

@@ -34,9 +34,12 @@ class EmptyGrid(SceneError):
 
 @dataclass
 class DensityGrid:
-    """density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only. low: int
-    (3,), the file's index of its first voxel. object_from_index: float64 (4, 4), from index of `density` to object
-    space. warnings: changes made to the data, naming the object.
+    """A grid of density in object space.
+
+    density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only.
+    low: int (3,), the file's index of its first voxel.
+    object_from_index: float64 (4, 4), from index of `density` to object space.
+    warnings: changes made to the data, naming the object.
     """
 
     density: np.ndarray | SparseGrid

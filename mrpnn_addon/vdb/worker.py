@@ -20,11 +20,12 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
     """(facts, pieces) of a grid.
 
     facts: "grids": [name, type, class] of each grid in the file. If the first grid of that name is a fog volume, also
-    "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
-    "first", "count": lower index and number of the leaves around it; "matrix": 4 lists of 4, index to object space,
-    None for a frustum. pieces: yields numbers, int64 (n,), positions in the flattened box of leaves, and values,
-    float32 (n, 8, 8, 8), of all leaves that are not 0; none where the box is inverted or has more than `most_voxels`,
-    or the background is not 0.
+        "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
+        "first", "count": lower index and number of the leaves around it; "matrix": 4 lists of 4, index to object space,
+        None for a frustum.
+    pieces: yields numbers, int64 (n,), positions in the flattened box of leaves, and values, float32 (n, 8, 8, 8), of
+        all leaves that are not 0; none where the box is inverted or has more than `most_voxels`, or the background is
+        not 0.
 
     Raises OpenVDB's exceptions.
     """

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...inference.scene import ANISOTROPY_MOST
+from ...inference.scene import MAX_ANISOTROPY
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
@@ -102,7 +102,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
                          "scattering uses Henyey-Greenstein with their mean cosine"]
     phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
     phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
-    anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
+    anisotropy = float(np.clip(phase.mean_cosine(), -MAX_ANISOTROPY, MAX_ANISOTROPY))
     return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, notes, emission,
                       None if phase.is_henyey_greenstein else phase, power)
 

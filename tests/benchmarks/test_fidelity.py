@@ -54,6 +54,7 @@ def test_variance_is_that_of_one_path():
     assert relative_variance(a, b, mask, samples) == pytest.approx((deviation / 2.0) ** 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_references_are_traced_once(tmp_path):
     view = views.procedural_view(views.ViewSpec("cloud1", "side", size=8, samples=4), 32, tmp_path)
     halves = view.halves()
@@ -67,6 +68,7 @@ def test_references_are_traced_once(tmp_path):
     assert not np.array_equal(other.halves(), halves) and len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
     fidelity.main([
         "--out", str(tmp_path / "out"), "--references", str(tmp_path / "references"), "--views", "procedural",
@@ -76,9 +78,10 @@ def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
     path = tmp_path / "out" / "fidelity.csv"
     rows = pages.read_csv(path)
     (source,) = pages.csv_made_by(path)
-    assert source.startswith("`python -m benchmarks.fidelity --out ") and "commit" in source
+    assert source.startswith("Weights `mrpnn-paper` ") and ", commit " in source
+    assert source.endswith(" --size 16 --samples 16 --cells 32`.")
     checksum = hashlib.sha256((weights / "rpnn.onnx").read_bytes()).hexdigest()[:12]
-    assert f"rpnn {checksum}" in source and f"rpnn {checksum}" in path.with_suffix(".md").read_text()
+    assert f"`rpnn` {checksum}," in source and f"`rpnn` {checksum}," in path.with_suffix(".md").read_text()
     # Two more albedos beside the usual view, which is all that RPNN knows.
     assert [row["system"] for row in rows] == ["mrpnn-paper", "rpnn", "mrpnn-paper", "mrpnn-paper"]
     assert all(float(row["rmse_low"]) <= float(row["rmse"]) <= float(row["rmse_high"]) for row in rows)

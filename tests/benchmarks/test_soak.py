@@ -12,6 +12,7 @@ pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
 
+@pytest.mark.slow
 def test_forty_renders_need_no_more_memory_than_twenty(tmp_path):
     run = subprocess.run([sys.executable, "-m", "benchmarks.stability.soak", "--renders", "40",
                           "--figures", tmp_path / "soak.csv"],

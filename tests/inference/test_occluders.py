@@ -37,7 +37,7 @@ def test_a_wall_bounds_diffusion_as_a_face_of_the_cube_does(axis):
     source[tuple(slice(CELLS // 2, None) if a == axis else slice(None) for a in range(3))] = 0.0
     found = solve(couple(d, 1.0 / CELLS, walls), source)
     expected = solve(couple(d[below], 1.0 / CELLS), source[below])
-    # CellBoundaries are looked for a little off the cells' middles.
+    # Boundaries are sought slightly off the cells' centres.
     np.testing.assert_allclose(found[below], expected, rtol=0.01)
     assert found.sum() == pytest.approx(found[below].sum(), rel=1e-12)
 
@@ -64,7 +64,7 @@ def test_all_light_leaves_through_faces_and_walls():
     assert ((diagonal - inner) * fluence).sum() == pytest.approx(source.sum(), rel=5e-3)
     free = solve(couple(d, 1.0 / CELLS), source)
     assert np.all(fluence <= free * 1.01) and fluence.sum() < 0.8 * free.sum()
-    # Within the ball lookups find what is outside, in the cells next to it.
+    # Inside the ball, lookups read the nearest cells outside.
     assert walls.extrapolate_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
 
 
@@ -88,7 +88,7 @@ def test_no_light_no_scattering(model):
     if model == "mrpnn":
         assert dark.multiple.max() < 2e-3 * lit.multiple.mean()
     else:
-        # It is told of the light at the stencil alone.
+        # It knows the light at the stencil only.
         assert dark.multiple.mean() < 0.5 * lit.multiple.mean()
 
 

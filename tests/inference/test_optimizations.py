@@ -94,5 +94,5 @@ def test_the_report_estimates_the_time_without_optimizations(usual, every_pixel)
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(SceneError, match="no 'noise' to leave out; there are: behind_opaque, .*unread_fields"):
+    with pytest.raises(SceneError, match="no optimization called 'noise'; there are: behind_opaque, .*unread_fields"):
         Settings(leave_out={"noise"})

@@ -17,7 +17,7 @@ from tests.support.volumes import BLACK, SUN, box, camera, cloud
 def test_alpha_of_a_box_is_one_minus_transmittance():
     layer = render([(box((1.0, 1.0, 2.0)), BLACK)], [SUN], camera(projection="orthographic", ortho_scale=0.5))
     np.testing.assert_allclose(layer.alpha, 1 - np.exp(-3.0 * 2.0), rtol=2e-4)
-    # Mean free flight in a slab of optical depth 6, from its face at distance 2.
+    # Mean free-flight distance in a slab of optical depth 6, from its face at distance 2.
     expected = 2.0 + (1 / 3.0) * (1 - 7 * np.exp(-6.0)) / (1 - np.exp(-6.0))
     np.testing.assert_allclose(layer.depth, expected, rtol=5e-3)
     assert np.all(layer.rgb == 0.0)
@@ -28,7 +28,7 @@ def test_alpha_of_a_sphere_follows_its_chords():
     voxels = 96
     axis = (np.arange(voxels) + 0.5) / voxels - 0.5
     r = np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij")))
-    # The surface crosses its voxels: density falls over one of them.
+    # The surface crosses voxels: the density falls off over one of them.
     sphere = box(voxels=voxels)
     sphere.density = np.clip((0.4 - r) * voxels + 0.5, 0.0, 1.0).astype(np.float32)
     view = camera(projection="orthographic", ortho_scale=1.0, resolution=(64, 1))
@@ -127,7 +127,7 @@ def test_two_overlapping_parts_equal_their_sum():
 
 
 def test_one_volume_shadows_another():
-    # The upper box is the larger, so that the soft rim of its voxels shadows nothing.
+    # The upper box is larger, so that its soft boundary casts no shadow.
     lower, upper = box(name="lower"), box((2.0, 1.0, 2.0), name="upper")
     upper.world_from_index = upper.world_from_index.copy()
     upper.world_from_index[1, 3] += 1.5

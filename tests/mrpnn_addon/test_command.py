@@ -232,6 +232,7 @@ def test_report_states_what_a_render_would_do(command, blend, capsys):
     assert files(blend.parent) == {"plan.json"}
 
 
+@pytest.mark.slow
 def test_compare_measures_against_cycles(command, blend, capsys):
     assert command(["compare", "--samples", "4", "--bounces", "8", "--scale", "100", "--ladder", "1", "--json",
                     str(blend.parent / "figures.json")]) == 0

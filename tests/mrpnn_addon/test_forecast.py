@@ -98,6 +98,7 @@ def shown_volumes(addon):
     return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
 
 
+@pytest.mark.slow
 def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
     """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
     cost_model = addon.mrpnn_addon.status.cost_model

@@ -92,7 +92,7 @@ def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
     assert (found.volumes, found.suns, found.problem) == (1, 2, "")
     bpy.ops.mrpnn.render()
     counts = addon.mrpnn_addon.status.last_render.last_render()
-    # Bounds hold all that is hit, and the cloud does not fill them.
+    # The bounds contain all pixels that show the cloud, which does not fill them.
     assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
     scene.camera.location.z = 0.5
     inside = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
@@ -172,6 +172,7 @@ def _left_behind():
     return handlers, threading.active_count(), len(bpy.data.images), len(bpy.data.scenes)
 
 
+@pytest.mark.slow
 def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
     """Also of scenes and registrations; the console stays silent."""
     path = str(tmp_path / "scene.blend")

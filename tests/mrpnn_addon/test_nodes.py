@@ -193,7 +193,7 @@ def test_colour_blends_and_conversions(addon, scene, plane, tmp_path, blend):
     mix.inputs[0].default_value = 0.6
     grey = add(tree, "Math", operation='ADD')
     grey.inputs[1].default_value = 5.0
-    # A colour that enters a number becomes its luminance.
+    # A colour linked to a value socket becomes its luminance.
     tree.links.new(next(o for o in mix.outputs if o.type == 'RGBA'), grey.inputs[0])
     tree.links.new(grey.outputs[0], emission.inputs["Color"])
     assert_equal_to_cycles(scene, tmp_path, emission)

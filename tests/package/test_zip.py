@@ -132,6 +132,7 @@ INSTALLED_RENDER = """
 
 
 @pytest.mark.blender
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="installs the Linux zip")
 def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
     site = tmp_path / "site"

@@ -110,7 +110,7 @@ def test_ratio_tracking_agrees_with_quadrature():
     assert abs(tracked.mean() - exact.mean()) < 0.004
 
 
-@pytest.mark.parametrize("lit_from_behind", [False, True])
+@pytest.mark.parametrize("lit_from_behind", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     cells, sigma, g, albedo = 16, 2.0, 0.3, (0.9, 0.5, 0.1)
     # far away through a needle's eye: every ray runs along axis 0
@@ -130,7 +130,8 @@ def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     np.testing.assert_allclose(image[..., :3].mean(axis=(0, 1)), light * np.array(albedo), rtol=0.012)
 
 
-@pytest.mark.parametrize("g, sigma", [(0.0, 4.0), (0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)])
+@pytest.mark.parametrize("g, sigma", [
+    (0.0, 4.0), *(pytest.param(g, sigma, marks=pytest.mark.slow) for g, sigma in ((0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)))])
 def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     """Without absorption, uniform radiance 1 outside is radiance 1 inside."""
     rng = np.random.default_rng(4)
@@ -154,6 +155,7 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     assert abs(radiance.mean() - 1) < 4 * error + 0.002
 
 
+@pytest.mark.slow
 def test_under_uniform_light_the_cloud_is_invisible():
     density = smooth_cloud(24)
     suns = sphere_lattice(120)
@@ -167,6 +169,7 @@ def test_under_uniform_light_the_cloud_is_invisible():
     assert np.abs(radiance - 1).max() < 0.15
 
 
+@pytest.mark.slow
 def test_reciprocity_exchanging_camera_and_sun():
     """Seen from afar, the cloud's total radiance is the same with camera and sun exchanged."""
     density = smooth_cloud(20, seed=2)
@@ -192,7 +195,7 @@ def _points(density, sigma, count, seed):
     return x, omega
 
 
-@pytest.mark.parametrize("g", [0.0, 0.857])
+@pytest.mark.parametrize("g", [0.0, pytest.param(0.857, marks=pytest.mark.slow)])
 def test_a_field_of_sun_depths_agrees_with_ratio_tracking(g):
     density = smooth_cloud(48)
     suns = sphere_lattice(4)
@@ -318,6 +321,7 @@ def test_arguments_that_do_not_fit_are_refused():
         trace_pixels(Scene(density, (0, 0, 1)), camera, Medium((50.0, 40.0, 30.0)), Sampling(1, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["smoke-20-front-g0", "cumulus-100-back-g0"])
 def test_pixels_agree_with_independent_references(view):
     """Block means against those of the references, in standard errors estimated from the halves.

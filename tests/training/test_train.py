@@ -117,6 +117,7 @@ def test_a_batch_draws_from_the_folders_by_their_weights():
     np.testing.assert_allclose(few, few.mean(), atol=5 * np.sqrt(few.mean()))
 
 
+@pytest.mark.slow
 def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
     """They predict as onnxruntime does with the file, whatever the standardisation, and keep their history."""
     monkeypatch.setattr(train, "BATCH", 64)
@@ -228,6 +229,7 @@ def test_overfitting_is_told_from_error():
     assert squares / count == pytest.approx(((0.3 * noise) ** 2 * scale).mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     file = tmp_path / "0000003.npz"
     np.savez(file, **make_targets(3, points=96, paths=64))
@@ -245,6 +247,7 @@ def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("2 volumes, ")
 
 
+@pytest.mark.slow
 def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
@@ -275,6 +278,7 @@ def test_noise_shared_by_suns_is_told_from_their_own():
     assert evaluate.noise_correlation(noise, firsts) == pytest.approx(0.25, abs=0.02)
 
 
+@pytest.mark.slow
 def test_training_inputs_equal_those_of_rendering():
     """A target's descriptor and ray features equal those of inference for the same point and sun."""
     rows = make_targets(5, points=16, paths=2)

@@ -65,6 +65,7 @@ def test_seeds_differ_in_character(samples):
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
 
 
+@pytest.mark.slow
 def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
     samples = [make_volume(seed, RESOLUTION) for seed in seeds]
@@ -79,6 +80,7 @@ def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
+@pytest.mark.slow
 def test_saturated_seeds_give_clouds_and_smoke_with_homogeneous_cores():
     seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
     saturated = [make_volume(seed, RESOLUTION) for seed in seeds]

@@ -1,4 +1,4 @@
-"""What must give a message instead of a picture."""
+"""Scenes that must give a message."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""The scene that every feature starts from, and what several of them build."""
+"""The scene that every feature starts from, and objects that several of them build."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,8 +19,8 @@ DENSITY = 12.0
 class Stage:
     """The scene that every feature starts from: a cloud of edge 2 around the origin, a sun, a camera.
 
-    scene, cloud, shader, sun, camera: bpy blocks. folder: for files. step_rate: for Cycles' reference.
-    surfaces: objects that it holds out.
+    scene, cloud, shader, sun, camera: of bpy. folder: for files. step_rate: of Cycles' reference.
+    surfaces: objects that the reference holds out.
     """
 
     scene: object
@@ -83,10 +83,10 @@ def make_stage(folder: Path, cloud_file: Path, size: int) -> Stage:
     return Stage(scene, cloud, shader, sun, camera, folder)
 
 
-def aim(camera, location, at=Vector((0.0, 0.0, 0.0))):
+def aim(camera, location, at=(0.0, 0.0, 0.0)):
     """Put a camera somewhere, looking at a point."""
     camera.location = location
-    camera.rotation_euler = (location - at).to_track_quat('Z', 'Y').to_euler()
+    camera.rotation_euler = (location - Vector(at)).to_track_quat('Z', 'Y').to_euler()
 
 
 def fog(data, name, density=DENSITY):

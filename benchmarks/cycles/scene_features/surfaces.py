@@ -1,4 +1,4 @@
-"""Opaque meshes that cover and shade volumes."""
+"""Opaque meshes that cover volumes and cast shadows on them."""
 
 import bpy
 from mathutils import Vector

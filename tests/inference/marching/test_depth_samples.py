@@ -24,7 +24,7 @@ def test_weights_sum_to_the_rays_opacity_and_faint_rays_get_fewer():
     np.testing.assert_allclose(np.bincount(ray, weight, 6)[2:], alpha[2:], rtol=1e-12)
     assert np.all((opacity > 0.0) & (opacity < alpha[ray]))
     # Unless that is turned off.
-    ray, _, weight = sample_opacities(alpha, 8, thin_faint=False)
+    ray, _, weight = sample_opacities(alpha, 8, adaptive=False)
     np.testing.assert_array_equal(np.bincount(ray, minlength=6), [0, 8, 8, 8, 8, 8])
     np.testing.assert_allclose(np.bincount(ray, weight, 6), alpha, rtol=1e-12)
 

@@ -59,7 +59,7 @@ def test_planted_bias_noise_and_times_are_reported(comparison, planted):
     shown = passes[request.layers[0]].image[..., 3] > comparison.MASK_ALPHA
     colour = passes[request.layers[0]].image[shown][:, :3]
     spread = np.sqrt((colour**2).mean()) / colour.mean()
-    # Of 2 x 1000 samples, each of which varies by sqrt(10) of the value.
+    # 2 x 1000 samples, each with a relative standard deviation of sqrt(10).
     assert result.noise == pytest.approx(spread * np.sqrt(10 / 2000), rel=0.15)
     assert result.alpha_bias.value == 0.0 and result.samples == 1000
     assert result.pixels == shown.sum() and result.resolution == (SIZE, SIZE)
@@ -79,9 +79,9 @@ def test_equal_error_and_equal_time_follow_from_noise_and_cost(comparison, plant
     variance = 10 * (colour**2).mean() / colour.mean() ** 2
     assert traced.needed.value == pytest.approx(1.0 + 0.1 * variance / result.rmse.value**2, rel=0.2)
     assert traced.error.value == pytest.approx(np.sqrt(variance / 5.0), rel=0.1)
-    # The processor's clock runs twice as fast in what was planted for Cycles.
+    # The planted times of Cycles state twice as much processor time.
     assert by["cycles", "cpu_seconds"].needed.value == pytest.approx(2 * traced.needed.value, rel=0.02)
-    # A filter that is worth 64 times the samples.
+    # A denoiser that is worth 64 times the samples.
     denoised = by["cycles denoised", "seconds"].needed
     assert denoised.value < 0.1 * traced.needed.value
     assert len(result.sentences()) == 2 and "cycles needs" in result.sentences()[0]
@@ -176,6 +176,7 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert (tmp_path / "comparison" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
     """Cycles' process has never rendered that frame. The second file is four times as dense."""
     cloud = make.cloud_scene(scene, tmp_path, density=1.0)
@@ -214,6 +215,7 @@ def test_operator_refuses_an_instancer_that_shows_a_surface_beside_the_volume(sc
         bpy.ops.mrpnn.compare(**small(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     render = scene.render
@@ -240,6 +242,7 @@ def started(addon, scene, tmp_path):
     return start
 
 
+@pytest.mark.slow
 def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(started, scene, tmp_path):
     before = state_of_file()
     first = started()
@@ -257,7 +260,7 @@ def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(star
     assert not any("stopped" in mark for mark in second.result().marks) and state_of_file() == before
     later = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.npz")}
     assert len(later) == 4 and kept.items() <= later.items()
-    # Another view finds nothing of it.
+    # Another view finds no stored passes.
     scene.camera.location.z += 1.0
     third = started()
     while third.job.store is None:
@@ -280,6 +283,7 @@ def test_a_crash_of_cycles_is_a_message_and_leaves_the_file_alone(started):
     assert state_of_file() == before
 
 
+@pytest.mark.slow
 def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_path):
     first = started()
     first.wait()
@@ -290,7 +294,7 @@ def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_p
     run = started(reference_path=str(tmp_path / "given.exr"))
     run.wait()
     result = run.result()
-    # EXR files hold 16 bits a number here.
+    # These EXR files have half precision.
     assert result.rmse.value < 1e-3 and abs(result.bias.value) < 1e-3 and result.equal == []
     (tmp_path / "words.exr").write_text("no image")
     for name in ("words.exr", "missing.exr"):

@@ -53,7 +53,7 @@ def in_browser(page, script, folder):
 @pytest.mark.skipif(BROWSER is None, reason="there is no chromium; .ci/run installs it")
 def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path):
     folder, comparison = report
-    # A copy elsewhere: what the page needs is in it.
+    # A copy elsewhere: the page is self-contained.
     said, console = in_browser((folder / "report.html").read_text(encoding="utf-8"), """
         const at = (id) => document.getElementById(id);
         const shown = () => getComputedStyle(at("left")).clipPath;
@@ -76,7 +76,7 @@ def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path)
     assert said["sizes"] == [[32, 32]] * 3
     # The boundary moved from the middle to four fifths.
     assert "50%" in said["before"] and "20%" in said["after"]
-    # The judged layer, one more, two baselines, the reference, two rungs with and without denoising.
+    # The compared layer, one more, two baselines, the reference, two sample counts with and without denoising.
     assert said["changed"] and said["choices"] == 9
     drawn = sum(rung.error > 0.0 for rung in comparison.rungs)
     assert said["dots"] == drawn and said["inside"] and said["chart"] > 1e5

@@ -173,6 +173,7 @@ def test_a_frame_before_a_sequence_begins_is_an_empty_picture(addon, scene, clou
     assert found and all(not values.any() for values in found.values())
 
 
+@pytest.mark.slow
 def test_an_animated_world_follows_the_frame(addon, scene, cloud, tmp_path):
     """Also in F12, which evaluates frames other than the scene's current one."""
     scene.mrpnn.world_directions = 1

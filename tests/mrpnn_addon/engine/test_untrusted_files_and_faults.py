@@ -12,7 +12,7 @@ bpy = pytest.importorskip("bpy")
 
 from inference import RenderCache, SceneError
 from inference.network import network
-from inference.network.baselines import SingleScattering
+from inference.network.baselines import Baseline, BaselinePredictor, SingleScattering
 
 from tests.support import blender_scenes
 
@@ -135,18 +135,26 @@ def test_rendering_can_be_cancelled_while_writing(addon, scene, cloud, tmp_path)
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".vdb"]
 
 
-class Breaks(SingleScattering):
+class Breaks(Baseline):
     """A model that fails in the middle of a render, as a bug would."""
 
-    name = "breaks"
+    def predictor(self, volume, cube, anisotropy, cancel=None):
+        return BreakingPredictor(self.name, anisotropy)
 
+
+class BreakingPredictor(BaselinePredictor):
+    def prepare(self, conditions, tasks=None):
+        return BreakingPrediction()
+
+
+class BreakingPrediction(SingleScattering):
     def predict(self, positions, omega, albedos, jitter=None, ray_features=None):
         raise ZeroDivisionError("in a thread")
 
 
 @pytest.fixture
 def breaks(addon, monkeypatch):
-    monkeypatch.setitem(network._systems, "breaks", Breaks)
+    monkeypatch.setitem(network._systems, "breaks", lambda: Breaks("breaks"))
 
 
 def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):
@@ -172,6 +180,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     assert (tmp_path / "frame.png").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_too_little_memory_is_a_message(addon, scene, cloud):
     """The memory limit allows the render, the operating system does not."""
     resource = pytest.importorskip("resource")

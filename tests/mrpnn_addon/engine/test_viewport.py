@@ -41,7 +41,7 @@ def test_looking_through_the_camera_is_the_renders_view(addon, scene, cloud, kin
     assert expected.max() > 0.3
 
 
-@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+@pytest.mark.parametrize("kind", ['PERSP', pytest.param('ORTHO', marks=pytest.mark.slow)])
 def test_a_region_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
     """Of any position and shape, as a render region is."""
     camera = scene.camera
@@ -93,6 +93,7 @@ def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     np.testing.assert_array_equal(second[1][::-1, :, :3], rough.rgb)
 
 
+@pytest.mark.slow
 def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
     """Sun, position, density, colour and anisotropy, one after another, with one render cache."""
     settings, shared = Settings(depth_samples=1), prepared(addon)
@@ -126,7 +127,7 @@ def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
         last = layer.rgb
 
 
-@pytest.mark.parametrize("pictures_before", [0, 1, 2, 3])
+@pytest.mark.parametrize("pictures_before", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2, 3))])
 def test_a_cancelled_preview_ends_its_thread(addon, scene, cloud, pictures_before):
     """At any stage of refinement, within a second of two threads."""
     description = described(addon)

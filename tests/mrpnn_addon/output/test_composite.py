@@ -87,6 +87,7 @@ def ground(scene, z=-1.5):
     return blender_scenes.add_object(scene, "Ground", mesh)
 
 
+@pytest.mark.slow
 def test_volumes_cast_shadows_on_surfaces_on_request(addon, scene, cloud, tmp_path):
     ground(scene)
     found, before = {}, state(scene)
@@ -120,7 +121,7 @@ def instance(scene, collection):
     return empty
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("linked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, cloud, tmp_path, linked):
     outer = nested(scene, cloud)
     if linked:
@@ -135,7 +136,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
         outer = here.collections[0]
         assert outer.library is not None
     instance(scene, outer)
-    # Cycles' own noise aside, the picture is the layer over the block, which shows nowhere twice.
+    # Up to Cycles' noise, the picture is the layer over the block, which nowhere shows twice.
     alone = layer_of(scene)
     assert alone[..., 3].max() > 0.2
     before = state(scene)
@@ -147,7 +148,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
     blue |= np.roll(blue, 1, 0) | np.roll(blue, -1, 0)
     blue |= np.roll(blue, 1, 1) | np.roll(blue, -1, 1)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
-    # Where Cycles keeps the volumes for their shadows, the camera sees them once all the same.
+    # Where Cycles keeps the volumes for their shadows, the camera still sees them once.
     bpy.ops.mrpnn.composite(shadows=True)
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
@@ -182,7 +183,7 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     assert volumes.render.image_settings.file_format == 'OPEN_EXR' != 'PNG'
     assert volumes.render.image_settings.color_depth == '32' and volumes.render.filepath != scene.render.filepath
     assert volumes.render.engine == 'MRPNN' and scene.render.engine == 'CYCLES'
-    # A further view layer that is rendered shows what the first one does not.
+    # Another rendered view layer shows what the first one does not.
     layer = scene.view_layers.new("Behind")
     layer.layer_collection.children["Hidden"].exclude = False
     third.location = (-1.5, 0.0, 0.0)
@@ -246,7 +247,7 @@ def test_differences_that_do_not_follow_are_named_and_repaired(addon, scene, clo
     assert found.max() > 0.01
 
 
-@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
     scene.render.use_persistent_data = persistent
@@ -304,7 +305,7 @@ def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
     assert list(bpy.data.scenes) == [scene] and not scene.collection.children
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, cloud, tmp_path, angle):
     """Absorbing fog and an emissive wall: pixel by pixel, edges included."""
     scene.render.resolution_x = scene.render.resolution_y = 48

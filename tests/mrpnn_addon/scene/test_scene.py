@@ -47,7 +47,7 @@ def voxel_in_image(scene, world):
     return x * scene.render.resolution_x, (1.0 - y) * scene.render.resolution_y
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_voxel_is_where_cycles_draws_it(addon, scene, tmp_path, seed):
     """With a rotated, scaled and parented object and a rotated, anisotropic grid transform."""
     random = np.random.default_rng(seed)

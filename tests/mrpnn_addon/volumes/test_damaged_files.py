@@ -14,7 +14,6 @@ bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
 from inference.network import network
-from inference.scene import SceneError
 
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
@@ -73,6 +72,7 @@ def wholes(folder):
         yield path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
     """Whatever happens to the process that reads it, this one goes on. As many as CAMPAIGN allows, always in one order.
 
@@ -98,6 +98,7 @@ def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
     assert set(outcomes) == {"read", "refused"}
 
 
+@pytest.mark.slow
 def test_files_on_which_openvdb_hangs_are_refused(addon, trial):
     """Found by flipping bits; the reading process is killed, this one goes on."""
     for path in sorted(CORPUS.glob("*.vdb")):

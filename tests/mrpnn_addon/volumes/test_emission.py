@@ -112,7 +112,7 @@ def assert_cycles_agrees(addon, scene, folder, bias):
 
 @pytest.mark.parametrize("setup", [
     even, black_body, black_body_without_a_grid, light_without_smoke, flames, emission_node_mixed_in])
-@pytest.mark.parametrize("space", ['WORLD', 'OBJECT'])
+@pytest.mark.parametrize("space", ['WORLD', pytest.param('OBJECT', marks=pytest.mark.slow)])
 def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path, setup, space):
     """No sun is needed. Emission where every grid is 0 fills the bounding boxes in Cycles."""
     scene.render.resolution_x = scene.render.resolution_y = 48

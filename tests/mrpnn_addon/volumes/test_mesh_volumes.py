@@ -91,7 +91,8 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
     assert len(read(addon).volumes) == 1
 
 
-@pytest.mark.parametrize("seen", ["homogeneous", "gradient", "noise"])
+@pytest.mark.parametrize("seen", [
+    "gradient", *(pytest.param(seen, marks=pytest.mark.slow) for seen in ("homogeneous", "noise"))])
 def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
     # Purely absorbing: nothing to predict.
     fog, node = add_mesh(scene, ball if seen == "homogeneous" else cube, Density=0.6, Color=(0.0, 0.0, 0.0, 1.0))

@@ -147,7 +147,7 @@ def fog_material():
     return data, material
 
 
-@pytest.mark.parametrize("holder", ["volume object", "mesh object"])
+@pytest.mark.parametrize("holder", ["volume object", pytest.param("mesh object", marks=pytest.mark.slow)])
 def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     """Volume Cube with a material of its own, in a Volume object and in a mesh's modifier."""
     data, material = fog_material()

@@ -136,9 +136,10 @@ def shown(scene, path):
 
 
 @pytest.mark.parametrize("world, view", [
-    (colour, perspective), (around, perspective), (around, portrait), (around, equirectangular), (around, orthographic),
-    (around, region), (gradient, perspective), (gradient, orthographic), (window, perspective), (window, region),
-    (sky, sunwards), (sky_without_disc, equirectangular)])
+    (colour, perspective), (around, orthographic), (window, region), (sky, sunwards),
+    *(pytest.param(world, view, marks=pytest.mark.slow) for world, view in (
+        (around, perspective), (around, portrait), (around, equirectangular), (around, region),
+        (gradient, perspective), (gradient, orthographic), (window, perspective), (sky_without_disc, equirectangular)))])
 def test_the_background_equals_that_of_cycles(veil, scene, tmp_path, world, view):
     world(scene)
     view(scene)
@@ -169,7 +170,7 @@ def mixed_by_light_path(scene):
     tree.links.new(mixed.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
 
 
-@pytest.mark.parametrize("world", [colour, gradient, around])
+@pytest.mark.parametrize("world", [colour, *(pytest.param(world, marks=pytest.mark.slow) for world in (gradient, around))])
 def test_the_camera_may_see_another_world_than_volumes_do(addon, veil, scene, tmp_path, world):
     world(scene)
     alone = background(addon, scene)[0].pixels()
@@ -264,7 +265,7 @@ def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp
     assert not found.pixels().any() and "image \"Around\"" in warning and "save or pack" in warning
 
 
-@pytest.mark.parametrize("view", [perspective, orthographic])
+@pytest.mark.parametrize("view", [perspective, pytest.param(orthographic, marks=pytest.mark.slow)])
 def test_a_viewport_looks_it_up_in_a_panorama_before_it_is_sharp(addon, veil, scene, view):
     """Within a redraw."""
     backdrop = importlib.import_module("mrpnn.mrpnn_addon.engine.backdrop")

@@ -39,6 +39,7 @@ def test_a_soft_sun_keeps_its_irradiance_and_its_angle(addon, scene, tmp_path, d
         assert light @ cosine**2 / light.sum() == pytest.approx((1.0 + rim + rim**2) / 3.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_wide_sun_lights_thin_fog_as_much_more_as_in_cycles(addon, scene, tmp_path):
     """Against a sun of angle 0 and the same strength; the fog scatters isotropically and casts almost no shadow."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.02)
@@ -180,6 +181,7 @@ def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
     np.testing.assert_allclose(seen[3] * albedo * fluence / (4 * math.pi) * lost, seen[:3], rtol=0.06)
 
 
+@pytest.mark.slow
 def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_path):
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
     world = importlib.import_module("mrpnn.mrpnn_addon.world.lighting")
