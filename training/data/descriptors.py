@@ -5,7 +5,7 @@ lattice, each point is moved to the centre of its fine cell, where density and o
 lattice is built, so every point can have its own extinction.
 """
 
-from typing import List, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -23,8 +23,8 @@ class Levels(NamedTuple):
     through mips 1..7, from `unit_optical_depths`, both in `inference.features.mip_lattices`.
     """
 
-    density: List[np.ndarray]
-    sun_depths: List[np.ndarray]
+    density: list[np.ndarray]
+    sun_depths: list[np.ndarray]
 
 
 class _FlatGrids(NamedTuple):
