@@ -225,7 +225,7 @@ def read_data(arguments, columns, parser) -> Data:
 def parse_options(parser, options):
     parser.add_argument("--network", choices=sorted(NETWORKS), required=True)
     parser.add_argument("--data", type=pathlib.Path, nargs="+", required=True, help="folders of rows")
-    parser.add_argument("--shares", type=float, nargs="+", help="of each folder in a step; by default its share of rows")
+    parser.add_argument("--shares", type=float, nargs="+", help="of each folder in a step; default: its rows")
     parser.add_argument("--held", type=pathlib.Path, required=True, help="folder of held-back rows")
     parser.add_argument("--run", type=pathlib.Path, required=True, help="folder for checkpoints and progress")
     parser.add_argument("--steps", type=int, default=STEPS)

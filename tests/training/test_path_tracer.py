@@ -99,7 +99,7 @@ def test_ratio_tracking_agrees_with_quadrature():
     x, sigma = np.array([0.1, -0.05, 0.02]), 12.0
     directions = sphere_lattice(40).astype(np.float32)
     tracked = _mean_transmittance(
-        ((x + 0.5) * 24).astype(np.float32), directions, GridMedium(grid, np.float32(sigma / 24), np.float32(0)), 4000, 5
+        ((x + 0.5) * 24).astype(np.float32), directions, GridMedium(*grid, np.float32(sigma / 24), np.float32(0)), 4000, 5
     )
     step = 1 / 400
     s = (np.arange(400) + 0.5) * step
@@ -142,7 +142,7 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     omega = sphere_lattice(points)
     scene, vertices = Scene(density, suns), Vertices(x, omega, sigma, g, [1.0])
     multiple = trace_points(scene, vertices, Sampling(400, 6))[..., 0].astype(np.float64)
-    medium = GridMedium(scene.grid, np.float32(sigma / 12), np.float32(g))
+    medium = GridMedium(*scene.grid, np.float32(sigma / 12), np.float32(g))
     single = np.stack(
         [
             _mean_transmittance(((p + 0.5) * 12).astype(np.float32), suns.astype(np.float32), medium, 50, 7)

@@ -5,7 +5,7 @@ lattice, each point is moved to the centre of its fine cell, where density and o
 lattice is built, so every point can have its own extinction.
 """
 
-from typing import List, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -23,8 +23,8 @@ class Levels(NamedTuple):
     through mips 1..7, from `unit_optical_depths`, both in `inference.features.mip_lattices`.
     """
 
-    density: List[np.ndarray]
-    sun_depths: List[np.ndarray]
+    density: list[np.ndarray]
+    sun_depths: list[np.ndarray]
 
 
 class _FlatGrids(NamedTuple):
@@ -50,9 +50,8 @@ def _flatten(grids) -> _FlatGrids:
 
 
 @numba.njit(fastmath=True, cache=True)
-def _interpolate(grids, level, x, y, z):
-    """Trilinear at continuous cell indices of a level, clamped at its border."""
-    flat, offset, edge = grids.values, grids.offsets[level], grids.edges[level]
+def _interpolate(flat, offset, edge, x, y, z):
+    """Trilinear at continuous cell indices of the grid at `offset`, clamped at its border."""
     last = edge - 1.0
     x, y, z = min(max(x, 0.0), last), min(max(y, 0.0), last), min(max(z, 0.0), last)
     i, j, k = min(int(x), edge - 2), min(int(y), edge - 2), min(int(z), edge - 2)
@@ -71,11 +70,15 @@ def _interpolate(grids, level, x, y, z):
 def _describe(points, sigma_hat, cells, density, sun_depths):
     """Features float32 (2, N, stencil) at the stencil points (N, stencil, 3) of media of extinction sigma_hat (N,)."""
     count, stencil = points.shape[0], points.shape[1]
+    # Unpacked once: reading an array from a tuple counts a reference, which would cost half as much again in the loop.
+    mips, margins, fines = cells
+    values, offsets, edges = density
+    depths, depth_offsets, depth_edges = sun_depths
     features = np.empty((2, count, stencil), np.float32)
     for r in numba.prange(count):
         for q in range(stencil):
-            m = cells.mips[q]
-            n, margin, fine = LEVEL0_CELLS >> m, cells.margins[m], cells.fine[m]
+            m = mips[q]
+            n, margin, fine = LEVEL0_CELLS >> m, margins[m], fines[m]
             across = (n + 2 * margin) * fine
             # Centre of the fine cell that holds the point, in cube coordinates.
             x = np.empty(3)
@@ -85,12 +88,13 @@ def _describe(points, sigma_hat, cells, density, sun_depths):
                 x[axis] = (cell + 0.5) / (n * fine) - margin / n
             a = n
             b = margin - 0.5
-            mu = _interpolate(density, m, x[0] * a + b, x[1] * a + b, x[2] * a + b)
+            mu = _interpolate(values, offsets[m], edges[m], x[0] * a + b, x[1] * a + b, x[2] * a + b)
             # Mips 0 and 1 share the first transmittance field.
             source = max(m, 1)
             a = LEVEL0_CELLS >> source
-            b = cells.margins[source] - 0.5
-            tau = _interpolate(sun_depths, source - 1, x[0] * a + b, x[1] * a + b, x[2] * a + b)
+            b = margins[source] - 0.5
+            offset, edge = depth_offsets[source - 1], depth_edges[source - 1]
+            tau = _interpolate(depths, offset, edge, x[0] * a + b, x[1] * a + b, x[2] * a + b)
             features[0, r, q] = np.log1p(sigma_hat[r] * mu / DENSITY_SCALE)
             features[1, r, q] = np.exp(-sigma_hat[r] * BETA**source * tau)
     return features

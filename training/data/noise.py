@@ -108,7 +108,7 @@ def _advect(points, tile, octaves, distance, steps):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         step = distance[m] / np.float32(steps)
         if step != 0.0:
-            for s in range(steps):
+            for _ in range(steps):
                 scale = np.float32(frequency * CELLS)
                 amplitude = step
                 dx = dy = dz = np.float32(0.0)

@@ -166,7 +166,7 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
 
 
 def sun_depths(density: np.ndarray, suns: np.ndarray) -> np.ndarray:
-    """Optical depths float32 (S, N, N, N) through a density (N, N, N) to suns (S, 3), for extinction 1 per cube edge."""
+    """Optical depths float32 (S, N, N, N) through a density (N, N, N) to suns (S, 3), for extinction 1 per edge."""
     return np.stack([sun_optical_depth(density, sun * len(density), 1.0) for sun in suns])
 
 

@@ -57,7 +57,7 @@ def _sun_light(ray, medium, suns, light, state):
     The ray's origin is the vertex, its direction that of the light path before it.
     """
     directions, depths = suns.directions, suns.depths
-    sigma, g, padded = medium.sigma, medium.g, medium.grid.padded
+    padded, _, sigma, g = medium
     if depths.shape[0] == 0 or sigma > MAX_CELL_DEPTH:
         for s in range(directions.shape[0]):
             towards = Ray(ray.x, ray.y, ray.z, directions[s, 0], directions[s, 1], directions[s, 2])
@@ -156,12 +156,13 @@ def _trace_vertex(ray, medium, suns, albedos, sampling, state):
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def _points_kernel(grid, suns, vertices, sampling):
     """Mean radiance float32 (P, S, A) of the paths that start at each vertex."""
+    padded, majorant = grid
     positions, directions, sigma, g, albedos = vertices
     out = np.zeros((len(sigma), suns.directions.shape[0], albedos.shape[1]), np.float32)
     for p in numba.prange(len(sigma)):
         if sigma[p] > _F0:
             x, w = positions[p], directions[p]
-            ray, medium = Ray(x[0], x[1], x[2], w[0], w[1], w[2]), GridMedium(grid, sigma[p], g[p])
+            ray, medium = Ray(x[0], x[1], x[2], w[0], w[1], w[2]), GridMedium(padded, majorant, sigma[p], g[p])
             out[p] = _trace_vertex(ray, medium, suns, albedos[p], sampling, seed_state(sampling.seed, p))
     return out
 
@@ -188,14 +189,15 @@ def _enter(ray, cells):
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def _scattering_kernel(grid, sigma, directions, tries, seed):
     """First collisions float32 (P, 3) of random rays, in cells, and whether one of `tries` collided, bool (P,)."""
-    cells = grid.padded.shape[0] - 2
+    padded, majorant = grid
+    cells = padded.shape[0] - 2
     count = sigma.shape[0]
     places = np.zeros((count, 3), np.float32)
     valid = np.zeros(count, np.bool_)
     for p in numba.prange(count):
         state = seed_state(seed, p)
         dx, dy, dz = directions[p, 0], directions[p, 1], directions[p, 2]
-        medium = GridMedium(grid, sigma[p], _F0)
+        medium = GridMedium(padded, majorant, sigma[p], _F0)
         # Orthonormal basis around the direction (Duff et al. 2017).
         sign = _F1 if dz >= _F0 else -_F1
         q = -_F1 / (sign + dz)
@@ -261,14 +263,15 @@ def _trace_pixel(first, medium, suns, albedo, sampling, state):
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def _pixels_kernel(grid, coefficients, suns, view, sampling):
     """RGBA float32 (pixels, 4) along the rays of a view."""
-    cells = grid.padded.shape[0] - 2
+    padded, majorant = grid
+    cells = padded.shape[0] - 2
     sigma, g, albedo = coefficients
     origin, rays = view
     image = np.zeros((rays.shape[0], 4), np.float32)
     for p in numba.prange(rays.shape[0]):
         meets, ray = _enter(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
         if meets and sigma > _F0:
-            medium, state = GridMedium(grid, sigma, g), seed_state(sampling.seed, p)
+            medium, state = GridMedium(padded, majorant, sigma, g), seed_state(sampling.seed, p)
             image[p] = _trace_pixel(ray, medium, suns, albedo, sampling, state)
     return image
 

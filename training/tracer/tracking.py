@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from .density_grid import BLOCK, DensityGrid, stochastic_density
+from .density_grid import BLOCK, stochastic_density
 from .random_numbers import draw, two_uniforms
 
 _F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
@@ -31,9 +31,10 @@ class Ray(NamedTuple):
 
 
 class GridMedium(NamedTuple):
-    """A density grid with its extinction per cell where density is 1, and its mean cosine g, both float32."""
+    """The arrays of a DensityGrid, extinction per cell where density is 1, and mean cosine g, both float32."""
 
-    grid: DensityGrid
+    padded: np.ndarray
+    majorant: np.ndarray
     sigma: float
     g: float
 
@@ -62,9 +63,8 @@ def _inverse(d):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _first_block(ray, grid):
-    """The block that holds a ray's origin, which lies inside the cube."""
-    blocks = grid.majorant.shape[0]
+def _first_block(ray, cells, blocks):
+    """The block that holds a ray's origin, which lies inside the cube, in grids of `cells` and `blocks` per edge."""
     ix, iy, iz = _inverse(ray.dx), _inverse(ray.dy), _inverse(ray.dz)
     edge = np.float32(BLOCK)
     i = min(max(int(ray.x / edge), 0), blocks - 1)
@@ -73,7 +73,7 @@ def _first_block(ray, grid):
     next_x = (np.float32(i + (1 if ray.dx >= _F0 else 0)) * edge - ray.x) * ix
     next_y = (np.float32(j + (1 if ray.dy >= _F0 else 0)) * edge - ray.y) * iy
     next_z = (np.float32(k + (1 if ray.dz >= _F0 else 0)) * edge - ray.z) * iz
-    n = np.float32(grid.padded.shape[0] - 2)
+    n = np.float32(cells)
     ex = ((n if ray.dx >= _F0 else _F0) - ray.x) * ix
     ey = ((n if ray.dy >= _F0 else _F0) - ray.y) * iy
     ez = ((n if ray.dz >= _F0 else _F0) - ray.z) * iz
@@ -101,10 +101,10 @@ def _next_block(block, face, ray, blocks):
 @numba.njit(cache=True, fastmath=True)
 def delta_track(ray, medium, state):
     """Delta tracking to the next real collision, from inside the cube: (collided, ray moved there, state)."""
-    padded, majorant = medium.grid
+    padded, majorant, sigma, _ = medium
     blocks = majorant.shape[0]
-    block = _first_block(ray, medium.grid)
-    inverse_sigma = _F1 / medium.sigma
+    block = _first_block(ray, padded.shape[0] - 2, blocks)
+    inverse_sigma = _F1 / sigma
     state, bits = draw(state)
     u, v = two_uniforms(bits)
     need = -np.log(u) * inverse_sigma
@@ -135,10 +135,10 @@ def delta_track(ray, medium, state):
 @numba.njit(cache=True, fastmath=True)
 def ratio_track(ray, medium, state):
     """Unbiased transmittance from inside the cube out along a ray, by ratio tracking: (transmittance, state)."""
-    padded, majorant = medium.grid
+    padded, majorant, sigma, _ = medium
     blocks = majorant.shape[0]
-    block = _first_block(ray, medium.grid)
-    inverse_sigma = _F1 / medium.sigma
+    block = _first_block(ray, padded.shape[0] - 2, blocks)
+    inverse_sigma = _F1 / sigma
     state, bits = draw(state)
     u, v = two_uniforms(bits)
     need = -np.log(u) * inverse_sigma
