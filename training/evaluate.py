@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Bias and error of a network by angle, anisotropy, extinction, thickness and kind of volume.
 
     python -m training.evaluate --held data/test data/solids-test --checkpoint runs/mrpnn/checkpoint.pt

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Write a trained network as ONNX, with its stencil or lattice and its training configuration in the metadata.
 
     python -m training.export runs/mrpnn/checkpoint.pt inference/weights/mrpnn.onnx [--with BEFORE.onnx 0.4]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Files that appear under their names only when they are complete, so that every command can be stopped and resumed."""
 
 import contextlib

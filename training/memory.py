@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Whether a network has memorised its data: its error on rows that it was trained on, against targets traced again.
 
     python -m training.memory --data data/train --checkpoint inference/weights/mrpnn.onnx --every 40
@@ -41,9 +42,7 @@ def trace_again(file: pathlib.Path, paths: int = PATHS):
     position, omega, sigma_hat, anisotropy = (column.astype(float) for column in columns)
     scene = Scene(density, suns, sun_depths(density, suns))
     vertices = Vertices(position, omega, sigma_hat / edge, anisotropy, np.ones((len(points), 1)))
-    halves = [
-        trace_points(scene, vertices, Sampling(paths // 2, 2 * (seed + SEED_OFFSET) + half)) for half in range(2)
-    ]
+    halves = [trace_points(scene, vertices, Sampling(paths // 2, 2 * (seed + SEED_OFFSET) + half)) for half in range(2)]
     rows = (np.arange(SUNS)[:, None] * count + points).ravel()
     # (points, suns, 1) each; a file holds all its points for one sun after the other.
     return rows, np.stack([radiance[..., 0].T.ravel() for radiance in halves])

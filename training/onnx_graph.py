@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Builds ONNX graphs node by node: the exported graph is the one that a network's `graph` spells out."""
 
 import numpy as np

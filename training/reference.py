@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The path tracer as a system: importing this lets Settings(model="reference") trace multiple scattering.
 
 It stands where the networks stand: at the depth samples of a render, with the same single scattering and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Train a network on the files of training.data.targets or, for RPNN, of training.data.lattice_rows.
 
     nice python -m training.train --network mrpnn --data data/train --held data/test --run runs/mrpnn

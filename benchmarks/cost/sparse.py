@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a large, mostly empty volume file costs to read and render: makes a table of docs/performance.md.
 
     python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
@@ -50,7 +51,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
     grid.name, grid.gridClass = "density", "fog volume"
     axis = ((np.arange(cells) + 0.5) / SPLIT - 0.5).astype(np.float32)
     for corner in np.ndindex(*[-(-cells // PART)] * 3):
-        axes = [axis[PART * n:PART * (n + 1)] for n in corner]
+        axes = [axis[PART * n : PART * (n + 1)] for n in corner]
         places = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
         values = np.maximum(coarse.sample(places) - threshold, np.float32(0.0)).reshape([len(a) for a in axes])
         if values.any():
@@ -107,7 +108,7 @@ def measure(path: Path, cells: int, size) -> dict:
 
     scene, volume, shader = demo_scene.make_scene(path, size, "density", y_up=False)
     volume.scale, volume.location = (demo_scene.EDGE / cells,) * 3, (-0.5 * demo_scene.EDGE,) * 3
-    volume.data.render.space = 'WORLD'
+    volume.data.render.space = "WORLD"
     shader.inputs["Density"].default_value = OPTICAL_DEPTH / demo_scene.EDGE
     demo_scene.frame(scene, demo_scene.EDGE * (np.array(list(np.ndindex(2, 2, 2))) - 0.5))
     # Blender loads the file's grid here, which does not count.
@@ -128,9 +129,12 @@ def measure(path: Path, cells: int, size) -> dict:
         "active": np.count_nonzero(values) / voxels,
         "kept": values.size / voxels,
         "covered": float((layer.alpha > 0.02).mean()),
-        "read": read, "reading": reading.bytes - before,
-        "held": held, "planned": plan.memory,
-        "seconds": layer.report.seconds, "rendering": rendering.bytes - before,
+        "read": read,
+        "reading": reading.bytes - before,
+        "held": held,
+        "planned": plan.memory,
+        "seconds": layer.report.seconds,
+        "rendering": rendering.bytes - before,
     }
 
 
@@ -152,8 +156,9 @@ def table(figures: dict, size) -> str:
 
 
 def main():
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cells", type=int, default=1024)
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
     parser.add_argument("--share", type=float, default=0.05)
@@ -173,8 +178,17 @@ def main():
         return
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/cloud.vdb"
-        command = [sys.executable, "-m", PROGRAM, "--cells", str(arguments.cells), "--share", str(arguments.share),
-                   "--size", *map(str, arguments.size)]
+        command = [
+            sys.executable,
+            "-m",
+            PROGRAM,
+            "--cells",
+            str(arguments.cells),
+            "--share",
+            str(arguments.share),
+            "--size",
+            *map(str, arguments.size),
+        ]
         subprocess.run([*command, "--write", path], cwd=ROOT, check=True)
         output = subprocess.run([*command, "--measure", path], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
     figures = json.loads(next(line for line in output.stdout.splitlines() if line.startswith("{")))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Seconds, points and memory of one render, beside this machine's own arithmetic.
 
     python -m benchmarks.cost.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
@@ -82,8 +83,9 @@ def network_seconds(name: str) -> float:
 
 
 def main():
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--depth-samples", type=int, default=8)
     parser.add_argument("--coverage", type=float, default=0.4)

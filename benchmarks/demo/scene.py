@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The demo's scene in Blender: one volume, one sun, a camera that frames it."""
 
 import itertools
@@ -47,7 +48,7 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
-    scene.view_settings.view_transform = 'AgX'
+    scene.view_settings.view_transform = "AgX"
 
     data = bpy.data.volumes.new(path.stem)
     data.filepath = str(path)
@@ -56,9 +57,9 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
         volume.rotation_euler.x = np.pi / 2
     shader = _fog(data, grid_name)
 
-    lamp = bpy.data.lights.new("Sun", 'SUN')
+    lamp = bpy.data.lights.new("Sun", "SUN")
     lamp.energy, lamp.color, lamp.angle = 14.0, (1.0, 0.95, 0.88), 0.0
-    _link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat('Z', 'Y').to_euler()
+    _link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat("Z", "Y").to_euler()
 
     lens = bpy.data.cameras.new("Camera")
     lens.angle = np.radians(LENS_DEGREES)
@@ -80,7 +81,7 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     volume.scale = (scale,) * 3
     volume.location = -scale * centre
     # The material's density is per world unit, whatever the object's scale.
-    volume.data.render.space = 'WORLD'
+    volume.data.render.space = "WORLD"
     values = getattr(grid.density, "values", grid.density)
     densest = np.percentile(values[values > 0], 99.9)
     shader.inputs["Density"].default_value = optical_depth / (EDGE * densest)
@@ -90,7 +91,7 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
 def frame(scene, corners) -> None:
     """Move the camera back along VIEW_FROM until every corner (8, 3) is in view."""
     camera = scene.camera
-    rotation = VIEW_FROM.to_track_quat('Z', 'Y')
+    rotation = VIEW_FROM.to_track_quat("Z", "Y")
     seen = corners @ np.array(rotation.to_matrix())
     half = np.tan(np.radians(LENS_DEGREES) / 2) * MARGIN
     width, height = scene.render.resolution_x, scene.render.resolution_y

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
@@ -45,21 +46,28 @@ def main(arguments=None) -> int:
     scenes = cases(options.size)
     if not options.table:
         for path in absent_files():
-            print(f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
-                  file=sys.stderr)
+            print(
+                f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                file=sys.stderr,
+            )
         extension()
         for case in scenes:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples]
             if results.get(case.name, {}).get("state") != state:
-                results[case.name] = {"case": asdict(case), "state": state, "made_by": made_by(PROGRAM, arguments),
-                                      **measured(case, options)}
+                results[case.name] = {
+                    "case": asdict(case),
+                    "state": state,
+                    "made_by": made_by(PROGRAM, arguments),
+                    **measured(case, options),
+                }
                 replace_file(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     # Figures of other weights do not count.
-    known = [results[case.name] for case in scenes
-             if case.name in results and results[case.name]["state"][0] == weights()]
+    known = [
+        results[case.name] for case in scenes if case.name in results and results[case.name]["state"][0] == weights()
+    ]
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
@@ -105,8 +113,9 @@ def parse(arguments):
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
     parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
     parser.add_argument("--samples", type=int, default=256, help="per pixel in each half of the reference (256)")
-    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, "
-                        "albedo, image, filter")
+    parser.add_argument(
+        "--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo, image, filter"
+    )
     parser.add_argument("--again", action="store_true", help="render again what is timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     options = parser.parse_args(arguments)

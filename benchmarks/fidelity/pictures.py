@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Each system's image beside the reference, with its signed error below."""
 
 import numpy as np

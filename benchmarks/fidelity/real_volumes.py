@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Real volumes as the path tracer takes them: cubic voxels, the largest density 1."""
 
 import functools
@@ -50,8 +51,12 @@ def real_views(size: int, samples: int, folder: pathlib.Path) -> tuple[list[View
     facts = itertools.product(present, SIGMA_HATS, (ANISOTROPIES[0], ANISOTROPIES[-1]), LIGHTS)
     specs = [ViewSpec(volume, light, sigma_hat, GREY, g, size, samples) for volume, sigma_hat, g, light in facts]
     views = [
-        traced_view(f"{spec.volume}-{spec.sigma_hat:g}-{spec.light}-g{spec.anisotropy:g}", spec,
-                    functools.partial(real_density, spec.volume), folder)
+        traced_view(
+            f"{spec.volume}-{spec.sigma_hat:g}-{spec.light}-g{spec.anisotropy:g}",
+            spec,
+            functools.partial(real_density, spec.volume),
+            folder,
+        )
         for spec in specs
     ]
     return views, absent

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Path-traced references in two independent halves, stored on disk, and what such a reference costs."""
 
 import hashlib

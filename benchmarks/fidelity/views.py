@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The views that systems are measured on: what is seen, from where, in what light, and its reference.
 
 Cube units: the volume fills [-1/2, 1/2]^3, the camera looks at the origin, the sun has irradiance 1.
@@ -118,11 +119,24 @@ def _independent_view(path: pathlib.Path) -> View:
 
     volume, _, light = path.stem.split("-")[:3]
     spec = ViewSpec(
-        volume, light, float(facts["sigma"]), tuple(round(float(value), 6) for value in facts["albedo"]),
-        round(float(facts["g"]), 6), size, int(facts["spp"]),
+        volume,
+        light,
+        float(facts["sigma"]),
+        tuple(round(float(value), 6) for value in facts["albedo"]),
+        round(float(facts["g"]), 6),
+        size,
+        int(facts["spp"]),
     )
-    return View(path.stem, spec, functools.partial(independent_density, volume), facts["sun"], facts["cam"],
-                (0.0, 1.0, 0.0), float(facts["fov"]), halves)
+    return View(
+        path.stem,
+        spec,
+        functools.partial(independent_density, volume),
+        facts["sun"],
+        facts["cam"],
+        (0.0, 1.0, 0.0),
+        float(facts["fov"]),
+        halves,
+    )
 
 
 def independent_views() -> list:

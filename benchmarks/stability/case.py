@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A case, how it is violated, and what must hold for every picture."""
 
 from collections.abc import Callable
@@ -37,7 +38,8 @@ def violations(case: Case, outcome: Outcome):
     found = [(quantity, outcome.errors.get(quantity, np.nan), bound) for quantity, bound in case.bounds.items()]
     return [
         f"{case.group}, {case.name}: {quantity} is {error:.3g}, at most {bound:g} is allowed"
-        for quantity, error, bound in found if not error <= bound
+        for quantity, error, bound in found
+        if not error <= bound
     ]
 
 
@@ -52,6 +54,7 @@ def unsound(layer) -> float:
 
 def refused(name: str, make, words: str, quick: bool = True) -> Case:
     """A scene that must be refused with a message that contains `words`."""
+
     def measure():
         try:
             make()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical thickness, and densities that change abruptly."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Alpha and single scattering of a trilinear density in double precision, without steps of a fixed size.
 
 Between two planes of voxel centres the density along a ray is a cubic, which two Gauss–Legendre nodes integrate

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Generated .vdb files through the extension's reader: voxels that are not a density, and grids that are not fog.
 
 Needs bpy, whose OpenVDB writes them.
@@ -63,7 +64,7 @@ def read(make, told: str = "") -> Volume:
         except package.inference.SceneError as error:
             raise SceneError(str(error)) from None
         if told not in " ".join(found.warnings):
-            raise ValueError(f"no warning says \"{told}\"")
+            raise ValueError(f'no warning says "{told}"')
         return Volume(found.density, found.object_from_index, "cloud")
 
 

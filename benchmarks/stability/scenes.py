@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Small volumes, cameras and lights for the cases."""
 
 import numpy as np

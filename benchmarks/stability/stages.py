@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Each stage in the precision of renders, against double precision or a closed form."""
 
 import numpy as np
@@ -21,6 +22,7 @@ from .scenes import SUN, blob, placed
 
 def shadows(density, sigma_t):
     """Transmittance to the sun from random points of steep density, against exact integrals."""
+
     def measure():
         volume = placed(density)
         grid, exact = Grid(volume), ExactVolume(volume, sigma_t)
@@ -112,9 +114,18 @@ STEEP = np.zeros((16, 16, 16), np.float32)
 STEEP[4:12, 5:11, 6:13] = 1.0
 
 CASES = [
-    *(Case("stage", f"transmittance to the sun, {name}, σ̂ = {s:g}", "double precision", shadows(density, s),
-           {"root mean square": 0.08, "mean": 0.01}, quick=s == 1e3)
-      for name, density in (("lumpy", blob()), ("hard edges", STEEP)) for s in (1.0, 30.0, 1e3, 1e6)),
+    *(
+        Case(
+            "stage",
+            f"transmittance to the sun, {name}, σ̂ = {s:g}",
+            "double precision",
+            shadows(density, s),
+            {"root mean square": 0.08, "mean": 0.01},
+            quick=s == 1e3,
+        )
+        for name, density in (("lumpy", blob()), ("hard edges", STEEP))
+        for s in (1.0, 30.0, 1e3, 1e6)
+    ),
     Case("stage", "optical depth over 256 slices", "double precision", sweep_precision, {"largest": 1e-5}, True),
     Case("stage", "mean transmittance of a step", "extended precision", step_means, {"largest": 1e-4}, True),
     Case("stage", "light along the camera ray", "double precision", light_ahead, {"largest": 1e-3}, True),

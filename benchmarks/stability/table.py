@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
 
 import matplotlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Pages and CSV files that benchmarks write."""
 
 import csv

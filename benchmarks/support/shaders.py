@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials with a single shader, for the scenes of the benchmarks."""
 
 import bpy

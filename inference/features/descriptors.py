@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Features mu, S and P at the stencil's points around each x."""
 
 import numpy as np
@@ -97,7 +98,10 @@ def angle_to_sun(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 
 def describe(
-    lookup: FieldLookup, phase: PhaseFeatures, positions: np.ndarray, omega: np.ndarray,
+    lookup: FieldLookup,
+    phase: PhaseFeatures,
+    positions: np.ndarray,
+    omega: np.ndarray,
     jitter: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Descriptors of points for one sun, as the paper's networks read them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The Henyey-Greenstein phase function integrated over cones (appendix A.4 of the paper).
 
 The phase function carries 1/(4 pi) and integrates to 1 over the sphere.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The stencil of appendix A.2 of the paper: 192 points around x at which the medium is described.
 
 160 low-frequency points live in a frame that follows the camera ray: z along omega, the sun in the half-plane x > 0,

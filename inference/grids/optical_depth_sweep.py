@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depth from every cell of a grid towards the sun, in one sweep.
 
 Slices across the sun's dominant axis are visited from the sun's side. Each slice is sheared once along the sun's

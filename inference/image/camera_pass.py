@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
 from collections.abc import Sequence
@@ -108,7 +109,8 @@ def march_tile(
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     gathered = RayFeatures(np.concatenate(features)) if features else None
     samples = DepthSamples(
-        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered)
+        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered
+    )
     report.count("points", len(samples.ray))
     return samples
 
@@ -144,8 +146,13 @@ def estimate_march(
 
 def _march_options(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> MarchOptions:
     """What is gathered along the rays of a channel pass."""
-    return MarchOptions(context.settings.depth_samples, channel_pass.fluence, scene.occluders.shadow_maps,
-                        scene.plan.groups, context.settings.leave_out)
+    return MarchOptions(
+        context.settings.depth_samples,
+        channel_pass.fluence,
+        scene.occluders.shadow_maps,
+        scene.plan.groups,
+        context.settings.leave_out,
+    )
 
 
 def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
@@ -214,9 +221,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
-) -> _TileRays | None:
+def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None if there are none."""
     report, settings = context.report, context.settings
     # No rays are made for pixels away from every volume.
@@ -234,14 +239,16 @@ def _tile_rays(
         with report.stage("surfaces"):
             split, far, share, free = _split_at_surfaces(scene.depth_buffer, around.window, near, far, context.cancel)
         pixel, origins, directions, offsets, near = (
-            values[split] for values in (pixel, origins, directions, offsets, near))
+            values[split] for values in (pixel, origins, directions, offsets, near)
+        )
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
     if not len(hit):
         return None
-    return _TileRays(RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit],
-                     free[hit])
+    return _TileRays(
+        RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit], free[hit]
+    )
 
 
 def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple[Camera, np.ndarray]:
@@ -258,7 +265,10 @@ def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple
 
 
 def _ray_intervals(
-    plan: Plan, media: Sequence[BoundMedium], origins: np.ndarray, directions: np.ndarray,
+    plan: Plan,
+    media: Sequence[BoundMedium],
+    origins: np.ndarray,
+    directions: np.ndarray,
     clip: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
@@ -272,8 +282,10 @@ def _ray_intervals(
         if medium.matters:
             enter, leave = medium.grid.interval(origins, directions)
             if np.any((enter > 0.0) & (enter < clip_near) & (leave > clip_near)):
-                warnings.append(f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
-                                "Cycles would not render it there at all")
+                warnings.append(
+                    f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
+                    "Cycles would not render it there at all"
+                )
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
             hits = enter < leave
             near[hits] = np.minimum(near[hits], enter[hits])
@@ -282,7 +294,10 @@ def _ray_intervals(
 
 
 def _split_at_surfaces(
-    depth_buffer: DepthBuffer, window: tuple[int, int, int, int], near: np.ndarray, far: np.ndarray,
+    depth_buffer: DepthBuffer,
+    window: tuple[int, int, int, int],
+    near: np.ndarray,
+    far: np.ndarray,
     cancel: CancelToken,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rays that end at surfaces, as `split_rays_at_surfaces`."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The images that a render accumulates."""
 
 from dataclasses import dataclass, fields

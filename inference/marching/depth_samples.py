@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Depths along camera rays at which multiple scattering is evaluated.
 
 Multiple scattering varies smoothly along a ray, and its integral over the ray's opacity is computed by Gauss-Legendre
@@ -38,9 +39,7 @@ def sample_counts(alpha: np.ndarray, most: int, adaptive: bool = True) -> np.nda
     return np.where(alpha > MIN_ALPHA, np.clip(counts, min(2, most), most), 0)
 
 
-def sample_opacities(
-    alpha: np.ndarray, most: int, adaptive: bool = True
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_opacities(alpha: np.ndarray, most: int, adaptive: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions of depth samples: ray int (M,), opacity between the ray's start and the sample (M,), and weight (M,).
 
     alpha: (R,), opacity of each ray, to which the weights of its samples sum. most, adaptive: as for `sample_counts`.

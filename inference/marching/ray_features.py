@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The medium along a camera ray as seen from points on it: optical depths, and the light ahead.
 
 Forward scattering brings light from ahead along the camera ray. Marching the ray for single scattering has already
@@ -51,8 +52,13 @@ class SampleSteps:
 
 
 def gather_ray_features(
-    blocks: Blocks, tau: np.ndarray, sun_depths: np.ndarray, source: np.ndarray, reduced_fractions: Sequence[float],
-    samples: SampleSteps, visibility: np.ndarray | None = None,
+    blocks: Blocks,
+    tau: np.ndarray,
+    sun_depths: np.ndarray,
+    source: np.ndarray,
+    reduced_fractions: Sequence[float],
+    samples: SampleSteps,
+    visibility: np.ndarray | None = None,
 ) -> RayFeatures:
     """Ray features of samples on marched rays.
 

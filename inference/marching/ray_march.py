@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Ray marching: transmittance, exact single scattering and depths to sample along camera rays.
 
 Within a step extinction is constant and the optical depth towards the sun linear, so that the integrals over a step are
@@ -138,7 +139,8 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
     single = _single(medium, sun_depths, transmitted, visibility)
     block, step, inside, weight = _sample_depths(
-        medium, alpha, options.depth_samples, "faint_rays" in options.optimizations)
+        medium, alpha, options.depth_samples, "faint_rays" in options.optimizations
+    )
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     features = None
@@ -147,7 +149,8 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         source = _scattered_source(options.fluence, rays, sigma, depths.shape[1], medium)
         samples = SampleSteps(block, step, inside)
         features = gather_ray_features(
-            blocks, sigma * dt, depths, source, _reduced_fractions(options.fluence), samples, visibility)
+            blocks, sigma * dt, depths, source, _reduced_fractions(options.fluence), samples, visibility
+        )
     return RaySegment(
         alpha,
         depth,
@@ -178,12 +181,17 @@ def ray_features_at(
     source = _scattered_source([fluence], rays, marched.sigma, sun_depths.shape[1], marched)
     samples = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
     return gather_ray_features(
-        blocks, marched.sigma * marched.dt, sun_depths, source, _reduced_fractions([fluence]), samples)
+        blocks, marched.sigma * marched.dt, sun_depths, source, _reduced_fractions([fluence]), samples
+    )
 
 
 def _cut_into_steps(
-    media: Sequence[BoundMedium], rays: RayBatch, behind: float, always_first: bool = False,
-    refinements: int = REFINEMENTS, skip_empty: bool = True,
+    media: Sequence[BoundMedium],
+    rays: RayBatch,
+    behind: float,
+    always_first: bool = False,
+    refinements: int = REFINEMENTS,
+    skip_empty: bool = True,
 ) -> _MarchedMedium:
     """Cut rays into steps, refined where these are too thick, and sample the medium on them.
 
@@ -266,7 +274,8 @@ def _sun_depths(
         position = medium.steps.index(v, ray, step)
         for l in range(suns):
             depths[v, l].reshape(-1)[edge] = bound.sun_optical_depth(
-                position, l, may_be_outside or volumes > 1, camera_depth)
+                position, l, may_be_outside or volumes > 1, camera_depth
+            )
     depths[:, :, joint, -1] = depths[:, :, joint + 1, 0]
     return depths
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays cut into steps, and the blocks of steps that may hold density.
 
 Most of the box around a cloud is empty. Steps are therefore stored in blocks, and only the blocks of a ray that lie
@@ -78,7 +79,8 @@ def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
     """Number of steps int (R,) per ray, as the medium that needs most requires."""
     crossed = [
         np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * (rays.far - rays.near)
-        for medium in media if medium.matters
+        for medium in media
+        if medium.matters
     ]
     return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene needs, decided from its description alone."""
 
 from collections.abc import Sequence
@@ -76,7 +77,8 @@ class Plan:
         """Whether multiple scattering is predicted in a group, in some colour channels."""
         return self.multiple[group] and any(
             channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.optimizations)
-            for v in self.groups[group])
+            for v in self.groups[group]
+        )
 
     def in_small_tiles(self, camera: Camera) -> "Plan":
         """The plan in smaller tiles, for networks whose lookup lattices serve every sun.
@@ -92,8 +94,9 @@ class Plan:
         # One sun remains even if all are dark; its single scattering is 0.
         suns = [self.suns[n] for n in numbers] or self.suns[:1]
         dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
-        return replace(self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple],
-                       left_out=[*self.left_out, dark])
+        return replace(
+            self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple], left_out=[*self.left_out, dark]
+        )
 
 
 def distinct_albedos(
@@ -223,8 +226,19 @@ def make_plan(
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(rendered, merged, channels, groups, multiple, scattered_emission, planned, left_out,
-                settings.leave_out, needed, tiles)
+    return Plan(
+        rendered,
+        merged,
+        channels,
+        groups,
+        multiple,
+        scattered_emission,
+        planned,
+        left_out,
+        settings.leave_out,
+        needed,
+        tiles,
+    )
 
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
@@ -263,7 +277,8 @@ def _plan_group(
     names = " and ".join(volume.name for volume, _ in members)
     scatters = any(
         attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
-        for volume, medium in members)
+        for volume, medium in members
+    )
     predicted = settings.multiple and scatters and has_sun
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:

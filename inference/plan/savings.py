@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated time that the optimizations saved, from what the rest of the render took."""
 
 from ..runtime.report import Report

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Columns along a sun's rays through a grid, and how many of them a sparse grid stores."""
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,8 @@ class Shear:
         ends = [sorted(slope * self.number(index) for index in (0, count - 1)) for slope in self.slopes]
         self.first = [int(np.floor(-last)) - BEFORE for _, last in ends]
         self.size = [
-            shape[axis] + int(np.ceil(last - first)) + MORE + 3 for axis, (first, last) in zip(self.others, ends)]
+            shape[axis] + int(np.ceil(last - first)) + MORE + 3 for axis, (first, last) in zip(self.others, ends)
+        ]
 
     def towards_sun(self, first: int, end: int) -> range:
         """Slices from first to before end, in the order in which the sun's light passes them."""
@@ -84,7 +86,8 @@ class TilePlan:
             places = {
                 (tile_b + i, tile_c + j)
                 for (tile_b, in_b, _), (tile_c, in_c, _) in map(self.place, range(EDGE * slab, EDGE * (slab + 1)))
-                for i in range(reached(in_b)) for j in range(reached(in_c))
+                for i in range(reached(in_b))
+                for j in range(reached(in_c))
             }
             for tile_b, tile_c in places:
                 touched[b + tile_b, c + tile_c] = True

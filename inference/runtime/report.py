@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a render did: its plan, counters, seconds per stage and memory."""
 
 import contextlib

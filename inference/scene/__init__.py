@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Description of a scene: volumes, media, lights, surfaces, the camera and the settings, as plain arrays."""
 
 from ..runtime.cancellation import Cancelled

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Fluence and flux of scattered light on coarse cells, for networks at points and for camera rays on their way."""
 
 from dataclasses import dataclass

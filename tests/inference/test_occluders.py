@@ -1,13 +1,13 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque surfaces in multiple scattering: energy conservation, closed forms, and what must not change."""
 
 import numpy as np
 import pytest
 
-from inference import RenderCache, Medium, Settings, Sun, Surface, render
-from inference.transport.diffusion import couple, solve
-from inference.occluders.shadow_map import ShadowMap
+from inference import Medium, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
-
+from inference.occluders.shadow_map import ShadowMap
+from inference.transport.diffusion import couple, solve
 from tests.support.surfaces import camera, fog, rectangle
 
 CELLS = 24
@@ -75,7 +75,9 @@ def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
     share = shadow_map.cell_visibility(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
-    np.testing.assert_allclose(shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6)
+    np.testing.assert_allclose(
+        shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
@@ -125,8 +127,9 @@ def test_the_render_cache_follows_surfaces_and_suns():
 
 def test_a_network_without_light_inputs_warns_of_surfaces():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
-    layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
-                   surfaces=[wall])
+    layer = render(
+        [(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"), surfaces=[wall]
+    )
     assert "fog: the network rpnn does not account for surfaces" in layer.report.warnings
 
 

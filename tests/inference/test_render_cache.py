@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The render cache changes nothing but the time, for one thread and for several."""
 
 import threading
@@ -27,7 +28,6 @@ def camera(size=12):
     return Camera(matrix, resolution=(size, size), fov=0.6)
 
 
-
 def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
@@ -37,15 +37,19 @@ def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
         # At the ninth poll, half of the lattices are built.
         asked = iter(range(9))
         with pytest.raises(Cancelled):
-            render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)
+            render(
+                [(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache
+            )
         found = render([(volume, medium)], sun, camera(), SETTINGS, cache=cache)
         np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
 
 
 def test_two_threads_share_the_render_cache():
     volume, cache = ball(), RenderCache()
-    scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
-              for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
+    scenes = [
+        ([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
+        for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))
+    ]
     expected = [render(*scene, camera(), SETTINGS).rgb for scene in scenes]
     found = {}
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the documentation states is so: constants, paths, commands, links and checksums."""
 
 import importlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The path tracer against closed forms, conservation laws and independent references."""
 
 import tempfile
@@ -10,12 +11,18 @@ from scipy.ndimage import map_coordinates
 
 from benchmarks.fidelity.views import REFERENCES, independent_density
 from inference import Medium
-from inference.scene.phase_function import henyey_greenstein
 from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.scene.phase_function import henyey_greenstein
 from training.tracer.density_grid import prepare
 from training.tracer.henyey_greenstein import scatter
 from training.tracer.path_tracer import (
-    PinholeCamera, Sampling, Scene, Vertices, sample_scattering_points, trace_pixels, trace_points,
+    PinholeCamera,
+    Sampling,
+    Scene,
+    Vertices,
+    sample_scattering_points,
+    trace_pixels,
+    trace_points,
 )
 from training.tracer.random_numbers import seed_state
 from training.tracer.tracking import GridMedium, Ray, ratio_track
@@ -99,7 +106,11 @@ def test_ratio_tracking_agrees_with_quadrature():
     x, sigma = np.array([0.1, -0.05, 0.02]), 12.0
     directions = sphere_lattice(40).astype(np.float32)
     tracked = _mean_transmittance(
-        ((x + 0.5) * 24).astype(np.float32), directions, GridMedium(*grid, np.float32(sigma / 24), np.float32(0)), 4000, 5
+        ((x + 0.5) * 24).astype(np.float32),
+        directions,
+        GridMedium(*grid, np.float32(sigma / 24), np.float32(0)),
+        4000,
+        5,
     )
     step = 1 / 400
     s = (np.arange(400) + 0.5) * step
@@ -130,8 +141,13 @@ def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     np.testing.assert_allclose(image[..., :3].mean(axis=(0, 1)), light * np.array(albedo), rtol=0.012)
 
 
-@pytest.mark.parametrize("g, sigma", [
-    (0.0, 4.0), *(pytest.param(g, sigma, marks=pytest.mark.slow) for g, sigma in ((0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)))])
+@pytest.mark.parametrize(
+    "g, sigma",
+    [
+        (0.0, 4.0),
+        *(pytest.param(g, sigma, marks=pytest.mark.slow) for g, sigma in ((0.0, 40.0), (0.6, 15.0), (-0.3, 15.0))),
+    ],
+)
 def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     """Without absorption, uniform radiance 1 outside is radiance 1 inside."""
     rng = np.random.default_rng(4)
@@ -144,10 +160,7 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     multiple = trace_points(scene, vertices, Sampling(400, 6))[..., 0].astype(np.float64)
     medium = GridMedium(*scene.grid, np.float32(sigma / 12), np.float32(g))
     single = np.stack(
-        [
-            _mean_transmittance(((p + 0.5) * 12).astype(np.float32), suns.astype(np.float32), medium, 50, 7)
-            for p in x
-        ]
+        [_mean_transmittance(((p + 0.5) * 12).astype(np.float32), suns.astype(np.float32), medium, 50, 7) for p in x]
     ) * henyey_greenstein(omega @ suns.T, g)
     radiance = 4 * np.pi / len(suns) * (single + multiple).sum(axis=1)
     error = radiance.std(ddof=1) / np.sqrt(points)
@@ -159,7 +172,11 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
 def test_under_uniform_light_the_cloud_is_invisible():
     density = smooth_cloud(24)
     suns = sphere_lattice(120)
-    camera, medium, grid = PinholeCamera((1.2, 0.4, 0.9), (0, 0, 0), (0, 0, 1), 30, 6), Medium(20.0, 1.0, 0.2), prepare(density)
+    camera, medium, grid = (
+        PinholeCamera((1.2, 0.4, 0.9), (0, 0, 0), (0, 0, 1), 30, 6),
+        Medium(20.0, 1.0, 0.2),
+        prepare(density),
+    )
     images = np.stack(
         [trace_pixels(Scene(grid, sun), camera, medium, Sampling(60, seed)) for seed, sun in enumerate(suns)]
     ).astype(np.float64)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Descriptors of many points with an extinction each, for training data.
 
 The same features as `inference.features.descriptors`, computed the other way round: instead of one lookup in a prepared

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A small smoke simulation, for volumes that look like simulated ones.
 
 Stable fluids (Stam 1999) in a periodic box: semi-Lagrangian advection of velocity, pressure projected exactly in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN's inputs for the rows of training data that it can learn from.
 
     python -m training.data.lattice_rows --data data/train --out data/rpnn-train
@@ -37,7 +38,10 @@ def lattice_rows(seed: int, data) -> dict:
     levels = refined_levels(density_pyramid(level0_density(volume, cube)))
     lattice = make_sun_lattice()
     density = read_lattices(
-        lattice, levels, cube.positions(data["position"][rows]), cube.directions(data["omega"][rows]),
+        lattice,
+        levels,
+        cube.positions(data["position"][rows]),
+        cube.directions(data["omega"][rows]),
         cube.directions(data["sun"][rows]),
     )
     sigma_hat = data["sigma_hat"][rows]

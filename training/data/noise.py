@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Band-limited noise and its uses: fractal sums, curl-noise advection, grid lookup.
 
 Points are float32 (M, 3). Noise comes from one periodic tile of Gaussian noise with a wavelength around `CELLS` tile
@@ -14,9 +15,7 @@ import scipy.fft
 
 TILE = 128
 CELLS = 8.0
-OCTAVE_ROTATION = np.linalg.qr(
-    np.array([[0.3, 0.8, -0.5], [-0.7, 0.5, 0.4], [0.6, 0.1, 0.8]])
-)[0].astype(np.float32)
+OCTAVE_ROTATION = np.linalg.qr(np.array([[0.3, 0.8, -0.5], [-0.7, 0.5, 0.4], [0.6, 0.1, 0.8]]))[0].astype(np.float32)
 
 
 class _Octaves(NamedTuple):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The volume that a file of training data is made from, given its seed."""
 
 import numpy as np

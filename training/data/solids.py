@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Solids filled with homogeneous fog, as artists fill meshes: hard faces, density constant inside or nearly so.
 
 Entries of SOLIDS are like those of `volume_kinds.KINDS`: each takes a numpy Generator and returns the density as a

@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Points of A.2's stencil: those that all data and weights were made with, and how they were found.
 
-    python -m training.data.stencil FILE.npz    # relaxes new ones
+python -m training.data.stencil FILE.npz    # relaxes new ones
 """
 
 import functools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Training data: descriptors and path-traced radiance at points where camera rays scatter.
 
     nice python -m training.data.targets --out data/train --volumes 0-399

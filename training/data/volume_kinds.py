@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural density fields: clouds, smoke, solids and others, as functions of position.
 
 Each entry of KINDS takes a numpy Generator, draws its parameters and returns a function from points float32 (M, 3) to
@@ -334,6 +335,17 @@ def trail(rng):
 
 #: Share of each kind among the seeds.
 KINDS = {
-    cumulus: 0.20, simulation: 0.18, plume: 0.12, puff: 0.06, wisps: 0.07, stratus: 0.06, model: 0.08,
-    blobs: 0.05, homogeneous: 0.03, pieces: 0.05, sheets: 0.03, nebula: 0.04, trail: 0.03,
+    cumulus: 0.20,
+    simulation: 0.18,
+    plume: 0.12,
+    puff: 0.06,
+    wisps: 0.07,
+    stratus: 0.06,
+    model: 0.08,
+    blobs: 0.05,
+    homogeneous: 0.03,
+    pieces: 0.05,
+    sheets: 0.03,
+    nebula: 0.04,
+    trail: 0.03,
 }

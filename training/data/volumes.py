@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural volumes to train on, each drawn from a seed.
 
 A volume lies in the working cube: cell (i, j, k) of N^3 has its centre at ((i, j, k) + 0.5) / N - 0.5, axis 2 is up,

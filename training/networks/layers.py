@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Layers of the paper's stencil networks.
 
 A block's features are tensors (3, N, k), channels mu, S, P first: one batched product serves three sub-networks with
@@ -15,9 +16,7 @@ CHANNELS = 3
 #: Last blocks of the low- and of the high-frequency sub-network.
 LAST_BLOCKS = (LOW_LAYERS - 1, len(LAYER_POINTS) - 1)
 #: Blocks whose output is a concatenation, since the next layer has twice their points (footnote 2).
-WIDENING_BLOCKS = tuple(
-    i for i, n in enumerate(LAYER_POINTS[:-1]) if i not in LAST_BLOCKS and LAYER_POINTS[i + 1] != n
-)
+WIDENING_BLOCKS = tuple(i for i, n in enumerate(LAYER_POINTS[:-1]) if i not in LAST_BLOCKS and LAYER_POINTS[i + 1] != n)
 
 
 class ChannelLinear(nn.Module):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The default network: densities, light along the camera ray and coarse scattered light in a residual network."""
 
 import math
@@ -111,7 +112,8 @@ class RayMRPNN(nn.Module):
         modulations = [torch.cat([scale[0], shift[0]]), torch.cat([scale[1] - 1.0, shift[1]])]
         for module, (weight, bias), mean, deviation in (
             (self.modulation[0], modulation, self.mean[-angles:], self.deviation[-angles:]),
-            (self.modulation[1], modulations, None, None), (self.first, first, self.mean, self.deviation),
+            (self.modulation[1], modulations, None, None),
+            (self.first, first, self.mean, self.deviation),
             *((module, layer, None, None) for module, layer in zip((*self.hidden, self.last), rest)),
         ):
             if mean is not None:
@@ -130,8 +132,14 @@ class RayMRPNN(nn.Module):
         cosine, g = torch.cos(gamma), anisotropy
         angles = torch.stack(
             [
-                cosine, torch.sin(gamma), gamma / math.pi, g, log_phase(cosine, g),
-                log_phase(cosine, g * g.abs()), log_phase(cosine, g**3), torch.log(1 - g.abs()),
+                cosine,
+                torch.sin(gamma),
+                gamma / math.pi,
+                g,
+                log_phase(cosine, g),
+                log_phase(cosine, g * g.abs()),
+                log_phase(cosine, g**3),
+                torch.log(1 - g.abs()),
             ],
             dim=1,
         )
@@ -226,8 +234,13 @@ class RayMRPNN(nn.Module):
             return g.op("Sub", front, g.op("Mul", d, g.number(1.5)))
 
         angles = [
-            cosine, g.op("Sin", gamma), g.op("Mul", gamma, g.number(1.0 / math.pi)), anisotropy, phase(anisotropy),
-            phase(g.op("Mul", anisotropy, size)), phase(g.op("Mul", anisotropy, square)),
+            cosine,
+            g.op("Sin", gamma),
+            g.op("Mul", gamma, g.number(1.0 / math.pi)),
+            anisotropy,
+            phase(anisotropy),
+            phase(g.op("Mul", anisotropy, size)),
+            phase(g.op("Mul", anisotropy, square)),
             g.op("Log", g.op("Sub", g.number(1.0), size)),
         ]
         return g.concat(x, axis=1), g.concat(angles, axis=1), logs

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Feature P of training rows, computed from G and gamma instead of being stored."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN, the paper's baseline (Kallweit et al. 2017): density alone, on lattices towards the sun."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What MRPNN and its variants share: the inputs and the end of the albedo stage."""
 
 import numpy as np

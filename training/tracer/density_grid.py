@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The density that the tracer marches through, and its majorant grid.
 
 Positions are in cells: [0, N]^3 is the cube, cell (i, j, k) has its centre at (i, j, k) + 0.5. Density is trilinear

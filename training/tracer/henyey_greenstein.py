@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Henyey-Greenstein's phase function in numba: evaluation and importance sampling."""
 
 import numba

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Unbiased volumetric path tracing in the working cube: delta tracking with next-event estimation.
 
 Suns have irradiance 1. The phase function is Henyey-Greenstein's and carries 1/(4 pi). Results depend on the arguments
@@ -18,8 +19,14 @@ from .scene import MAX_COLLISIONS, PinholeCamera, Sampling, Scene, Vertices, per
 from .tracking import GridMedium, Ray, delta_track, ratio_track
 
 __all__ = [
-    "MAX_COLLISIONS", "PinholeCamera", "Sampling", "Scene", "Vertices",
-    "sample_scattering_points", "trace_pixels", "trace_points",
+    "MAX_COLLISIONS",
+    "PinholeCamera",
+    "Sampling",
+    "Scene",
+    "Vertices",
+    "sample_scattering_points",
+    "trace_pixels",
+    "trace_points",
 ]
 
 #: Rays tried for one scattering point before it is given up.
@@ -284,10 +291,14 @@ def trace_points(scene: Scene, vertices: Vertices, sampling: Sampling) -> np.nda
     """
     cells = np.float32(scene.grid.cells)
     return _points_kernel(
-        scene.grid, _Suns(scene.suns, scene.sun_depths),
+        scene.grid,
+        _Suns(scene.suns, scene.sun_depths),
         _CellVertices(
-            (vertices.positions + np.float32(0.5)) * cells, vertices.directions, vertices.sigma / cells,
-            vertices.anisotropy, vertices.albedos,
+            (vertices.positions + np.float32(0.5)) * cells,
+            vertices.directions,
+            vertices.sigma / cells,
+            vertices.anisotropy,
+            vertices.albedos,
         ),
         Sampling(*map(int, sampling)),
     )
@@ -327,7 +338,8 @@ def trace_pixels(scene: Scene, camera: PinholeCamera, medium: Medium, sampling: 
     image = _pixels_kernel(
         grid,
         _Coefficients(
-            np.float32(medium.sigma_t[0] / grid.cells), np.float32(medium.anisotropy),
+            np.float32(medium.sigma_t[0] / grid.cells),
+            np.float32(medium.anisotropy),
             np.ascontiguousarray(medium.albedo, dtype=np.float32),
         ),
         _Suns(scene.suns, scene.sun_depths),

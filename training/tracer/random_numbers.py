@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Counter-based random numbers for numba kernels: splitmix64 (Steele, Lea and Flood 2014).
 
 The state, a uint64, is handed from call to call, so that a path depends on nothing but where its state began, whatever

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the path tracer is asked for: a lit density, path vertices or a camera, and how many paths.
 
 Positions are in cube units, [-1/2, 1/2]^3; extinction is per cube edge where the density is 1.

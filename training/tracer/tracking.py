@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Delta tracking and ratio tracking through a majorant grid (Woodcock et al. 1965, Novak et al. 2014).
 
 Everything is float32 and runs inside numba. Positions are in cells (`density_grid`), extinction is `sigma` times

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque meshes that cover volumes and cast shadows on them."""
 
 import bpy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Depths along rays: what they integrate, and how many a ray gets."""
 
 import numpy as np
@@ -35,7 +36,9 @@ def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     ray, opacity, weight = sample_opacities(np.ones(rays), most)
     nothing = np.zeros((rays, 3))
     pixel = np.arange(rays)
-    samples = DepthSamples(pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1)))
+    samples = DepthSamples(
+        pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1))
+    )
     pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity))
     np.testing.assert_array_equal(pixels, np.arange(rays))
     assert straight.max() < 1e-12

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Models by name: what each is for, the path tracer included."""
 
 import subprocess
@@ -11,10 +12,10 @@ import training.reference
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
 from inference.network import network
 from inference.scene import SceneError
+from training.data.seeded_volume import cube_volume
 from training.export import export, save
 from training.networks import RPNN
 from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, Vertices, trace_pixels, trace_points
-from training.data.seeded_volume import cube_volume
 
 SUN = Sun((0.6, 0.5, 0.62))
 
@@ -99,9 +100,12 @@ def test_the_reference_follows_the_volume_in_the_world(ball):
     volume = Volume(np.pad(ball, ((2, 3), (2, 0), (2, 7))), world_from_index)
     copies = 1000
     found = predict_multiple(
-        volume, Medium(20.0 / scale, 1.0, 0.4), Sun(turn @ SUN.direction),
+        volume,
+        Medium(20.0 / scale, 1.0, 0.4),
+        Sun(turn @ SUN.direction),
         (shift + scale * positions @ turn.T).repeat(copies, 0) + 1e-6 * np.arange(2 * copies)[:, None],
-        (omega @ turn.T).repeat(copies, 0), model="reference",
+        (omega @ turn.T).repeat(copies, 0),
+        model="reference",
     )
     np.testing.assert_allclose(found[:, 0].reshape(2, copies).mean(axis=1), expected, rtol=0.05)
 

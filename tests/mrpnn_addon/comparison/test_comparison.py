@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The comparison: its figures for planted images, and its operator on real scenes in Blender."""
 
 import importlib
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 
 from inference import SceneError
-
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -152,11 +152,11 @@ def small(folder, **settings):
 def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     scene.camera.location.z = 4.0
-    scene.render.engine = 'BLENDER_WORKBENCH'
+    scene.render.engine = "BLENDER_WORKBENCH"
     scene.cycles.samples = 7
     path = tmp_path / "comparison" / "figures.json"
     before = state_of_file()
-    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=32)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=32)) == {"FINISHED"}
     after = state_of_file()
     # The layer, Cycles, the error and the chart; the table.
     assert after[1] == before[1]
@@ -188,7 +188,7 @@ def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_pa
     data = cloud.data
     data.filepath, data.is_sequence, data.frame_duration = str(folder / "cloud_0001.vdb"), True, 2
     scene.frame_set(2)
-    assert bpy.ops.mrpnn.compare(**small(tmp_path)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path)) == {"FINISHED"}
     found = json.loads((tmp_path / "comparison" / "figures.json").read_text())
     assert abs(found["alpha_bias"]["value"]) < 0.02
 
@@ -210,8 +210,8 @@ def test_operator_refuses_an_instancer_that_shows_a_surface_beside_the_volume(sc
         group.objects.link(member)
     scene.collection.objects.unlink(cloud)
     instancer = make.add_object(scene, "both", None)
-    instancer.instance_type, instancer.instance_collection = 'COLLECTION', group
-    with pytest.raises(RuntimeError, match="\"both\" instances a volume"):
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", group
+    with pytest.raises(RuntimeError, match='"both" instances a volume'):
         bpy.ops.mrpnn.compare(**small(tmp_path))
 
 
@@ -222,7 +222,7 @@ def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     render.use_border, render.use_crop_to_border = True, False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.5, 1.0
     path = tmp_path / "comparison" / "figures.json"
-    assert bpy.ops.mrpnn.compare(**small(tmp_path, scale=100)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, scale=100)) == {"FINISHED"}
     found = json.loads(path.read_text())
     assert found["resolution"] == [32, 32]
     assert abs(found["alpha_bias"]["value"]) < 0.03
@@ -289,7 +289,7 @@ def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_p
     first.wait()
     image = bpy.data.images.new("given", 16, 16, alpha=True, float_buffer=True)
     image.pixels.foreach_set(first.layer_image()[::-1].ravel())
-    image.colorspace_settings.is_data, image.alpha_mode, image.file_format = True, 'CHANNEL_PACKED', 'OPEN_EXR'
+    image.colorspace_settings.is_data, image.alpha_mode, image.file_format = True, "CHANNEL_PACKED", "OPEN_EXR"
     image.save(filepath=str(tmp_path / "given.exr"))
     run = started(reference_path=str(tmp_path / "given.exr"))
     run.wait()

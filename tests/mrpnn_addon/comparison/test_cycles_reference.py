@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The Cycles reference: closed forms, and the user's file left as it was."""
 
 import importlib
@@ -7,7 +8,6 @@ import numpy as np
 import pytest
 
 from inference import SceneError
-
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -112,7 +112,7 @@ def test_only_the_given_objects_are_shown(reference, box_scene):
 @pytest.mark.slow
 def test_depth_of_field_is_off_in_the_reference_and_stays_on_in_the_scene(reference, box_scene):
     scene, _, objects = box_scene
-    scene.camera.data.type = 'PERSP'
+    scene.camera.data.type = "PERSP"
     scene.camera.data.lens = 20.0
     scene.camera.data.dof.use_dof = True
     scene.camera.data.dof.focus_distance = 0.1
@@ -127,7 +127,7 @@ def test_the_file_is_left_as_it_was(reference, box_scene):
     scene, _, objects = box_scene
     scene.world = None
     scene.cycles.samples, scene.cycles.seed = 7, 99
-    scene.render.engine = 'BLENDER_WORKBENCH'
+    scene.render.engine = "BLENDER_WORKBENCH"
     before = state_of_file()
     reference.render_reference(scene, objects, reference.PathTracing(samples=1))
     assert state_of_file() == before

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Files are written completely or not at all: full disks, limits, unwritable folders, killed processes."""
 
 import os
@@ -73,7 +74,7 @@ def test_writing_can_be_cancelled(tmp_path, addon, write_exr):
             raise Stopped()
 
     lines = PICTURE["Z"].shape[0] // addon.mrpnn_addon.output.exr_file.LINES_PER_BLOCK
-    for before in (3, lines + 3):
+    for before in (3, lines + 3):  # noqa: B007 (check reads it)
         asked.clear()
         with pytest.raises(Stopped):
             write_exr(str(path), PICTURE, {}, check)
@@ -134,8 +135,10 @@ def test_an_error_while_writing_leaves_nothing(tmp_path, atomic_write):
 def test_killed_while_writing_the_old_file_stays(tmp_path, write_exr):
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
-    program = ("import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
-               "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
+    program = (
+        "import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
+        "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)"
+    )
     writer = subprocess.Popen([sys.executable, "-c", program, path], cwd=ROOT)
     while not list(tmp_path.glob(".mrpnn-*.part")) and writer.poll() is None:
         time.sleep(0.01)

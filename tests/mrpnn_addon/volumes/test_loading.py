@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes read on a thread, ahead of the scene."""
 
 import threading
@@ -102,7 +103,7 @@ def test_unreadable_volumes_are_reported_beside_readable_ones(addon, scene, clou
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), reader)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
     (problem,) = described.refused
-    assert "\"Odd one\": " in problem
+    assert '"Odd one": ' in problem
 
 
 @pytest.mark.parametrize("kind", ["file", "mesh"])
