@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN: neural multiple scattering for clouds, smoke and fog (Blender extension).
 
 Blender imports this package as `bl_ext.<repository>.mrpnn`. Registration loads only

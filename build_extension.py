@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Build the extension: one zip per platform in build/, built and validated by Blender's own tool.
 
     .venv/bin/python build_extension.py [--tag v1.2.3]
@@ -30,9 +31,23 @@ def manifest() -> dict:
 def download(wheel: Path) -> None:
     """Download one wheel by its file name."""
     package, version, python, _, platforms = wheel.stem.split("-")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--quiet", "--no-deps", "--only-binary=:all:",
-               f"{package}=={version}", "--dest", wheel.parent,
-               "--python-version", python.removeprefix("cp"), "--implementation", "cp"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--quiet",
+        "--no-deps",
+        "--only-binary=:all:",
+        f"{package}=={version}",
+        "--dest",
+        wheel.parent,
+        "--python-version",
+        python.removeprefix("cp"),
+        "--implementation",
+        "cp",
+    ]
     for platform in platforms.split("."):
         command += ["--platform", platform]
     subprocess.run(command, check=True)
@@ -62,8 +77,9 @@ def build() -> list[Path]:
     fetch_wheels()
     blender_tool("build", "--source-dir", ROOT, "--output-dir", BUILD, "--split-platforms")
     facts = manifest()
-    zips = [BUILD / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip"
-            for platform in facts["platforms"]]
+    zips = [
+        BUILD / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip" for platform in facts["platforms"]
+    ]
     for path in zips:
         blender_tool("validate", path)
     return zips
@@ -90,7 +106,8 @@ def check_tag(tag: str) -> None:
     version = manifest()["version"]
     if tag != f"v{version}":
         raise SystemExit(
-            f"the tag is {tag}, but blender_manifest.toml has version {version}: tag v{version}, or change that")
+            f"the tag is {tag}, but blender_manifest.toml has version {version}: tag v{version}, or change that"
+        )
 
 
 if __name__ == "__main__":

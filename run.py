@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The two commands of a fresh checkout, with nothing but Python 3.11 installed.
 
     python3.11 run.py demo [volume.vdb ...]            render in Blender, compare with Cycles
@@ -34,8 +35,20 @@ def install(requirements: str) -> None:
     print(f"installing {requirements} into {VENV.name}; the first time takes minutes", flush=True)
     if not PYTHON.exists():
         venv.create(VENV, with_pip=True)
-    subprocess.run([PYTHON, "-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check",
-                    "--requirement", ROOT / requirements], check=True)
+    subprocess.run(
+        [
+            PYTHON,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--requirement",
+            ROOT / requirements,
+        ],
+        check=True,
+    )
     stamp.write_text(wanted)
 
 

@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumetric rendering with predicted multiple scattering; numpy and onnxruntime only.
 
-    layer = render([(volume, medium)], [sun], camera, Settings())
+layer = render([(volume, medium)], [sun], camera, Settings())
 """
 
 from .image.layer import Layer

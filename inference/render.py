@@ -1,5 +1,7 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Scene in, layer out: the stages of a render in their order."""
 
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,33 +32,45 @@ from .transport.scattered_fluence import ScatteredFluence
 
 
 def render(
-    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
-    cache: RenderCache | None = None, surfaces=(),
+    volumes,
+    lights,
+    camera: Camera,
+    settings: Settings | None = None,
+    progress=None,
+    cancelled=None,
+    cache: RenderCache | None = None,
+    surfaces=(),
 ) -> Layer:
     """Render volumes lit by suns.
 
-    volumes: list of (Volume, Medium). lights: list of Sun. progress: (fraction, message), called on the calling thread; the
-    fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier renders, for what has not
-    changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera rays end, for a layer that is
-    put over them (but not those of equirectangular cameras), and that keep light from the volumes.
+    volumes: list of (Volume, Medium). lights: list of Sun. progress: (fraction, message), called on the calling thread;
+    the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier renders, for
+    what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera rays end, for
+    a layer that is put over them (but not those of equirectangular cameras), and that keep light from the volumes.
 
     The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
     Cancelled when asked to stop.
     """
-    for _, layer in render_tiles(volumes, lights, camera, settings, progress, cancelled, cache, surfaces):
-        pass
+    # The last is the whole image; the others need not be held.
+    tiles = render_tiles(volumes, lights, camera, settings, progress, cancelled, cache, surfaces)
+    [(_, layer)] = deque(tiles, maxlen=1)
     return layer
 
 
 def render_tiles(
-    volumes, lights, camera: Camera, settings: Settings | None = None, progress=None, cancelled=None,
-    cache: RenderCache | None = None, surfaces=(),
+    volumes,
+    lights,
+    camera: Camera,
+    settings: Settings | None = None,
+    progress=None,
+    cancelled=None,
+    cache: RenderCache | None = None,
+    surfaces=(),
 ) -> Iterator[tuple[tuple[int, int, int, int], Layer]]:
     """As `render`, but yield each part of the image as soon as it is finished.
 
-    Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report. The
-    last one is the whole image, with the report.
-    """
+    Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report.
+    The last one is the whole image, with the report."""
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
@@ -104,7 +118,8 @@ def _channel_pass(
     """Some colour channels, ready to be marched."""
     settings, media = context.settings, scene.media(channels)
     options = MarchOptions(
-        settings.depth_samples, fluence, scene.occluders.shadow_maps, scene.plan.groups, settings.leave_out)
+        settings.depth_samples, fluence, scene.occluders.shadow_maps, scene.plan.groups, settings.leave_out
+    )
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping)
     return ChannelPass(channels, media, fluence, march)
 
@@ -156,7 +171,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     with report.stage("fields"):
         groups = [
             cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel) if plan.multiple[g] else None
-            for g, members in enumerate(plan.groups)]
+            for g, members in enumerate(plan.groups)
+        ]
     for g, group in enumerate(groups):
         channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
         if group is not None and channels is not None:

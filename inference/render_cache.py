@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Content-keyed cache shared between renders."""
 
 import threading
@@ -30,9 +31,10 @@ class ScatteringGroup:
 class RenderCache:
     """Networks, grids, predictors and scattered emission of earlier renders, keyed by what they were made from.
 
-    Never out of date, and safe to share between renders on several threads. Holds every network that was asked for, and
-    the rest as of the last render, until it is dropped. Every method raises Cancelled. any_view: whether lookup
-    lattices cover the whole of a volume, so that they serve other views too, rather than the part that one view shows.
+    Never out of date, as long as the arrays of rendered volumes are not modified in place. Safe to share between
+    renders on several threads. Holds every network that was asked for, and the rest as of the last render, until it is
+    dropped. Every method raises Cancelled. any_view: whether lookup lattices cover the whole of a volume, so that they
+    serve other views too, rather than the part that one view shows.
     """
 
     def __init__(self, any_view: bool = True):
@@ -115,12 +117,16 @@ def _same_volume(a: Volume, b: Volume) -> bool:
 
 def _serves(predictor: VolumePredictor, network: System, volume: Volume, medium: Medium) -> bool:
     """Whether a predictor was made from the same network, volume and anisotropy."""
-    return predictor.network is network and predictor.requested_anisotropy == medium.anisotropy and _same_volume(
-        predictor.volume, volume)
+    return (
+        predictor.network is network
+        and predictor.requested_anisotropy == medium.anisotropy
+        and _same_volume(predictor.volume, volume)
+    )
 
 
 def _same_members(made_of: Members, members: Members) -> bool:
     """Whether pairs of Volume and Medium are equal in every number."""
     return len(made_of) == len(members) and all(
         _same_volume(old, new) and before.same_coefficients(after)
-        for (old, before), (new, after) in zip(made_of, members))
+        for (old, before), (new, after) in zip(made_of, members)
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Between Blender and `inference`: reads scenes and hands layers back.
 
 Packages import only those above them in this list; `tests/package/test_import_order.py` checks it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operator `mrpnn.check`: what a render would leave out or approximate."""
 
 import bpy
@@ -14,7 +15,7 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
 
     def invoke(self, context, event):
         if not bpy.app.background and self.wait_for_volumes(context):
-            return {'RUNNING_MODAL'}
+            return {"RUNNING_MODAL"}
         return self.execute(context)
 
     def modal(self, context, event):
@@ -28,13 +29,13 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
     def execute(self, context):
         check = check_scene(context.evaluated_depsgraph_get(), self.reader)
         if check.error:
-            self.report({'ERROR'}, check.error)
-            return {'CANCELLED'}
+            self.report({"ERROR"}, check.error)
+            return {"CANCELLED"}
         for warning in check.warnings:
-            self.report({'WARNING'}, warning)
+            self.report({"WARNING"}, warning)
         if not check.warnings:
-            self.report({'INFO'}, "Everything in the scene is rendered")
-        return {'FINISHED'}
+            self.report({"INFO"}, "Everything in the scene is rendered")
+        return {"FINISHED"}
 
 
 classes = (MRPNN_OT_check,)

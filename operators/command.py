@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: render, compare, report.
 
-    blender -b scene.blend --command mrpnn render --output //cloud_####.exr --frames 1-10
-    blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render --output cloud.exr
+blender -b scene.blend --command mrpnn render --output //cloud_####.exr --frames 1-10
+blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render --output cloud.exr
 """
 
 import argparse
@@ -39,46 +40,74 @@ def _parser() -> argparse.ArgumentParser:
     actions = parser.add_subparsers(dest="action", required=True, metavar="render|compare|report", parser_class=_Parser)
 
     render = actions.add_parser("render", help="render the scene's volumes to files")
-    render.add_argument("--output", required=True, metavar="FILE",
-                        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform; # are the "
-                             "frame's digits, // is the .blend file's folder")
+    render.add_argument(
+        "--output",
+        required=True,
+        metavar="FILE",
+        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform; # are the "
+        "frame's digits, // is the .blend file's folder",
+    )
     render.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10,15; the file's current one by default")
     render.add_argument("--skip-existing", action="store_true", help="skip frames whose file exists")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
-    compare.add_argument("--samples", type=_positive, default=32,
-                         help="samples per pixel in each of the reference's two halves, at most")
+    compare.add_argument(
+        "--samples", type=_positive, default=32, help="samples per pixel in each of the reference's two halves, at most"
+    )
     compare.add_argument("--seconds", type=float, default=0.0, help="time limit for Cycles, roughly; 0: none")
-    compare.add_argument("--ladder", type=int, default=64,
-                         help="highest number of samples per pixel of Cycles; 0: none")
+    compare.add_argument(
+        "--ladder", type=int, default=64, help="highest number of samples per pixel of Cycles; 0: none"
+    )
     compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
     compare.add_argument("--all-models", action="store_true", help="every network, not only the scene's")
     compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
-    compare.add_argument("--folder", default=REPORT_FOLDER,
-                         help="of the report and of images from which another run continues")
+    compare.add_argument(
+        "--folder", default=REPORT_FOLDER, help="of the report and of images from which another run continues"
+    )
     compare.add_argument("--bounces", type=_positive, default=1024, help="most scattering events along a path")
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
 
     report = actions.add_parser("report", help="describe what a render would do, without rendering")
     for action in (render, report):
-        action.add_argument("--strict", action="store_true",
-                            help="fail where an object cannot be rendered, instead of leaving it out with a warning")
+        action.add_argument(
+            "--strict",
+            action="store_true",
+            help="fail where an object cannot be rendered, instead of leaving it out with a warning",
+        )
     for action in (compare, report):
         action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
 
     for action in (render, compare, report):
         action.add_argument("--json", metavar="FILE", help="file for all results")
-        action.add_argument("--progress", choices=("text", "json"), default="text",
-                            help="json: one object per line on standard output")
+        action.add_argument(
+            "--progress", choices=("text", "json"), default="text", help="json: one object per line on standard output"
+        )
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
-        for name, kind in (("depth-samples", int), ("seed", int), ("threads", int), ("memory-limit", float),
-                           ("model", str), ("provider", str), ("resolution-percentage", _positive), ("camera", str),
-                           ("view-layer", str)):
-            action.add_argument(f"--{name}", type=kind, choices=choices.get(name),
-                                help="GiB; the scene's own setting by default" if name == "memory-limit"
-                                else "the scene's own by default")
-        action.add_argument("--leave-out", type=_optimizations, metavar="NAMES",
-                            help=f"all, none, or with commas between: {', '.join(OPTIMIZATIONS)}")
+        for name, kind in (
+            ("depth-samples", int),
+            ("seed", int),
+            ("threads", int),
+            ("memory-limit", float),
+            ("model", str),
+            ("provider", str),
+            ("resolution-percentage", _positive),
+            ("camera", str),
+            ("view-layer", str),
+        ):
+            action.add_argument(
+                f"--{name}",
+                type=kind,
+                choices=choices.get(name),
+                help="GiB; the scene's own setting by default"
+                if name == "memory-limit"
+                else "the scene's own by default",
+            )
+        action.add_argument(
+            "--leave-out",
+            type=_optimizations,
+            metavar="NAMES",
+            help=f"all, none, or with commas between: {', '.join(OPTIMIZATIONS)}",
+        )
     return parser
 
 
@@ -87,7 +116,8 @@ def _optimizations(text: str) -> frozenset:
     if named <= ALL:
         return named
     raise argparse.ArgumentTypeError(
-        f"there is no optimization {min(named - ALL)!r}; there are: {', '.join(OPTIMIZATIONS)}")
+        f"there is no optimization {min(named - ALL)!r}; there are: {', '.join(OPTIMIZATIONS)}"
+    )
 
 
 def _positive(text: str) -> int:

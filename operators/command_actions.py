@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The actions of the command line: render frames, compare one with Cycles, report on a scene."""
 
 import os
@@ -66,10 +67,21 @@ def compare(options, console, found: dict) -> None:
     if options.frame is not None:
         scene.frame_set(options.frame)
     with _overridden(options) as settings:
-        run = ComparisonRun(bpy.context, settings, Options(
-            samples=options.samples, seconds=options.seconds, ladder=options.ladder, denoised=not options.no_denoise,
-            all_models=options.all_models, bounces=options.bounces, scale=options.scale,
-            reference_path=options.reference or "", folder=options.folder))
+        run = ComparisonRun(
+            bpy.context,
+            settings,
+            Options(
+                samples=options.samples,
+                seconds=options.seconds,
+                ladder=options.ladder,
+                denoised=not options.no_denoise,
+                all_models=options.all_models,
+                bounces=options.bounces,
+                scale=options.scale,
+                reference_path=options.reference or "",
+                folder=options.folder,
+            ),
+        )
         run.wait(console.progress(scene.frame_current))
     comparison = run.result()
     page = run.write(comparison)
@@ -102,8 +114,10 @@ def report(options, console, found: dict) -> None:
         "memory": plan.memory,
     }
     lines = [f"frame {description.frame}, {width} x {height} pixels, about {plan.memory / 2**30:.1f} GiB of memory"]
-    lines += [f"  volume \"{volume.name}\": {' x '.join(map(str, volume.density.shape))} voxels"
-              for volume, _ in description.volumes]
+    lines += [
+        f'  volume "{volume.name}": {" x ".join(map(str, volume.density.shape))} voxels'
+        for volume, _ in description.volumes
+    ]
     lines += [f"  {sun.name}" for sun in description.suns]
     lines += [f"  renders {sentence}" for sentence in plan.planned]
     lines += [f"  leaves out {sentence}" for sentence in plan.left_out]
@@ -135,8 +149,8 @@ def _overridden(options):
 
 def _camera(name: str):
     camera = bpy.context.scene.objects.get(name)
-    if camera is None or camera.type != 'CAMERA':
-        cameras = [other.name for other in bpy.context.scene.objects if other.type == 'CAMERA']
+    if camera is None or camera.type != "CAMERA":
+        cameras = [other.name for other in bpy.context.scene.objects if other.type == "CAMERA"]
         raise SceneError(f"there is no camera {name!r} in the scene; there are: {', '.join(cameras) or 'none'}")
     return camera
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operator `mrpnn.compare`: error against run time of the layer and of Cycles, for the scene's view."""
 
 import time
@@ -29,33 +30,63 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
     bl_label = "Compare with Cycles"
 
     samples: IntProperty(
-        name="Samples", default=32, min=1, max=65536,
-        description="Samples per pixel, at most, of each of the two Cycles images that make the reference")
+        name="Samples",
+        default=32,
+        min=1,
+        max=65536,
+        description="Samples per pixel, at most, of each of the two Cycles images that make the reference",
+    )
     budget: FloatProperty(
-        name="Time Limit", default=300.0, min=0.0, soft_max=3600.0, subtype='TIME_ABSOLUTE', unit='TIME_ABSOLUTE',
-        description="Time that Cycles may take, roughly. 0 sets no limit")
+        name="Time Limit",
+        default=300.0,
+        min=0.0,
+        soft_max=3600.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+        description="Time that Cycles may take, roughly. 0 sets no limit",
+    )
     ladder: IntProperty(
-        name="Cycles Up To", default=64, min=0, max=65536,
-        description="Measure Cycles at 1, 4, 16 and so on up to this many samples per pixel. 0 measures none")
+        name="Cycles Up To",
+        default=64,
+        min=0,
+        max=65536,
+        description="Measure Cycles at 1, 4, 16 and so on up to this many samples per pixel. 0 measures none",
+    )
     denoised: BoolProperty(
-        name="Denoised Cycles", default=True, description="Measure Cycles with OpenImageDenoise, too")
+        name="Denoised Cycles", default=True, description="Measure Cycles with OpenImageDenoise, too"
+    )
     models: EnumProperty(
-        name="Networks", default='ONE', description="Networks to measure",
-        items=[('ONE', "The Scene's", "The scene's network"), ('ALL', "All", "Every network of the extension")])
+        name="Networks",
+        default="ONE",
+        description="Networks to measure",
+        items=[("ONE", "The Scene's", "The scene's network"), ("ALL", "All", "Every network of the extension")],
+    )
     bounces: IntProperty(
-        name="Bounces", default=1024, min=1, max=1024,
-        description="Maximum number of volume bounces in Cycles")
+        name="Bounces", default=1024, min=1, max=1024, description="Maximum number of volume bounces in Cycles"
+    )
     scale: IntProperty(
-        name="Size", default=25, min=1, max=100, subtype='PERCENTAGE',
-        description="Size of the compared images, relative to the render resolution. Time grows with its square")
+        name="Size",
+        default=25,
+        min=1,
+        max=100,
+        subtype="PERCENTAGE",
+        description="Size of the compared images, relative to the render resolution. Time grows with its square",
+    )
     reference_path: StringProperty(
-        name="Reference Image", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
+        name="Reference Image",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"} | RELATIVE_PATH,
         description="OpenEXR image of the same view, with alpha, to measure errors against. Without it, Cycles renders "
-                    "one")
+        "one",
+    )
     folder: StringProperty(
-        name="Folder", default=REPORT_FOLDER, subtype='DIR_PATH', options=RELATIVE_PATH,
+        name="Folder",
+        default=REPORT_FOLDER,
+        subtype="DIR_PATH",
+        options=RELATIVE_PATH,
         description="Folder of the report and of finished images, from which another run continues. While the file "
-                    "is not saved, it is in Blender's temporary folder")
+        "is not saved, it is in Blender's temporary folder",
+    )
 
     _run = None
     _timer = None
@@ -86,10 +117,10 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     def execute(self, context):
         if MRPNN_OT_compare._run is not None:
-            self.report({'WARNING'}, "a comparison is running already; Esc stops it")
-            return {'CANCELLED'}
+            self.report({"WARNING"}, "a comparison is running already; Esc stops it")
+            return {"CANCELLED"}
         if self._modal and self.wait_for_volumes(context):
-            return {'RUNNING_MODAL'}
+            return {"RUNNING_MODAL"}
         return self._start(context)
 
     def _start(self, context):
@@ -107,17 +138,17 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         # After waiting for volumes, the operator is modal already.
         if self.reader is None:
             manager.modal_handler_add(self)
-        return {'RUNNING_MODAL'}
+        return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
         if MRPNN_OT_compare._run is None:
             waiting = self.still_waiting(context, event)
             return self._start(context) if waiting is None else waiting
         run = MRPNN_OT_compare._run
-        if event.type == 'ESC':
+        if event.type == "ESC":
             run.job.stop()
-        elif event.type != 'TIMER':
-            return {'PASS_THROUGH'}
+        elif event.type != "TIMER":
+            return {"PASS_THROUGH"}
         if self._steps is not None:
             return self._step(context)
         try:
@@ -127,12 +158,13 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             raise
         context.window_manager.progress_update(int(100 * run.job.fraction))
         context.workspace.status_text_set(
-            f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)")
+            f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)"
+        )
         if not run.job.done:
-            return {'PASS_THROUGH'}
+            return {"PASS_THROUGH"}
         self._steps = _finish(run)
         context.workspace.status_text_set("Comparing: figures and report")
-        return {'RUNNING_MODAL'}
+        return {"RUNNING_MODAL"}
 
     def _step(self, context):
         """One step of the report; Blender handles events between steps."""
@@ -142,7 +174,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             self.cancel(context)
             return self._failed(problem)
         if done is None:
-            return {'RUNNING_MODAL'}
+            return {"RUNNING_MODAL"}
         self.cancel(context)
         return self._deliver([done])
 
@@ -159,13 +191,20 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     def _options(self) -> Options:
         return Options(
-            samples=self.samples, seconds=self.budget, ladder=self.ladder, denoised=self.denoised,
-            all_models=self.models == 'ALL', bounces=self.bounces, scale=self.scale,
-            reference_path=self.reference_path, folder=self.folder)
+            samples=self.samples,
+            seconds=self.budget,
+            ladder=self.ladder,
+            denoised=self.denoised,
+            all_models=self.models == "ALL",
+            bounces=self.bounces,
+            scale=self.scale,
+            reference_path=self.reference_path,
+            folder=self.folder,
+        )
 
     def _fail(self, error):
-        self.report({'ERROR'}, str(error))
-        return {'CANCELLED'}
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
 
     def _failed(self, problem):
         if isinstance(problem, ReferenceError):
@@ -183,11 +222,11 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         remember(comparison, page)
         _keep_as_text(comparison.table())
         for warning in comparison.warnings:
-            self.report({'WARNING'}, warning)
-        self.report({'INFO'}, f"{comparison.table()}\nreport: {page}")
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"{comparison.table()}\nreport: {page}")
         if not bpy.app.background:
             bpy.ops.wm.url_open(url=page.as_uri())
-        return {'FINISHED'}
+        return {"FINISHED"}
 
 
 def _finish(run: ComparisonRun):

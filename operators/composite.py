@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that composite the volumes by MRPNN over the rest of the scene by Cycles."""
 
 import bpy
@@ -13,11 +14,13 @@ class MRPNN_OT_composite(bpy.types.Operator):
 
     bl_idname = "mrpnn.composite"
     bl_label = "Composite over Cycles"
-    bl_options = {'REGISTER', 'UNDO'}
+    bl_options = {"REGISTER", "UNDO"}
 
     shadows: BoolProperty(
-        name="Shadows on Surfaces", default=True,
-        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces")
+        name="Shadows on Surfaces",
+        default=True,
+        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces",
+    )
 
     @classmethod
     def poll(cls, context):
@@ -27,19 +30,19 @@ class MRPNN_OT_composite(bpy.types.Operator):
         scene = context.scene
         surfaces = scene.mrpnn_composite.surfaces
         if surfaces is not None:
-            self.report({'ERROR'}, f"this scene renders the volumes of scene \"{surfaces.name}\"; composite there")
-            return {'CANCELLED'}
+            self.report({"ERROR"}, f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
+            return {"CANCELLED"}
         if not any(shows_volume(shown) for shown in _objects(scene)):
-            self.report({'ERROR'}, "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
-            return {'CANCELLED'}
+            self.report({"ERROR"}, "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
+            return {"CANCELLED"}
         try:
             composite(scene, self.shadows)
         except ValueError as error:
-            self.report({'ERROR'}, str(error))
-            return {'CANCELLED'}
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         volumes = scene.mrpnn_composite.volumes
-        self.report({'INFO'}, f"F12 renders the volumes of scene \"{volumes.name}\" over this one")
-        return {'FINISHED'}
+        self.report({"INFO"}, f'F12 renders the volumes of scene "{volumes.name}" over this one')
+        return {"FINISHED"}
 
 
 class MRPNN_OT_composite_remove(bpy.types.Operator):
@@ -47,7 +50,7 @@ class MRPNN_OT_composite_remove(bpy.types.Operator):
 
     bl_idname = "mrpnn.composite_remove"
     bl_label = "Remove Composite"
-    bl_options = {'REGISTER', 'UNDO'}
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
@@ -58,7 +61,7 @@ class MRPNN_OT_composite_remove(bpy.types.Operator):
         if context.window is not None:
             context.window.scene = scene
         remove_composite(scene)
-        return {'FINISHED'}
+        return {"FINISHED"}
 
 
 class MRPNN_OT_show_scene(bpy.types.Operator):
@@ -66,7 +69,7 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
 
     bl_idname = "mrpnn.show_scene"
     bl_label = "Go to Scene"
-    bl_options = {'REGISTER', 'UNDO'}
+    bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene")
 
@@ -77,10 +80,10 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
     def execute(self, context):
         found = bpy.data.scenes.get(self.scene)
         if found is None:
-            self.report({'ERROR'}, f"there is no scene \"{self.scene}\"")
-            return {'CANCELLED'}
+            self.report({"ERROR"}, f'there is no scene "{self.scene}"')
+            return {"CANCELLED"}
         context.window.scene = found
-        return {'FINISHED'}
+        return {"FINISHED"}
 
 
 def _composited(scene):
@@ -98,7 +101,7 @@ def _objects(scene):
         seen.add(collection)
         for shown in collection.all_objects:
             yield shown
-            if shown.instance_type == 'COLLECTION' and shown.instance_collection is not None:
+            if shown.instance_type == "COLLECTION" and shown.instance_collection is not None:
                 ahead.append(shown.instance_collection)
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Output of the command line: text, or one JSON object per line."""
 
 import json
@@ -31,6 +32,12 @@ class Console:
         def write(fraction, message):
             if int(fraction * 10) > self._tenth:
                 self._tenth = int(fraction * 10)
-                self.event("progress", f"frame {frame}: {fraction:4.0%} {message}",
-                           frame=frame, fraction=round(fraction, 3), message=message)
+                self.event(
+                    "progress",
+                    f"frame {frame}: {fraction:4.0%} {message}",
+                    frame=frame,
+                    fraction=round(fraction, 3),
+                    message=message,
+                )
+
         return write

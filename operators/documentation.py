@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operator `mrpnn.documentation`: open the documentation that the extension ships."""
 
 from pathlib import Path
@@ -16,7 +17,7 @@ class MRPNN_OT_documentation(bpy.types.Operator):
 
     def execute(self, context):
         bpy.ops.wm.path_open(filepath=str(PAGES))
-        return {'FINISHED'}
+        return {"FINISHED"}
 
 
 classes = (MRPNN_OT_documentation,)

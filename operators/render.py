@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operator `mrpnn.render`: render the scene's volumes to an Image and, if requested, to an EXR file."""
 
 import functools
@@ -24,7 +25,9 @@ class MRPNN_OT_render(bpy.types.Operator):
     bl_label = "Render Volumes"
 
     filepath: StringProperty(
-        name="EXR File", subtype='FILE_PATH', options={'SKIP_SAVE'} | RELATIVE_PATH,
+        name="EXR File",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"} | RELATIVE_PATH,
         description="Multi-layer OpenEXR file to write; without it, the scene's setting applies",
     )
 
@@ -35,8 +38,11 @@ class MRPNN_OT_render(bpy.types.Operator):
     def execute(self, context):
         """Render while Blender waits."""
         try:
-            finished = render_scene(read_scene(context.evaluated_depsgraph_get()), context.scene.mrpnn.settings(),
-                                    self._exr_path(context.scene))
+            finished = render_scene(
+                read_scene(context.evaluated_depsgraph_get()),
+                context.scene.mrpnn.settings(),
+                self._exr_path(context.scene),
+            )
         except (SceneError, OSError) as error:
             return self._fail(error)
         return self._deliver(context, finished)
@@ -46,8 +52,8 @@ class MRPNN_OT_render(bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         if MRPNN_OT_render._job is not None:
-            self.report({'WARNING'}, "MRPNN is rendering already; Esc stops it")
-            return {'CANCELLED'}
+            self.report({"WARNING"}, "MRPNN is rendering already; Esc stops it")
+            return {"CANCELLED"}
         try:
             MRPNN_OT_render._job = self._next(context)
         except SceneError as error:
@@ -56,7 +62,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         self._timer = manager.event_timer_add(TICK_INTERVAL, window=context.window)
         manager.progress_begin(0, 100)
         manager.modal_handler_add(self)
-        return {'RUNNING_MODAL'}
+        return {"RUNNING_MODAL"}
 
     def _next(self, context):
         """The next worker: one that reads the scene's volumes, then one that renders. Neither needs bpy."""
@@ -72,26 +78,26 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     def modal(self, context, event):
         job = MRPNN_OT_render._job
-        if event.type == 'ESC':
+        if event.type == "ESC":
             job.stop()
-            return {'RUNNING_MODAL'}
-        if event.type != 'TIMER':
-            return {'PASS_THROUGH'}
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
         context.window_manager.progress_update(int(100 * job.fraction))
         context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
-            return {'PASS_THROUGH'}
+            return {"PASS_THROUGH"}
         if self._loading is not None and job.error is None:
             try:
                 MRPNN_OT_render._job = self._next(context)
-                return {'PASS_THROUGH'}
+                return {"PASS_THROUGH"}
             except SceneError as error:
                 self._end(context)
                 return self._fail(error)
         self._end(context)
         if job.cancelled:
-            self.report({'INFO'}, "MRPNN render stopped")
-            return {'CANCELLED'}
+            self.report({"INFO"}, "MRPNN render stopped")
+            return {"CANCELLED"}
         if isinstance(job.error, (SceneError, OSError)):
             return self._fail(job.error)
         if job.error is not None:
@@ -117,8 +123,10 @@ class MRPNN_OT_render(bpy.types.Operator):
             return None
         path = bpy.path.abspath(path)
         if not os.path.isabs(path):
-            raise SceneError(f"the EXR file {path} is relative to the .blend file, which is not saved yet; "
-                             "save it, or enter a full path")
+            raise SceneError(
+                f"the EXR file {path} is relative to the .blend file, which is not saved yet; "
+                "save it, or enter a full path"
+            )
         # A downloaded scene has its own path, which must not overwrite anything but pictures.
         if not path.lower().endswith(".exr"):
             raise SceneError(f"the EXR file {path} must end in .exr")
@@ -128,8 +136,8 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     def _fail(self, error):
         remember(LastRender(error=str(error)))
-        self.report({'ERROR'}, str(error))
-        return {'CANCELLED'}
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
 
     def _deliver(self, context, finished):
         image = show_in_image(finished.layer)
@@ -138,10 +146,13 @@ class MRPNN_OT_render(bpy.types.Operator):
             bpy.app.timers.register(functools.partial(_display, image.name))
         remember_finished(finished)
         for warning in finished.warnings:
-            self.report({'WARNING'}, warning)
-        self.report({'INFO'}, f"MRPNN rendered {image.size[0]} x {image.size[1]} pixels in {finished.seconds:.1f} s "
-                              f"into image \"{image.name}\"")
-        return {'FINISHED'}
+            self.report({"WARNING"}, warning)
+        self.report(
+            {"INFO"},
+            f"MRPNN rendered {image.size[0]} x {image.size[1]} pixels in {finished.seconds:.1f} s "
+            f'into image "{image.name}"',
+        )
+        return {"FINISHED"}
 
 
 def _display(name):
@@ -152,14 +163,18 @@ def _display(name):
     if not _image_editors():
         # Blender's render view: a new window or area, by the user's preferences.
         with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.render.view_show('INVOKE_DEFAULT')
+            bpy.ops.render.view_show("INVOKE_DEFAULT")
     for editor in _image_editors()[:1]:
         editor.image = image
 
 
 def _image_editors():
-    return [area.spaces.active for window in bpy.context.window_manager.windows for area in window.screen.areas
-            if area.type == 'IMAGE_EDITOR']
+    return [
+        area.spaces.active
+        for window in bpy.context.window_manager.windows
+        for area in window.screen.areas
+        if area.type == "IMAGE_EDITOR"
+    ]
 
 
 classes = (MRPNN_OT_render,)

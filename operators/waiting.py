@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that wait for a thread to read the scene's volumes; Blender stays usable meanwhile."""
 
 from ..mrpnn_addon.scene.changes import scene_state
@@ -26,8 +27,7 @@ class SceneLoading:
 
 
 class WaitsForVolumes:
-    """Mixin of an operator with a window. reader: a VolumeReader with the scene's volumes; None where none was needed.
-    """
+    """Mixin of an operator with a window. reader: a VolumeReader with the scene's volumes, or None."""
 
     reader = None
     _loading = None
@@ -47,22 +47,22 @@ class WaitsForVolumes:
     def still_waiting(self, context, event):
         """The result of `modal` while reading or after an error; None once everything is read."""
         worker = self._loading.worker
-        if event.type == 'ESC' and worker is not None:
+        if event.type == "ESC" and worker is not None:
             worker.stop()
-            return {'RUNNING_MODAL'}
-        if event.type != 'TIMER' or worker is not None and not worker.done:
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER" or worker is not None and not worker.done:
             self._show_status(context)
-            return {'PASS_THROUGH'}
+            return {"PASS_THROUGH"}
         error = worker and worker.error
         if error is None and self._loading.outdated(context):
             self._loading = SceneLoading(context)
-            return {'PASS_THROUGH'}
+            return {"PASS_THROUGH"}
         self.reader = self._loading.reader
         self.stop_waiting(context)
         if error is None:
             return None
-        self.report({'INFO'} if worker.cancelled else {'ERROR'}, "stopped" if worker.cancelled else str(error))
-        return {'CANCELLED'}
+        self.report({"INFO"} if worker.cancelled else {"ERROR"}, "stopped" if worker.cancelled else str(error))
+        return {"CANCELLED"}
 
     def _show_status(self, context):
         if self._loading.worker is not None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's panels."""
 
 import bpy
@@ -18,8 +19,13 @@ from . import (
 # Blender draws panels in the order of their registration, parents first.
 _parent, *_children = render_panel.classes
 MODULES = (view_layer_panel, object_panel, visibility_panel, material_panel, light_panel, camera_panel, world_panel)
-CLASSES = (*preferences_panel.classes, _parent, *composite_panel.classes, *_children,
-           *(panel for module in MODULES for panel in module.classes))
+CLASSES = (
+    *preferences_panel.classes,
+    _parent,
+    *composite_panel.classes,
+    *_children,
+    *(panel for module in MODULES for panel in module.classes),
+)
 
 
 def register():

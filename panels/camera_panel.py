@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Panorama settings, of which Blender's own panel shows only Cycles'."""
 
 import bpy
@@ -14,15 +15,19 @@ class MRPNN_PT_panorama(EnginePanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and context.camera is not None and context.camera.type == 'PANO' and \
-            panorama_settings(context.camera) is not None
+        return (
+            super().poll(context)
+            and context.camera is not None
+            and context.camera.type == "PANO"
+            and panorama_settings(context.camera) is not None
+        )
 
     def draw(self, context):
         layout, settings = self.layout, panorama_settings(context.camera)
         layout.use_property_split = True
         layout.prop(settings, "panorama_type", text="Type")
-        if settings.panorama_type != 'EQUIRECTANGULAR':
-            draw_text(context, layout, "Only equirectangular panoramas are rendered", 'ERROR')
+        if settings.panorama_type != "EQUIRECTANGULAR":
+            draw_text(context, layout, "Only equirectangular panoramas are rendered", "ERROR")
             return
         for name in ("latitude", "longitude"):
             column = layout.column(align=True)

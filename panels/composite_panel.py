@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Composited scenes and the scenes of their volumes, in the render properties."""
 
 import bpy
@@ -10,8 +11,8 @@ from .text import draw_text
 class MRPNN_PT_composite(bpy.types.Panel):
     bl_label = "Composite over Cycles"
     bl_parent_id = "MRPNN_PT_render"
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
     bl_context = "render"
 
     @classmethod
@@ -24,10 +25,15 @@ class MRPNN_PT_composite(bpy.types.Panel):
         if composite.active:
             _draw_composited(context, layout, composite)
         else:
-            draw_text(context, layout, f"Renders the volumes of scene \"{composite.surfaces.name}\", whose settings "
-                                       "it copies; change them there", 'INFO')
+            draw_text(
+                context,
+                layout,
+                f'Renders the volumes of scene "{composite.surfaces.name}", whose settings '
+                "it copies; change them there",
+                "INFO",
+            )
             _show(layout, composite.surfaces)
-        layout.operator(MRPNN_OT_composite_remove.bl_idname, icon='X')
+        layout.operator(MRPNN_OT_composite_remove.bl_idname, icon="X")
 
 
 def _draw_composited(context, layout, composite):
@@ -35,19 +41,24 @@ def _draw_composited(context, layout, composite):
     problems = out_of_date(scene)
     if problems:
         for problem in problems:
-            draw_text(context, layout, problem, 'ERROR')
-        layout.operator(MRPNN_OT_composite.bl_idname, text="Update Composite",
-                        icon='FILE_REFRESH').shadows = composite.shadows
+            draw_text(context, layout, problem, "ERROR")
+        layout.operator(
+            MRPNN_OT_composite.bl_idname, text="Update Composite", icon="FILE_REFRESH"
+        ).shadows = composite.shadows
     else:
-        draw_text(context, layout, f"F12 lays the volumes, rendered in scene \"{volumes.name}\", over what Cycles "
-                                   "renders", 'CHECKMARK')
+        draw_text(
+            context,
+            layout,
+            f'F12 lays the volumes, rendered in scene "{volumes.name}", over what Cycles renders',
+            "CHECKMARK",
+        )
     layout.prop(composite, "shadows")
     if volumes is not None:
         _show(layout, volumes)
 
 
 def _show(layout, scene):
-    layout.operator(MRPNN_OT_show_scene.bl_idname, text=f"Go to \"{scene.name}\"", icon='SCENE_DATA').scene = scene.name
+    layout.operator(MRPNN_OT_show_scene.bl_idname, text=f'Go to "{scene.name}"', icon="SCENE_DATA").scene = scene.name
 
 
 classes = (MRPNN_PT_composite,)

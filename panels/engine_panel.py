@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Base of this engine's panels in Blender's own tabs."""
 
 from bpy_extras.node_utils import find_node_input
@@ -9,8 +10,8 @@ from ..mrpnn_addon.nodes.sockets import active_output, always_has_nodes, has_nod
 class EnginePanel:
     """A panel of the properties editor, shown while the engine is chosen."""
 
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
 
     @classmethod
     def poll(cls, context):
@@ -25,7 +26,7 @@ def draw_shader(layout, block, name: str, colour: str = "") -> None:
     layout.use_property_split = True
     # Every block has a surface: draw the switch once.
     if name == "Surface" and not always_has_nodes(block):
-        layout.prop(block, "use_nodes", icon='NODETREE')
+        layout.prop(block, "use_nodes", icon="NODETREE")
     output = active_output(block)
     if output is not None:
         layout.template_node_view(block.node_tree, output, find_node_input(output, name))

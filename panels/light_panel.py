@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of lights."""
 
 import bpy
@@ -22,7 +23,7 @@ class MRPNN_PT_light(_LightPanel, bpy.types.Panel):
         layout, light = self.layout, context.light
         layout.row().prop(light, "type", expand=True)
         if light.type not in RENDERED_LIGHTS:
-            draw_text(context, layout, "Left out: only sun lamps and the World light volumes", 'INFO')
+            draw_text(context, layout, "Left out: only sun lamps and the World light volumes", "INFO")
         layout.use_property_split = True
         column = layout.column()
         # Lights have temperature, exposure and normalization from Blender 4.5 on.
@@ -39,12 +40,12 @@ class MRPNN_PT_light(_LightPanel, bpy.types.Panel):
             if hasattr(light, name):
                 column.prop(light, name)
         column = layout.column()
-        if light.type == 'SUN':
+        if light.type == "SUN":
             column.prop(light, "angle")
-        elif light.type == 'AREA':
+        elif light.type == "AREA":
             column.prop(light, "shape")
             column = column.column(align=True)
-            if light.shape in {'SQUARE', 'DISK'}:
+            if light.shape in {"SQUARE", "DISK"}:
                 column.prop(light, "size")
             else:
                 column.prop(light, "size", text="Size X")
@@ -60,12 +61,12 @@ class MRPNN_PT_beam_shape(_LightPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and context.light.type in {'SPOT', 'AREA'}
+        return super().poll(context) and context.light.type in {"SPOT", "AREA"}
 
     def draw(self, context):
         layout, light = self.layout, context.light
         layout.use_property_split = True
-        if light.type == 'AREA':
+        if light.type == "AREA":
             layout.prop(light, "spread")
             return
         layout.prop(light, "spot_size", text="Angle")
@@ -75,7 +76,7 @@ class MRPNN_PT_beam_shape(_LightPanel, bpy.types.Panel):
 
 class MRPNN_PT_light_nodes(_LightPanel, bpy.types.Panel):
     bl_label = "Nodes"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         draw_shader(self.layout, context.light, "Surface")

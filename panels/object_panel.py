@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes in the object properties."""
 
 import bpy
@@ -19,15 +20,15 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout, shown, check = self.layout, context.object, last_check()
         if check is None:
-            draw_text(context, layout, "Check Scene in the render properties reads its voxels", 'INFO')
+            draw_text(context, layout, "Check Scene in the render properties reads its voxels", "INFO")
             return
         column = layout.column()
         column.active = not check.outdated(context.scene)
         if shown.name in check.voxels:
-            column.label(text=f"{' x '.join(map(str, check.voxels[shown.name]))} voxels", icon='OUTLINER_DATA_VOLUME')
+            column.label(text=f"{' x '.join(map(str, check.voxels[shown.name]))} voxels", icon="OUTLINER_DATA_VOLUME")
         for text in (check.error, *check.warnings):
-            if f"\"{shown.name}\"" in text:
-                draw_text(context, column, text, 'INFO')
+            if f'"{shown.name}"' in text:
+                draw_text(context, column, text, "INFO")
 
 
 classes = (MRPNN_PT_object,)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's preferences."""
 
 import bpy
@@ -22,12 +23,12 @@ class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
         column.prop(self, "provider")
         try:
             problems = check_runtime() + missing_provider(self.provider)
-            layout.label(text=f"onnxruntime {runtime_version()}", icon='CHECKMARK')
+            layout.label(text=f"onnxruntime {runtime_version()}", icon="CHECKMARK")
         except SceneError as error:
             problems = [str(error)]
         for problem in problems:
-            draw_text(context, layout, problem, 'ERROR')
-        layout.operator(MRPNN_OT_documentation.bl_idname, icon='HELP')
+            draw_text(context, layout, problem, "ERROR")
+        layout.operator(MRPNN_OT_documentation.bl_idname, icon="HELP")
 
 
 classes = (MRPNN_preferences,)

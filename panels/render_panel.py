@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Panels in the render properties, for every engine."""
 
 import bpy
@@ -22,8 +23,8 @@ TIMES = {"seconds": "Time", "cpu_seconds": "Processor"}
 
 
 class _RenderPanel:
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
     bl_context = "render"
 
 
@@ -39,7 +40,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.mrpnn
-        layout.operator(MRPNN_OT_render.bl_idname, icon='RENDER_STILL')
+        layout.operator(MRPNN_OT_render.bl_idname, icon="RENDER_STILL")
         layout.row().prop(settings, "preset", expand=True)
         _split(layout).prop(settings, "model")
         # Names inside the fields: beside them, the default width would truncate them.
@@ -57,14 +58,14 @@ def _draw_last(context, layout, last):
     if last is None:
         return
     if last.error:
-        draw_text(context, layout.box(), last.error, 'ERROR')
+        draw_text(context, layout.box(), last.error, "ERROR")
         return
     saved = f" ({last.saved:.0f} s saved)" if last.saved >= 1.0 else ""
-    draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", 'TIME')
+    draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", "TIME")
     _, missing = _expected(context)
     for warning in last.warnings:
         if not missing.names(warning):
-            draw_text(context, layout, warning, 'INFO')
+            draw_text(context, layout, warning, "INFO")
 
 
 class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
@@ -75,47 +76,52 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         layout, scene = self.layout, context.scene
         expected, missing = _expected(context)
         if expected.problem:
-            draw_text(context, layout, expected.problem, 'ERROR')
+            draw_text(context, layout, expected.problem, "ERROR")
         elif not expected.volumes:
-            draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", 'ERROR')
+            draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", "ERROR")
         else:
             lights = [_number(expected.lamps, "sun")] * (expected.lamps > 0) + ["World"] * expected.world
-            draw_text(context, layout, f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}, "
-                                       f"{expected.pixels:,} pixels", 'OUTLINER_DATA_VOLUME')
+            draw_text(
+                context,
+                layout,
+                f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}, "
+                f"{expected.pixels:,} pixels",
+                "OUTLINER_DATA_VOLUME",
+            )
             if not lights:
-                draw_text(context, layout, "Only emission is visible; add a sun with Add > Light > Sun", 'INFO')
+                draw_text(context, layout, "Only emission is visible; add a sun with Add > Light > Sun", "INFO")
             else:
                 about = "Roughly" if expected.rough else "About"
-                draw_text(context, layout, f"{about} {_duration(expected.seconds)}", 'TIME')
+                draw_text(context, layout, f"{about} {_duration(expected.seconds)}", "TIME")
         for line in [] if composited(scene) else missing.lines:
-            draw_text(context, layout, line, 'INFO')
+            draw_text(context, layout, line, "INFO")
         if missing.surfaces and not composited(scene):
             layout.operator(MRPNN_OT_composite.bl_idname)
         row = layout.row(align=True)
-        row.operator(MRPNN_OT_check.bl_idname, icon='VIEWZOOM')
-        row.operator(MRPNN_OT_documentation.bl_idname, icon='HELP', text="")
+        row.operator(MRPNN_OT_check.bl_idname, icon="VIEWZOOM")
+        row.operator(MRPNN_OT_documentation.bl_idname, icon="HELP", text="")
         check = last_check()
         if check is None:
             for warning in expected.warnings:
-                draw_text(context, layout, warning, 'INFO')
+                draw_text(context, layout, warning, "INFO")
             return
         column = layout.column()
         column.active = not check.outdated(scene)
         if check.outdated(scene):
-            draw_text(context, column, "The scene has changed since:", 'FILE_REFRESH')
+            draw_text(context, column, "The scene has changed since:", "FILE_REFRESH")
         if check.error:
-            draw_text(context, column, check.error, 'ERROR')
+            draw_text(context, column, check.error, "ERROR")
             return
         for text in check.warnings:
-            draw_text(context, column, text, 'INFO')
+            draw_text(context, column, text, "INFO")
         if not check.warnings:
-            draw_text(context, column, "Everything in the scene is rendered", 'CHECKMARK')
+            draw_text(context, column, "Everything in the scene is rendered", "CHECKMARK")
 
 
 class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
     bl_label = "Details"
     bl_parent_id = "MRPNN_PT_forecast"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
@@ -125,13 +131,13 @@ class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
     def draw(self, context):
         check, column = last_check(), self.layout.column()
         column.active = not check.outdated(context.scene)
-        draw_text(context, column, f"{check.memory / 2**30:.1f} GiB of memory", 'MEMORY')
+        draw_text(context, column, f"{check.memory / 2**30:.1f} GiB of memory", "MEMORY")
         for text in check.planned:
-            draw_text(context, column, text, 'DOT')
+            draw_text(context, column, text, "DOT")
         if check.left_out:
             column.label(text="Not needed for this picture:")
         for text in check.left_out:
-            draw_text(context, column, text, 'DOT')
+            draw_text(context, column, text, "DOT")
 
 
 # Cache of the last forecast and unrendered objects: panels are redrawn whenever the pointer moves.
@@ -159,7 +165,7 @@ def _duration(seconds: float) -> str:
 class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
     bl_label = "Film"
     bl_parent_id = "MRPNN_PT_render"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = _split(self.layout)
@@ -171,7 +177,7 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
 class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
     bl_label = "Performance"
     bl_parent_id = "MRPNN_PT_render"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         settings, preferred, column = context.scene.mrpnn, machine(), _split(self.layout)
@@ -191,7 +197,7 @@ def _draw_preferred(context, layout, value: str) -> None:
 class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
     bl_label = "Optimizations"
     bl_parent_id = "MRPNN_PT_performance"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         self.layout.column(align=True).prop(context.scene.mrpnn, "leave_out")
@@ -200,7 +206,7 @@ class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
 class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
     bl_label = "Write EXR"
     bl_parent_id = "MRPNN_PT_render"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header(self, context):
         self.layout.prop(context.scene.mrpnn, "use_exr", text="")
@@ -214,7 +220,7 @@ class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
 class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
     bl_label = "With Cycles"
     bl_parent_id = "MRPNN_PT_render"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self.layout.column()
@@ -241,11 +247,19 @@ def _draw_comparison(context, layout, last):
         table.label(text=f"{getattr(rung, comparison.clock):.2g} s")
         table.label(text=f"{rung.error:.3f}")
     for sentence in (*comparison.sentences(), *comparison.marks):
-        draw_text(context, box, sentence, 'INFO')
+        draw_text(context, box, sentence, "INFO")
     if not comparison.verdict.good:
-        draw_text(context, box, f"The reference is {comparison.verdict}", 'ERROR')
-    box.operator("wm.url_open", text="Open Report", icon='URL').url = page.as_uri()
+        draw_text(context, box, f"The reference is {comparison.verdict}", "ERROR")
+    box.operator("wm.url_open", text="Open Report", icon="URL").url = page.as_uri()
 
 
-classes = (MRPNN_PT_render, MRPNN_PT_forecast, MRPNN_PT_plan, MRPNN_PT_film, MRPNN_PT_performance, MRPNN_PT_leave_out,
-           MRPNN_PT_exr, MRPNN_PT_cycles)
+classes = (
+    MRPNN_PT_render,
+    MRPNN_PT_forecast,
+    MRPNN_PT_plan,
+    MRPNN_PT_film,
+    MRPNN_PT_performance,
+    MRPNN_PT_leave_out,
+    MRPNN_PT_exr,
+    MRPNN_PT_cycles,
+)

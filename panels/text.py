@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Wraps sentences in panels, whose labels do not wrap."""
 
 import blf
@@ -6,7 +7,7 @@ import blf
 MARGIN = 72
 
 
-def draw_text(context, layout, text: str, icon: str = 'NONE') -> None:
+def draw_text(context, layout, text: str, icon: str = "NONE") -> None:
     """Draw a sentence as labels that fit the region's width, the icon before the first."""
     scale, points = context.preferences.system.ui_scale, context.preferences.ui_styles[0].widget.points
     blf.size(0, points * scale)
@@ -14,7 +15,7 @@ def draw_text(context, layout, text: str, icon: str = 'NONE') -> None:
     column.scale_y = 0.8
     width = context.region.width - MARGIN * scale
     for index, line in enumerate(wrapped(text, width, lambda part: blf.dimensions(0, part)[0])):
-        column.label(text=line, icon=icon if index == 0 else 'BLANK1')
+        column.label(text=line, icon=icon if index == 0 else "BLANK1")
 
 
 def wrapped(text: str, width: float, measure) -> list:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles' ray visibility settings that affect volumes."""
 
 import bpy
@@ -30,7 +31,7 @@ def _rays(shown):
         return ("camera",)
     if shown.type in SURFACES:
         return "camera", "volume_scatter", "shadow"
-    return ("volume_scatter",) if shown.type == 'LIGHT' else ()
+    return ("volume_scatter",) if shown.type == "LIGHT" else ()
 
 
 classes = (MRPNN_PT_visibility,)

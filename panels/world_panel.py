@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The World's shader and ray visibility."""
 
 import bpy
@@ -22,7 +23,7 @@ class MRPNN_PT_world_surface(_WorldPanel, bpy.types.Panel):
 
 class MRPNN_PT_world_visibility(_WorldPanel, bpy.types.Panel):
     bl_label = "Ray Visibility"
-    bl_options = {'DEFAULT_CLOSED'}
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

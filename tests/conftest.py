@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What every test shares: markers, what a run leaves out, the order of files, and fixtures.
 
 Tests are quick unless marked `slow`. Those whose fixtures or imports need the bpy module are marked `blender` here.
@@ -46,8 +47,9 @@ def pytest_collection_modifyitems(config, items):
     _longest_first(items)
     # -k and -m choose among them.
     yield
-    # A file or test that is named is run as it is.
-    if not (config.option.all or config.option.markexpr or any(".py" in name for name in config.args)):
+    # A file or test that is named runs with all that is in it.
+    named = any(name.partition("::")[0].endswith(".py") for name in config.args)
+    if not (config.option.all or config.option.markexpr or named):
         _leave_out(config, items)
 
 
@@ -112,6 +114,7 @@ def addon():
 def scene(addon):
     """An empty scene with a black World; the extension stays registered."""
     from tests.support import blender_scenes
+
     return blender_scenes.empty_scene()
 
 
@@ -136,6 +139,7 @@ def shared_volumes():
 def zips():
     """The built zips, one for each platform."""
     import build_extension
+
     return build_extension.build()
 
 
@@ -152,8 +156,10 @@ def window(request, linux_zip):
     window.start()
     try:
         window.do(f"WORK = '{WORK}'")
-        window.do("bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
-                  "enable_on_install=True, overwrite=True)")
+        window.do(
+            "bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
+            "enable_on_install=True, overwrite=True)"
+        )
         made = window.do(SCENE)
         assert made.endswith("made"), made
         yield window

@@ -1,10 +1,11 @@
-"""Where a network is right: bias and error by angle, anisotropy, optical density, thickness and kind of volume.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bias and error of a network by angle, anisotropy, extinction, thickness and kind of volume.
 
     python -m training.evaluate --held data/test data/solids-test --checkpoint runs/mrpnn/checkpoint.pt
 
-Compares predictions with the targets of held-back volumes at albedo 1. The targets' halves are independent, so that
-their noise does not count; how large it is, relative to the predictions, stands in a column of its own, and the last
-line tells how far it is the same for two suns. --checkpoint may also be an exported `mrpnn`, an ONNX file.
+Compares predictions with the targets of held-back volumes at albedo 1 and prints a table. The targets' halves are
+independent, so that their noise does not count; a column of its own gives it, relative to the predictions, and the last
+line its correlation between suns. --checkpoint may also be an exported `mrpnn`, an ONNX file.
 """
 
 import argparse
@@ -14,19 +15,19 @@ import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt
 
-from training.networks import NETWORKS
 from training.data.targets import SUNS
-from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
 from training.data.volumes import make_volume
+from training.networks import NETWORKS
+from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
 
 BINS = {
     "gamma": (0.0, 0.3, 0.6, 1.0, 1.57, 2.2, 2.8, 3.15),
     "anisotropy": (-0.3, 0.0, 0.4, 0.7, 0.85, 0.9, 0.951),
     "sigma_hat": (1, 5, 20, 60, 200, 600, 2001),
 }
-#: Radii of the largest ball that lies in what a volume fills, in units of the cube's edge.
+#: Radii of the largest ball inside a volume's filled cells, in cube edges.
 THICKNESS = (0.0, 0.05, 0.1, 0.2, 0.3, 1.0)
-#: Cells an edge of the volumes that are made to see what a seed gives.
+#: Cells per edge of the volumes that are generated again to find their kinds and thicknesses.
 CELLS = 48
 
 
@@ -43,12 +44,12 @@ def load_weights(path: pathlib.Path):
 
 
 def thickness(density: np.ndarray) -> float:
-    """Radius of the largest ball within a volume's filled cells, (n, n, n), in units of the cube's edge."""
+    """Radius of the largest ball inside the filled cells of a volume (n, n, n), in cube edges."""
     return distance_transform_edt(density > 0).max() / len(density)
 
 
 def groups(files, data):
-    """Names, ends and rows (N,) bool of what is told apart: bins of BINS, thicknesses and kinds of volumes, folders."""
+    """Quantity, bin's ends and rows, bool (N,), of each line of the table: BINS, thickness, kind of volume, folder."""
     volumes, counts = [make_volume(int(file.stem), CELLS) for file in files], np.diff(first_rows(files))
     values = {name: (data[name].numpy(), edges) for name, edges in BINS.items()}
     values["thickness"] = np.repeat([thickness(volume.density) for volume in volumes], counts), THICKNESS
@@ -63,7 +64,7 @@ def groups(files, data):
 
 
 def noise_correlation(noise, firsts) -> float:
-    """Mean correlation of the noise (N,) of two suns' targets at one point; firsts (files + 1,): files' first rows."""
+    """Mean correlation of two suns' noise at one point. noise: (N,) of all rows; firsts (files + 1,): `first_rows`."""
     # A file holds all its points for one sun after the other.
     suns = np.concatenate([noise[i:j].reshape(SUNS, -1) for i, j in zip(firsts, firsts[1:])], axis=1)
     products = suns @ suns.T
@@ -72,12 +73,11 @@ def noise_correlation(noise, firsts) -> float:
 
 
 def predictions(net, data):
-    """Predicted radiance (N,) and its targets' halves (2, N), at albedo 1, the first of each row."""
+    """Predicted radiance (N,) and the halves of its targets (2, N) at albedo 1, the first of each row's albedos."""
     net.eval()
     with torch.no_grad():
-        parts = [
-            predict(net, data, rows, torch.ones(1, len(rows)))[0] for rows in torch.arange(len(data["gamma"])).split(BATCH)
-        ]
+        batches = torch.arange(len(data["gamma"])).split(BATCH)
+        parts = [predict(net, data, rows, torch.ones(1, len(rows)))[0] for rows in batches]
     return torch.cat(parts), data["radiance"][:, :, 0].T
 
 

@@ -1,11 +1,13 @@
-"""Write a network as ONNX, with its stencil or lattice and the configuration that made it inside.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write a trained network as ONNX, with its stencil or lattice and its training configuration in the metadata.
 
-    python -m training.export CHECKPOINT.pt inference/weights/NAME.onnx [--with BEFORE.onnx 0.4]
+    python -m training.export runs/mrpnn/checkpoint.pt inference/weights/mrpnn.onnx [--with BEFORE.onnx 0.4]
 
-Which network it is stands in the checkpoint's configuration. Output: radiance (A, N) for albedos (A,); the
-other inputs are those of the network's kind: "ray", "stencil" or "lattice". --with, which may be given several
-times, takes the mean of the weights and of exported ones that they were trained on from, which have the share named;
-such a mean forgets less of what those knew. What it is the mean of is kept in its configuration.
+Reads a checkpoint of training.train, whose configuration names the network, and writes the averaged weights and
+inference/weights/mrpnn.sha256. The graph's output is radiance (A, N) for albedos (A,); its other inputs are those of
+the network's kind, "ray", "stencil" or "lattice". --with, which may be repeated, averages with the exported weights
+that the training started from, in the share given; the mean forgets less of what they knew, and its configuration
+names them.
 """
 
 import argparse
@@ -19,15 +21,16 @@ import onnx
 import torch
 
 from inference.features.rpnn_lattice import make_sun_lattice
+from training.data.stencil import load_stencil
+from training.files import complete_file
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
-from training.data.stencil import load_stencil
 from training.train import start_from
 
 
 @functools.cache
 def points_metadata(kind: str) -> dict:
-    """The points around x that networks of a kind read, as metadata."""
+    """The points around a position that networks of a kind read, as string metadata."""
     if kind == "lattice":
         geometry = make_sun_lattice()
         points = geometry.points
@@ -39,7 +42,7 @@ def points_metadata(kind: str) -> dict:
 
 
 def export(net, configuration: dict) -> onnx.ModelProto:
-    """The network as an ONNX model; configuration: how it was trained and its ranges."""
+    """The network as an ONNX model; configuration: how it was trained, for what ranges."""
     graph = Graph()
     net.graph(graph)
     configuration = {**configuration, **net.ranges, "network": net.name}
@@ -48,14 +51,12 @@ def export(net, configuration: dict) -> onnx.ModelProto:
 
 
 def save(model: onnx.ModelProto, path: str):
-    """Write the model, NAME.onnx, and its checksum, NAME.sha256, each through a temporary name."""
+    """Write the model, NAME.onnx, and its checksum, NAME.sha256."""
     content = model.SerializeToString()
     line = f"{hashlib.sha256(content).hexdigest()}  {os.path.basename(path)}\n"
     for target, data in ((path, content), (os.path.splitext(path)[0] + ".sha256", line.encode())):
-        partial = f"{target}.partial"
-        with open(partial, "wb") as file:
+        with complete_file(target) as file:
             file.write(data)
-        os.replace(partial, target)
 
 
 def main(options=None):
@@ -69,17 +70,17 @@ def main(options=None):
     net = NETWORKS[configuration["network"]]()
     net.load_state_dict(checkpoint["averaged"])
     if arguments.others:
-        # Its error is no longer that of the checkpoint.
+        # The mean's error is not the checkpoint's.
         configuration = {key: value for key, value in configuration.items() if not key.startswith("held_")}
         shares = [float(share) for _, share in arguments.others]
         if min(shares) <= 0.0 or sum(shares) >= 1.0:
-            parser.error("shares are above 0, and leave something for the checkpoint")
+            parser.error("shares must be above 0 and sum to less than 1")
         mean = {key: (1.0 - sum(shares)) * value for key, value in net.state_dict().items()}
         configuration["mean_with"] = []
         for (path, _), share in zip(arguments.others, shares):
             before = start_from(net, path)
             if before != configuration.get("initial") and before != configuration.get("initial", {}).get("initial"):
-                parser.error(f"{arguments.checkpoint} was not trained on from {path}")
+                parser.error(f"{arguments.checkpoint} was not trained from {path}")
             configuration["mean_with"].append({"share": share, "configuration": before})
             mean = {key: value + share * net.state_dict()[key] for key, value in mean.items()}
         net.load_state_dict(mean)

@@ -1,4 +1,5 @@
-"""Builds an ONNX graph node by node, so that what onnxruntime runs is plain to read."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds ONNX graphs node by node: the exported graph is the one that a network's `graph` spells out."""
 
 import numpy as np
 import onnx
@@ -9,7 +10,7 @@ OPSET = 17
 
 
 class Graph:
-    """Collects inputs, nodes, constants and outputs; methods that compute return the names of their results."""
+    """Collects inputs, nodes, constants and outputs; methods that add nodes return the names of their results."""
 
     def __init__(self):
         self.inputs, self.outputs, self.nodes, self.constants = [], [], [], []
@@ -79,7 +80,8 @@ class Graph:
         """(N, width) once for each value of the input `albedo`: (A * N, width)."""
         one = self.constant(np.array([1], np.int64))
         shape = self.concat([self.op("Shape", "albedo"), one, one], axis=0)
-        return self.reshape(self.op("Expand", self.op("Unsqueeze", x, self.constant(np.array([0]))), shape), (-1, width))
+        rows = self.op("Unsqueeze", x, self.constant(np.array([0])))
+        return self.reshape(self.op("Expand", rows, shape), (-1, width))
 
     def model(self, name: str, metadata: dict) -> onnx.ModelProto:
         """The graph with string metadata, checked."""
@@ -92,9 +94,11 @@ class Graph:
 
 
 def linear_layers(model: onnx.ModelProto) -> list:
-    """Weight (out, in) and bias (out,), where it has one, of each fully connected layer of a graph, in its order: tensors."""
+    """Weight (out, in) and, if any, bias (out,) of each fully connected layer of a graph, in order, as tensors."""
     constants = {constant.name: constant for constant in model.graph.initializer}
-    return [
-        [torch.from_numpy(numpy_helper.to_array(constants[name]).copy()) for name in node.input[1:] if name in constants]
-        for node in model.graph.node if node.op_type == "Gemm"
-    ]
+
+    def tensor(name):
+        return torch.from_numpy(numpy_helper.to_array(constants[name]).copy())
+
+    layers = [node.input[1:] for node in model.graph.node if node.op_type == "Gemm"]
+    return [[tensor(name) for name in names if name in constants] for names in layers]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The path tracer as a system: importing this lets Settings(model="reference") trace multiple scattering.
 
 It stands where the networks stand: at the depth samples of a render, with the same single scattering and
@@ -16,8 +17,8 @@ from inference.runtime.cancellation import NEVER
 from inference.runtime.tasks import SERIAL
 from inference.scene import SceneError
 from inference.scene.sparse_grid import SparseGrid
-from training.tracer.path_tracer import trace_points
-from training.tracer.transport import prepare
+from training.tracer.density_grid import prepare
+from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
 #: Paths a point; a render averages over its depth samples too.
 PATHS = 8
@@ -90,8 +91,9 @@ class PreparedTracer:
         places = np.clip(positions @ volume.linear.T + volume.offset, -0.5, 0.5)
         with _tracing:
             radiance = trace_points(
-                volume.grid, self.sun, None, places, omega @ volume.linear.T, self.sigma, volume.anisotropy,
-                albedos, volume.paths, seed=_seed(positions, jitter),
+                Scene(volume.grid, self.sun),
+                Vertices(places, omega @ volume.linear.T, self.sigma, volume.anisotropy, albedos),
+                Sampling(volume.paths, _seed(positions, jitter)),
             )
         return radiance[:, 0].T
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How many directions a World needs: error and cost against their number.
 
     python -m benchmarks.cost.directions [--size 48]
@@ -27,6 +28,7 @@ DEPTH_SAMPLES = 4
 
 def worlds(directions):
     """Radiance (n, 3) of each World at directions (n, 3)."""
+
     def glow(axis, narrow, strength):
         axis = np.array(axis) / np.linalg.norm(axis)
         return strength * np.exp(narrow * (directions @ axis - 1.0))
@@ -53,15 +55,18 @@ def rows(view, size: int):
         seen = truth.alpha > 0.02
         mean = truth.rgb[seen].mean()
         for count in COUNTS:
-            errors = [np.sqrt(((getattr(layers[count], part) - getattr(truth, part))[seen] ** 2).mean()) / mean
-                      for part in ("single", "multiple", "rgb")]
+            errors = [
+                np.sqrt(((getattr(layers[count], part) - getattr(truth, part))[seen] ** 2).mean()) / mean
+                for part in ("single", "multiple", "rgb")
+            ]
             cells = " | ".join(f"{error:.3f}" for error in errors)
             yield f"| {view.name} | {name} | {count} | {cells} | {seconds[count]:.1f} |"
 
 
 def main(options=None):
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", type=int, default=48)
     arguments = parser.parse_args(options)
     lines = ["| view | World | directions | single | multiple | together | processor seconds |", "|---" * 7 + "|"]

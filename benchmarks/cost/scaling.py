@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
 
     python -m benchmarks.cost.scaling [--size 256] [--tables threads suns]
@@ -57,10 +58,14 @@ def cases(size: int):
         "voxels": [(f"{edge}³", once(volume=cloud(edge))) for edge in (64, 128, 192, 256)],
         "suns": [(str(n), once(suns=ring(n))) for n in (1, 2, 4, 8)],
         "optical density": [(f"{s:g}", once(medium=Medium(s, 1.0, 0.857))) for s in (1.0, 10.0, 100.0, 1000.0)],
-        "albedos": [(name, once(medium=Medium(100.0, albedo, 0.857))) for name, albedo in
-                    (("black", 0.0), ("grey", 0.9), ("three", (0.8, 0.9, 1.0)))],
-        "extinction": [(name, once(medium=Medium(sigma, 1.0, 0.857))) for name, sigma in
-                       (("grey", 100.0), ("three", (80.0, 90.0, 100.0)))],
+        "albedos": [
+            (name, once(medium=Medium(100.0, albedo, 0.857)))
+            for name, albedo in (("black", 0.0), ("grey", 0.9), ("three", (0.8, 0.9, 1.0)))
+        ],
+        "extinction": [
+            (name, once(medium=Medium(sigma, 1.0, 0.857)))
+            for name, sigma in (("grey", 100.0), ("three", (80.0, 90.0, 100.0)))
+        ],
         "threads": [(str(n), once(settings=Settings(threads=n))) for n in (1, 2, 4, 8, 16, 32) if n <= os.cpu_count()],
     }
 
@@ -97,13 +102,18 @@ def optimizations_table(size: int) -> str:
     usual = draw(ALL)
     shown = usual.alpha > MASK_ALPHA
     others = [name for name in OPTIMIZATIONS if name != "unchanged"]
-    for name, layer in [("nothing", usual), *((name, draw(ALL - {name})) for name in others),
-                        ("everything", draw(frozenset()))]:
+    for name, layer in [
+        ("nothing", usual),
+        *((name, draw(ALL - {name})) for name in others),
+        ("everything", draw(frozenset())),
+    ]:
         seconds = layer.report.cpu_seconds
         change = np.sqrt(((layer.rgb - usual.rgb)[shown] ** 2).mean()) / usual.rgb[shown].mean()
         stages = " | ".join(f"{seconds.get(stage, 0.0):.2f}" for stage in STAGES)
-        lines.append(f"| {name} | {stages} | {seconds['total']:.2f} "
-                     f"| {seconds['total'] / usual.report.cpu_seconds['total']:.2f} | {change:.1e} |")
+        lines.append(
+            f"| {name} | {stages} | {seconds['total']:.2f} "
+            f"| {seconds['total'] / usual.report.cpu_seconds['total']:.2f} | {change:.1e} |"
+        )
         print(lines[-1], flush=True)
     return "\n".join(lines)
 
@@ -112,8 +122,10 @@ def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
     for view in independent_views():
         truth = view.render(Settings(64, leave_out=EVERY_PIXEL))
-        cells = [error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
-                 for samples in (1, 2, 3, 4, 8, 16)]
+        cells = [
+            error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
+            for samples in (1, 2, 3, 4, 8, 16)
+        ]
         lines.append(f"| {view.name} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
     return "\n".join(lines)
@@ -142,17 +154,18 @@ def sharing_table() -> str:
 
 
 def main(options=None):
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--tables", nargs="+", metavar="NAME",
-                        help="only these, by the names in the page's marks")
+    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these, by the names in the page's marks")
     arguments = parser.parse_args(options)
     # Loading the network is not what grows.
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
     makers = {name: functools.partial(cost_table, name, rows) for name, rows in cases(arguments.size).items()}
-    makers.update(omissions=functools.partial(optimizations_table, arguments.size), error=depth_table,
-                  sharing=sharing_table)
+    makers.update(
+        omissions=functools.partial(optimizations_table, arguments.size), error=depth_table, sharing=sharing_table
+    )
     if not set(arguments.tables or ()) <= set(makers):
         parser.error(f"there are these tables: {', '.join(makers)}")
     page = PAGE.read_text()

@@ -1,10 +1,11 @@
-"""What a large, mostly empty volume file costs to read and render: makes docs/performance.md's table of it.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a large, mostly empty volume file costs to read and render: makes a table of docs/performance.md.
 
     python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
 
-Writes a .vdb file of a cloud of which a given share of cells^3 voxels is above 0, and in a new process reads it into
-Blender's scene and renders it. Memory is the largest sum, looked at every few milliseconds, of what that process and
-those that it starts hold, above what it held with the scene set up. Linux only.
+Writes a .vdb file of a cloud of cells^3 voxels, a given share of which is above 0, and reads and renders it in Blender
+in a new process. Memory is that of this process and of those that it starts: the peak of samples taken every few
+milliseconds, above what was held with the scene set up. Linux only.
 """
 
 import argparse
@@ -24,20 +25,21 @@ from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cost.sparse"
 PAGE = ROOT / "docs" / "performance.md"
-# Of the generator's volumes; its cells are split into so many an edge.
+# Of the generator's volumes; each of its cells is split into SPLIT per edge.
 SEED, SPLIT = 1_000_000, 4
-# Voxels an edge that are made at a time.
+# Voxels per edge of the parts in which the cloud is made.
 PART = 128
-# Places that tell which share lies above a threshold.
+# Random positions by which the threshold is found.
 PLACES = 1 << 20
 OPTICAL_DEPTH = 100.0
 POLL_INTERVAL = 0.005
 
 
 def write_cloud(path: Path, cells: int, share: float) -> None:
-    """A trilinearly finer cloud above the threshold that leaves `share`, with a puff in either corner of its box."""
-    from inference.grids.dense_grid import DenseGrid
+    """Write a trilinearly refined cloud with a puff in two corners, less the threshold that leaves `share` above 0."""
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+
+    from inference.grids.dense_grid import DenseGrid
     from training.data.volumes import make_volume
 
     density = make_volume(SEED, cells // SPLIT).density
@@ -49,7 +51,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
     grid.name, grid.gridClass = "density", "fog volume"
     axis = ((np.arange(cells) + 0.5) / SPLIT - 0.5).astype(np.float32)
     for corner in np.ndindex(*[-(-cells // PART)] * 3):
-        axes = [axis[PART * n:PART * (n + 1)] for n in corner]
+        axes = [axis[PART * n : PART * (n + 1)] for n in corner]
         places = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
         values = np.maximum(coarse.sample(places) - threshold, np.float32(0.0)).reshape([len(a) for a in axes])
         if values.any():
@@ -58,7 +60,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
 
 
 def held_memory() -> int:
-    """Bytes that this process and those that it started hold."""
+    """Resident bytes of this process and of those that it started."""
     import os
     import resource
 
@@ -78,15 +80,15 @@ def held_memory() -> int:
 
 
 class Peak:
-    """The most memory held while this is entered: `bytes`."""
+    """Peak of the memory held inside a `with` block: `bytes`."""
 
     def __enter__(self):
         self.bytes, self._over = held_memory(), threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
         return self
 
-    def _look(self):
+    def _sample(self):
         while not self._over.wait(POLL_INTERVAL):
             self.bytes = max(self.bytes, held_memory())
 
@@ -106,10 +108,10 @@ def measure(path: Path, cells: int, size) -> dict:
 
     scene, volume, shader = demo_scene.make_scene(path, size, "density", y_up=False)
     volume.scale, volume.location = (demo_scene.EDGE / cells,) * 3, (-0.5 * demo_scene.EDGE,) * 3
-    volume.data.render.space = 'WORLD'
+    volume.data.render.space = "WORLD"
     shader.inputs["Density"].default_value = OPTICAL_DEPTH / demo_scene.EDGE
     demo_scene.frame(scene, demo_scene.EDGE * (np.array(list(np.ndindex(2, 2, 2))) - 0.5))
-    # Blender holds the file's grid itself.
+    # Blender loads the file's grid here, which does not count.
     bpy.context.evaluated_depsgraph_get()
     before, start = held_memory(), time.perf_counter()
     with Peak() as reading:
@@ -127,9 +129,12 @@ def measure(path: Path, cells: int, size) -> dict:
         "active": np.count_nonzero(values) / voxels,
         "kept": values.size / voxels,
         "covered": float((layer.alpha > 0.02).mean()),
-        "read": read, "reading": reading.bytes - before,
-        "held": held, "planned": plan.memory,
-        "seconds": layer.report.seconds, "rendering": rendering.bytes - before,
+        "read": read,
+        "reading": reading.bytes - before,
+        "held": held,
+        "planned": plan.memory,
+        "seconds": layer.report.seconds,
+        "rendering": rendering.bytes - before,
     }
 
 
@@ -137,22 +142,23 @@ def table(figures: dict, size) -> str:
     seconds = figures["seconds"]
     rows = [
         ("voxels", figures["voxels"]),
-        ("of which above 0", f"{figures['active']:.1%}"),
-        ("of which kept", f"{figures['kept']:.1%}"),
+        ("above 0", f"{figures['active']:.1%}"),
+        ("stored", f"{figures['kept']:.1%}"),
         ("image", f"{size[0]} × {size[1]}, {figures['covered']:.0%} covered"),
         ("reading", f"{figures['read']:.1f} s"),
         *((stage, f"{seconds[stage]:.1f} s") for stage in ("shadows", "fields", "march", "network", "total")),
-        ("largest memory while reading", f"{figures['reading'] / 1e9:.2f} GB"),
+        ("peak memory while reading", f"{figures['reading'] / 1e9:.2f} GB"),
         ("memory of the grid", f"{figures['held'] / 1e9:.2f} GB"),
-        ("largest memory", f"{figures['rendering'] / 1e9:.2f} GB"),
-        ("planned, on top of the grid", f"{figures['planned'] / 1e9:.2f} GB"),
+        ("peak memory", f"{figures['rendering'] / 1e9:.2f} GB"),
+        ("estimated, on top of the grid", f"{figures['planned'] / 1e9:.2f} GB"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
 
 
 def main():
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cells", type=int, default=1024)
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
     parser.add_argument("--share", type=float, default=0.05)
@@ -172,8 +178,17 @@ def main():
         return
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/cloud.vdb"
-        command = [sys.executable, "-m", PROGRAM, "--cells", str(arguments.cells), "--share", str(arguments.share),
-                   "--size", *map(str, arguments.size)]
+        command = [
+            sys.executable,
+            "-m",
+            PROGRAM,
+            "--cells",
+            str(arguments.cells),
+            "--share",
+            str(arguments.share),
+            "--size",
+            *map(str, arguments.size),
+        ]
         subprocess.run([*command, "--write", path], cwd=ROOT, check=True)
         output = subprocess.run([*command, "--measure", path], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
     figures = json.loads(next(line for line in output.stdout.splitlines() if line.startswith("{")))

@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Seconds, points and memory of one render, beside this machine's own arithmetic.
 
     python -m benchmarks.cost.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
 
-Renders a procedural cloud that covers a given share of a square image and prints the stages, points a
-second, the largest memory on top of what the process held before, and the share of the
-single-precision matrix product's rate, measured in the same run, at which the network runs, alone and with descriptors.
+Renders a procedural cloud that covers a given share of a square image. Prints the seconds of each stage, network
+points per second, peak memory above what the process held before, and the network's arithmetic rate, alone and with
+its descriptors, as a share of that of a single-precision matrix product measured in the same run.
 """
 
 import argparse
@@ -15,8 +16,8 @@ import numpy as np
 import onnx
 
 from inference import Camera, Medium, Settings, Sun, render
-from inference.network.predictor import POINTS_PER_TASK
 from inference.network.network import WEIGHTS, load_network
+from inference.network.predictor import POINTS_PER_TASK
 from inference.runtime.report import process_peak_memory
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
@@ -25,8 +26,8 @@ from ..fidelity.views import look_at
 from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cost.speed"
-# Of runs of the network alone, and how many of its points lie on one ray.
-RUNS, SAMPLES_A_RAY = 50, 8
+# Runs of the network alone, and how many of its points lie on one ray.
+RUNS, SAMPLES_PER_RAY = 50, 8
 
 
 def cloud(resolution: int = 192):
@@ -58,8 +59,8 @@ def sgemm_rate() -> float:
     return 2 * 2048**3 / best
 
 
-def flop_a_point(name: str) -> int:
-    """Multiplications and additions of a network's matrix products a point."""
+def flop_per_point(name: str) -> int:
+    """Multiplications and additions per point of a network's matrix products."""
     graph = onnx.load(WEIGHTS / f"{name}.onnx").graph
     sizes = {weights.name: int(np.prod(weights.dims)) for weights in graph.initializer}
     products = [node for node in graph.node if node.op_type in ("Gemm", "MatMul")]
@@ -67,12 +68,12 @@ def flop_a_point(name: str) -> int:
 
 
 def network_seconds(name: str) -> float:
-    """A point, of the network alone on one core: the best of RUNS."""
+    """Seconds per point of the network alone on one core: the best of RUNS."""
     session, random = load_network(name).session, np.random.default_rng(1)
-    sizes = {"N": POINTS_PER_TASK, "V": POINTS_PER_TASK // SAMPLES_A_RAY, "A": 1}
+    sizes = {"N": POINTS_PER_TASK, "V": POINTS_PER_TASK // SAMPLES_PER_RAY, "A": 1}
     inputs = {i.name: random.random([sizes.get(n, n) for n in i.shape], np.float32) for i in session.get_inputs()}
     if "view" in inputs:
-        inputs["view"] = np.arange(POINTS_PER_TASK, dtype=np.int32) // SAMPLES_A_RAY
+        inputs["view"] = np.arange(POINTS_PER_TASK, dtype=np.int32) // SAMPLES_PER_RAY
     best = np.inf
     for _ in range(RUNS):
         start = time.perf_counter()
@@ -82,8 +83,9 @@ def network_seconds(name: str) -> float:
 
 
 def main():
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--depth-samples", type=int, default=8)
     parser.add_argument("--coverage", type=float, default=0.4)
@@ -102,15 +104,15 @@ def main():
     print(f"covered: {(layer.alpha > 0.02).mean():.0%} of the image, {points} points")
     for stage, seconds in report.seconds.items():
         print(f"{stage:16} {seconds:7.2f} s")
-    print(f"points a second  {points / report.seconds['total']:9.0f} end to end")
+    print(f"points per second{points / report.seconds['total']:9.0f} end to end")
     if before is not None:
         print(f"memory           {(report.peak_memory - before) / 2**20:9.0f} MiB more than before")
-    work, alone = flop_a_point(arguments.model), network_seconds(arguments.model)
+    work, alone = flop_per_point(arguments.model), network_seconds(arguments.model)
     share, one_core = points * work / report.seconds["network"] / rate, rate / os.cpu_count()
     print(f"matrix product   {rate / 1e9:9.0f} Gflop/s")
-    print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us a point")
+    print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us per point")
     print(f"with descriptors {share:9.0%} of that")
-    print(f"made by {made_by(PROGRAM, models=[arguments.model])}")
+    print(made_by(PROGRAM, models=[arguments.model]))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""How soon the viewport's preview shows something: seconds to its first and to its last picture.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How soon the viewport's preview shows a picture: seconds to its first and to its last one.
 
     python -m benchmarks.cost.viewport [--size 480 270] [--voxels 128] [--depth-samples 8]
 
-A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with what is
-kept from before. "Wall" is seconds; "processor" is seconds of all threads together, which a busy machine
-stretches less; "share" is the processor's seconds to the first picture over those of a whole render of the same
-view with nothing kept, in the same run. Reading the scene, for which Blender waits, stands apart.
+A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with the render cache
+of the rows before. "Wall" is wall-clock seconds; "processor" is processor seconds of all threads, which a busy machine
+affects less; "share" is the processor seconds to the first picture over those of a whole render of the same view
+without a cache, in the same run. Reading the scene, for which Blender waits, is told separately.
 """
 
 import argparse
@@ -32,7 +33,7 @@ def clock():
 
 
 def since(start):
-    """(wall, processor) seconds since a clock's reading."""
+    """(wall, processor) seconds since a reading of `clock`."""
     return tuple(now - then for now, then in zip(clock(), start))
 
 
@@ -55,8 +56,9 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     write_grid(path, make_volume(CLOUD_SEED, voxels).density, package.vdb.openvdb_module.load_openvdb())
     scene, volume, shader = make_scene(path, size, "density", y_up=False)
     fit(scene, volume, shader, package.scene.reader.read_scene, OPTICAL_DEPTH)
-    sun = next(item for item in scene.objects if item.type == 'LIGHT')
-    reader, prepared = package.volumes.reader.VolumeReader(), package.engine.preview.Prepared(addon.inference.RenderCache())
+    sun = next(item for item in scene.objects if item.type == "LIGHT")
+    reader = package.volumes.reader.VolumeReader()
+    prepared = package.engine.preview.Prepared(addon.inference.RenderCache())
 
     def read():
         bpy.context.view_layer.update()
@@ -86,17 +88,24 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     print(f"{'':16}{'first picture':>24}{'':>8}{'last picture':>24}")
     print(f"{'':16}{'wall':>12}{'processor':>12}{'share':>8}{'wall':>12}{'processor':>12}")
     for name, first, last in rows:
-        print(f"{name:16}{first[0]:>10.2f} s{first[1]:>10.2f} s{first[1] / whole[1]:>8.1%}"
-              f"{last[0]:>10.2f} s{last[1]:>10.2f} s")
+        print(
+            f"{name:16}{first[0]:>10.2f} s{first[1]:>10.2f} s{first[1] / whole[1]:>8.1%}"
+            f"{last[0]:>10.2f} s{last[1]:>10.2f} s"
+        )
     print(f"{'whole render':16}{whole[0]:>10.2f} s{whole[1]:>10.2f} s")
-    print("reading the scene, wall and processor: "
-          + ", ".join(f"{name} {wall:.2f} s {processor:.2f} s" for name, (wall, processor) in
-                      (("first", opened), ("sun turned", again), ("density changed", shaded))))
+    print(
+        "reading the scene, wall and processor: "
+        + ", ".join(
+            f"{name} {wall:.2f} s {processor:.2f} s"
+            for name, (wall, processor) in (("first", opened), ("sun turned", again), ("density changed", shaded))
+        )
+    )
 
 
 def main():
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", type=int, nargs=2, default=(480, 270), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--voxels", type=int, default=128)
     parser.add_argument("--depth-samples", type=int, default=8)
@@ -105,7 +114,7 @@ def main():
     try:
         with tempfile.TemporaryDirectory() as folder:
             measure(addon, tuple(arguments.size), arguments.voxels, arguments.depth_samples, folder)
-        print(f"made by {made_by(PROGRAM)}")
+        print(made_by(PROGRAM))
     finally:
         addon.unregister()
 

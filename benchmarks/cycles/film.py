@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A film of a volume sequence, and how far its frames are from Cycles: makes docs/film.md.
 
     python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--compare 3]
@@ -66,8 +67,14 @@ def make_film(files, options) -> dict:
             strip += [(f"{frame}, ours", picture), (f"{frame}, Cycles", _cycles_picture(scene))]
         results[frame] = found
         print(f"frame {frame}: {found}", file=sys.stderr, flush=True)
-    shown[0].save(options.out / "film.webp", save_all=True, append_images=shown[1:], loop=0,
-                  duration=round(1000 / FRAMES_PER_SECOND), lossless=True)
+    shown[0].save(
+        options.out / "film.webp",
+        save_all=True,
+        append_images=shown[1:],
+        loop=0,
+        duration=round(1000 / FRAMES_PER_SECOND),
+        lossless=True,
+    )
     if strip:
         pictures.row(strip, STRIP_HEIGHT).save(STRIP)
     return {"frames": results, "steadiness": steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)}
@@ -86,8 +93,9 @@ def steadiness(described, options) -> dict:
 
     def image(values):
         pairs = [(inference.Volume(values, volume.world_from_index, volume.name), medium)]
-        return inference.render(pairs, described.suns, described.camera,
-                                inference.Settings(depth_samples=options.depth_samples))
+        return inference.render(
+            pairs, described.suns, described.camera, inference.Settings(depth_samples=options.depth_samples)
+        )
 
     first = image(density)
     mask = first.alpha > 0.02
@@ -121,23 +129,36 @@ def page(found, options) -> str:
     frames, compared = found["frames"], [frame for frame in found["frames"].values() if "rmse" in frame]
     width, height = options.size
     lines = [
-        "# A film", "",
-        f"Made by {found['made_by']}.", "",
+        "# A film",
+        "",
+        found["made_by"],
+        "",
         "A sequence of `.vdb` files, rendered by the extension in Blender. Some of its frames are compared with Cycles",
         f"{bpy.app.version_string} at {options.scale} % of the size, in two renders with {options.samples} samples",
         "per pixel each, so that Cycles' own noise does not count.",
         "Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
-        "", "![Frames of the plume, ours and Cycles'](images/film.png)", "",
+        "",
+        "![Frames of the plume, ours and Cycles'](images/film.png)",
+        "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples, "
-        f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s per frame (median).", "",
-        "| file | relative RMSE | bias | alpha bias |", "|---|---|---|---|",
+        f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s per frame (median).",
+        "",
+        "| file | relative RMSE | bias | alpha bias |",
+        "|---|---|---|---|",
     ]
-    lines += [f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
-              for frame in compared]
-    lines += ["", "By how much a frame changes where nothing in the scene does: root mean square over its mean.",
-              "A voxel of almost no density beyond one face of the grid gives another working cube, as a growing",
-              "cloud does.", "",
-              "| | change |", "|---|---|"]
+    lines += [
+        f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
+        for frame in compared
+    ]
+    lines += [
+        "",
+        "By how much a frame changes where nothing in the scene does: root mean square over its mean.",
+        "A voxel of almost no density beyond one face of the grid gives another working cube, as a growing",
+        "cloud does.",
+        "",
+        "| | change |",
+        "|---|---|",
+    ]
     lines += [f"| {name} | {value:.2%} |" for name, value in found["steadiness"].items()]
     return "\n".join(lines) + "\n"
 

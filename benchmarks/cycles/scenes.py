@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Scenes as artists build them, against Cycles: makes docs/scenes.md.
 
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
@@ -59,6 +60,7 @@ def main(arguments=None) -> int:
 
 def write_cloud(path: Path) -> None:
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+
     from training.data.volumes import make_volume
 
     demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
@@ -77,11 +79,19 @@ def measured(name, stage, options) -> dict:
     except inference.SceneError as refusal:
         return {"refused": str(refusal)}
     start = time.process_time()
-    layer = inference.render(described.volumes, described.suns, described.camera,
-                             inference.Settings(depth_samples=DEPTH_SAMPLES), surfaces=described.surfaces)
+    layer = inference.render(
+        described.volumes,
+        described.suns,
+        described.camera,
+        inference.Settings(depth_samples=DEPTH_SAMPLES),
+        surfaces=described.surfaces,
+    )
     mask = (layer.alpha > 0.02) | (layer.emission.max(axis=2) > 0.0)
-    found = {"seconds": time.process_time() - start, "pixels": int(mask.sum()),
-             "warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
+    found = {
+        "seconds": time.process_time() - start,
+        "pixels": int(mask.sum()),
+        "warnings": list(dict.fromkeys(described.warnings + layer.report.warnings)),
+    }
     world = stage.scene.world if described.environment else None
     objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
     parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
@@ -93,7 +103,8 @@ def measured(name, stage, options) -> dict:
         samples = options.samples * (4 if bounces == 0 else 1)
         start = time.process_time()
         reference = render_reference(
-            stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world)
+            stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world
+        )
         found[f"{kind} seconds"] = time.process_time() - start
         a, b = reference.a, reference.b
         for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):
@@ -103,8 +114,13 @@ def measured(name, stage, options) -> dict:
     cycles = (a + b) / 2.0
     ours = np.concatenate([layer.rgb, layer.alpha[..., None]], axis=2)
     IMAGES.mkdir(parents=True, exist_ok=True)
-    pictures.row([(caption, pictures.view_transformed(pictures.over_sky(image), stage.scene))
-                  for caption, image in (("Cycles", cycles), ("ours", ours))], PICTURE_HEIGHT).save(picture(name))
+    pictures.row(
+        [
+            (caption, pictures.view_transformed(pictures.over_sky(image), stage.scene))
+            for caption, image in (("Cycles", cycles), ("ours", ours))
+        ],
+        PICTURE_HEIGHT,
+    ).save(picture(name))
     return found
 
 
@@ -115,8 +131,13 @@ def named(stage) -> dict:
 
     try:
         described = read_scene(bpy.context.evaluated_depsgraph_get())
-        layer = inference.render(described.volumes, described.suns, described.camera,
-                                 inference.Settings(multiple=False), surfaces=described.surfaces)
+        layer = inference.render(
+            described.volumes,
+            described.suns,
+            described.camera,
+            inference.Settings(multiple=False),
+            surfaces=described.surfaces,
+        )
         return {"warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
     except inference.SceneError as refusal:
         return {"refused": str(refusal)}
@@ -127,15 +148,17 @@ def picture(name: str) -> Path:
 
 
 def sources(results) -> list:
-    """What made the figures, as `made_by` tells it, each once."""
+    """The sentences on what made the figures, each once."""
     return list(dict.fromkeys(found["made_by"] for found in results.values() if "made_by" in found))
 
 
 def page(results) -> str:
     """The page's text."""
     lines = [
-        "# Scenes against Cycles", "",
-        *(f"Made by {line}." for line in sources(results)), "",
+        "# Scenes against Cycles",
+        "",
+        *sources(results),
+        "",
         f"Each scene is rendered by the extension and, twice and independently, by Cycles {bpy.app.version_string}",
         "with 1024 bounces, no clamping and no denoising; errors do not count Cycles' noise",
         "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",
@@ -143,7 +166,8 @@ def page(results) -> str:
         "adds the network's multiple scattering, whose own error is that of the first row. RMSE is relative to the",
         "mean, with its 95 % interval; 0 where Cycles' noise hides it. *Single* is left out where light is emitted and",
         "scattered: Cycles' image without bounces contains a part of that. Seconds are processor seconds of all",
-        "threads; Cycles' are those of the two renders of *whole*.", "",
+        "threads; Cycles' are those of the two renders of *whole*.",
+        "",
         "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
         "| Cycles, ours |",
         "|---|---|---|---|---|---|---|---|",
@@ -161,13 +185,20 @@ def page(results) -> str:
             f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
             f"| {rmse:.3f} ({low:.3f}–{high:.3f}) | {found['whole bias'][0]:+.1%} "
             f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
-            f"| ![](images/scenes/{picture(name).name}) |")
+            f"| ![](images/scenes/{picture(name).name}) |"
+        )
     notes = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
     if notes:
         lines += ["", "What the extension says of these:", ""] + [f"- {name}: {text}" for name, text in notes]
-    lines += ["", "## Named instead of rendered", "",
-              "A warning renders the rest of the scene; a refusal renders nothing.", "", "| scene | | message |",
-              "|---|---|---|"]
+    lines += [
+        "",
+        "## Named instead of rendered",
+        "",
+        "A warning renders the rest of the scene; a refusal renders nothing.",
+        "",
+        "| scene | | message |",
+        "|---|---|---|",
+    ]
     for name in scene_features.NAMED:
         found = results.get(name)
         if found:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The demo: a cloud in real Blender, rendered by the extension and compared with Cycles.
 
     python3.11 run.py demo [volume.vdb ...] [options]
@@ -44,8 +45,13 @@ def demo(path: Path, out: Path, options) -> str:
     say(f"{path.name}: rendered in {seconds:.1f} s, reading and writing included; {covered:.0%} of the image covered")
 
     say(f"{path.name}: comparing with Cycles at {options.scale} % of that size")
-    bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, ladder=LADDER, budget=0.0,
-                          folder=str(out / f"{path.stem}-comparison"))
+    bpy.ops.mrpnn.compare(
+        samples=options.samples,
+        scale=options.scale,
+        ladder=LADDER,
+        budget=0.0,
+        folder=str(out / f"{path.stem}-comparison"),
+    )
     comparison_picture(scene, options).save(out / f"{path.stem}-comparison.png")
     return bpy.data.texts["MRPNN comparison"].as_string()
 
@@ -54,12 +60,20 @@ def comparison_picture(scene, options):
     """The compared layer, Cycles' image and their signed difference, side by side."""
     layer, cycles, error = pictures.pixels("MRPNN"), pictures.pixels("MRPNN Cycles"), pictures.pixels("MRPNN error")
     mean = cycles[cycles[..., 3] > 0.02][:, :3].mean()
-    return pictures.row([
-        (f"MRPNN, {options.depth_samples} depth samples", pictures.view_transformed(pictures.over_sky(layer), scene)),
-        (f"Cycles, {2 * options.samples} samples", pictures.view_transformed(pictures.over_sky(cycles), scene)),
-        (f"difference: red +{ERROR_LIMIT:.0%}, blue -{ERROR_LIMIT:.0%} of the mean",
-         pictures.signed_map(error[..., :3].mean(axis=-1) / mean, ERROR_LIMIT)),
-    ], height=384)
+    return pictures.row(
+        [
+            (
+                f"MRPNN, {options.depth_samples} depth samples",
+                pictures.view_transformed(pictures.over_sky(layer), scene),
+            ),
+            (f"Cycles, {2 * options.samples} samples", pictures.view_transformed(pictures.over_sky(cycles), scene)),
+            (
+                f"difference: red +{ERROR_LIMIT:.0%}, blue -{ERROR_LIMIT:.0%} of the mean",
+                pictures.signed_map(error[..., :3].mean(axis=-1) / mean, ERROR_LIMIT),
+            ),
+        ],
+        height=384,
+    )
 
 
 def say(text: str) -> None:
@@ -85,8 +99,9 @@ def parse(arguments):
     parser.add_argument("volumes", nargs="*", type=Path, metavar="volume.vdb")
     parser.add_argument("--grid", default="density", help="name of the density grid in the files (density)")
     parser.add_argument("--y-up", action="store_true", help="the files have Y up: turn them upright")
-    parser.add_argument("--optical-depth", type=float, default=100.0,
-                        help="of the volume's longest edge at its densest (100)")
+    parser.add_argument(
+        "--optical-depth", type=float, default=100.0, help="of the volume's longest edge at its densest (100)"
+    )
     parser.add_argument("--size", type=int, nargs=2, default=(768, 448), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--depth-samples", type=int, default=4, help="network evaluations per pixel (4)")
     parser.add_argument("--scale", type=int, default=25, help="size of the comparison in percent (25)")
@@ -109,6 +124,7 @@ def main(arguments=None) -> int:
     paths = options.volumes or [options.out / "cloud.vdb"]
     if not options.volumes:
         from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
+
         say("making a cloud")
         demo_scene.write_cloud(paths[0], load_openvdb())
     failed = 0
@@ -122,7 +138,7 @@ def main(arguments=None) -> int:
             continue
         say("\n" + table)
     say(f"pictures are in {os.path.relpath(options.out)}")
-    say(f"made by {made_by('benchmarks.demo', arguments)}")
+    say(made_by("benchmarks.demo", arguments))
     return 1 if failed else 0
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The demo's scene in Blender: one volume, one sun, a camera that frames it."""
 
 import itertools
@@ -14,7 +15,7 @@ MARGIN = 0.97
 LENS_DEGREES = 32.0
 VIEW_FROM = Vector((0.35, -1.0, 0.12))
 SUN_FROM = Vector((-0.85, -0.2, 0.6))
-# The generated cloud's seed; one of those that no training uses.
+# Seed of the generated cloud; no training uses it.
 CLOUD_SEED = 1_000_011
 CLOUD_CELLS = 192
 
@@ -39,7 +40,7 @@ def write_grid(path: Path, density: np.ndarray, openvdb) -> None:
 
 
 def make_scene(path: Path, size, grid_name: str, y_up: bool):
-    """An otherwise empty scene that shows the volume file lit by a sun; gives (scene, volume object, shader).
+    """An otherwise empty scene with the volume file, lit by a sun; gives (scene, volume object, shader).
 
     size: (width, height) in pixels.
     """
@@ -47,7 +48,7 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
-    scene.view_settings.view_transform = 'AgX'
+    scene.view_settings.view_transform = "AgX"
 
     data = bpy.data.volumes.new(path.stem)
     data.filepath = str(path)
@@ -56,9 +57,9 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
         volume.rotation_euler.x = np.pi / 2
     shader = _fog(data, grid_name)
 
-    lamp = bpy.data.lights.new("Sun", 'SUN')
+    lamp = bpy.data.lights.new("Sun", "SUN")
     lamp.energy, lamp.color, lamp.angle = 14.0, (1.0, 0.95, 0.88), 0.0
-    _link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat('Z', 'Y').to_euler()
+    _link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat("Z", "Y").to_euler()
 
     lens = bpy.data.cameras.new("Camera")
     lens.angle = np.radians(LENS_DEGREES)
@@ -69,8 +70,8 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
 def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     """Scale the volume to edge EDGE around the origin, set its density, and frame it.
 
-    read_scene: the extension's own reader, so that the demo sees the file as the render does.
-    optical_depth: of EDGE at the grid's densest (99.9th percentile of what is not empty).
+    read_scene: the extension's reader, so that the demo reads the file as the render does.
+    optical_depth: of EDGE at the grid's densest (99.9th percentile of the voxels above 0).
     """
     grid, _ = read_scene(bpy.context.evaluated_depsgraph_get()).volumes[0]
     corners = _corners(grid)
@@ -79,8 +80,8 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     centre = Vector((corners.max(axis=0) + corners.min(axis=0)) / 2)
     volume.scale = (scale,) * 3
     volume.location = -scale * centre
-    # Densities of the material per world unit, whatever the object's scale.
-    volume.data.render.space = 'WORLD'
+    # The material's density is per world unit, whatever the object's scale.
+    volume.data.render.space = "WORLD"
     values = getattr(grid.density, "values", grid.density)
     densest = np.percentile(values[values > 0], 99.9)
     shader.inputs["Density"].default_value = optical_depth / (EDGE * densest)
@@ -90,7 +91,7 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
 def frame(scene, corners) -> None:
     """Move the camera back along VIEW_FROM until every corner (8, 3) is in view."""
     camera = scene.camera
-    rotation = VIEW_FROM.to_track_quat('Z', 'Y')
+    rotation = VIEW_FROM.to_track_quat("Z", "Y")
     seen = corners @ np.array(rotation.to_matrix())
     half = np.tan(np.radians(LENS_DEGREES) / 2) * MARGIN
     width, height = scene.render.resolution_x, scene.render.resolution_y

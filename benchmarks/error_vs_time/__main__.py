@@ -1,12 +1,13 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
 
-Runs the extension's own comparison in Blender for each case of `cases`. Every image of Cycles is kept
-under OUT, and so are the figures of finished cases, so that a run that was stopped goes on where it was and more
---samples continue the references that are there. With other weights cases are measured anew against Cycles' images as
-they are; with --again against the references as they are, every image that is timed being made anew. --table only
-writes the page anew, from what the present weights were measured on.
+Runs the extension's comparison in Blender for each case of `cases`. Every image of Cycles is stored in OUT, and so are
+the figures of finished cases: a run that was stopped continues where it was, and with more --samples the references
+that are there are continued. With other weights every case is measured again, against the stored images. With --again
+every image that is timed is rendered again, but for the references. --table only rewrites the page, from the figures
+of the present weights.
 """
 
 import argparse
@@ -27,10 +28,10 @@ from .cases import absent_files, cases, make
 
 PROGRAM = "benchmarks.error_vs_time"
 DOCS = ROOT / "docs"
-# Cycles' highest rung, and samples a pixel in each half of references that only tell how costs grow: fewer for images
-# beyond a size, since they tell as much.
+# Samples per pixel of Cycles' highest rung, and of each half of references that only tell how costs grow: fewer in
+# images beyond a size, which have more pixels to average over.
 LADDER, GROWTH_SAMPLES, GROWTH_SIZE, LEAST_SAMPLES = 64, 16, 64, 2
-# The same of larger images on which errors are measured.
+# The same for larger images whose errors are measured.
 FILTER_LADDER, FILTER_SAMPLES = 16, 32
 
 
@@ -45,21 +46,28 @@ def main(arguments=None) -> int:
     scenes = cases(options.size)
     if not options.table:
         for path in absent_files():
-            print(f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
-                  file=sys.stderr)
+            print(
+                f"left out: scenes of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                file=sys.stderr,
+            )
         extension()
         for case in scenes:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples]
             if results.get(case.name, {}).get("state") != state:
-                results[case.name] = {"case": asdict(case), "state": state, "made_by": made_by(PROGRAM, arguments),
-                                      **measured(case, options)}
+                results[case.name] = {
+                    "case": asdict(case),
+                    "state": state,
+                    "made_by": made_by(PROGRAM, arguments),
+                    **measured(case, options),
+                }
                 replace_file(file, json.dumps(results, indent=1) + "\n")
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
-    # What another network was measured on says nothing of this one.
-    known = [results[case.name] for case in scenes
-             if case.name in results and results[case.name]["state"][0] == weights()]
+    # Figures of other weights do not count.
+    known = [
+        results[case.name] for case in scenes if case.name in results and results[case.name]["state"][0] == weights()
+    ]
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
@@ -80,10 +88,10 @@ def weights() -> str:
 
 
 def measured(case, options) -> dict:
-    """The comparison's figures."""
+    """Run the comparison of a case; gives its figures."""
     from mrpnn.mrpnn_addon.comparison.run import ComparisonRun, Options
-    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
     from mrpnn.mrpnn_addon.scene.reader import read_scene
+    from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
 
     scene = make(case, options.out, load_openvdb(), read_scene)
     bpy.context.view_layer.update()
@@ -96,18 +104,19 @@ def measured(case, options) -> dict:
     run = ComparisonRun(bpy.context, scene.mrpnn.settings(), wanted)
     run.wait()
     if run.job.cancelled:
-        raise SystemExit("stopped; what is finished is kept")
+        raise SystemExit("stopped; finished cases are stored")
     return run.result().figures()
 
 
 def parse(arguments):
     parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "error_vs_time")
-    parser.add_argument("--size", type=int, default=64, help="pixels an edge (64)")
-    parser.add_argument("--samples", type=int, default=256, help="a pixel in each half of the reference (256)")
-    parser.add_argument("--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, "
-                        "albedo, image, filter")
-    parser.add_argument("--again", action="store_true", help="forget what was timed, but not the references")
+    parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
+    parser.add_argument("--samples", type=int, default=256, help="per pixel in each half of the reference (256)")
+    parser.add_argument(
+        "--only", default="", help="part of a case's name, or what grows: pixels, voxels, suns, albedo, image, filter"
+    )
+    parser.add_argument("--again", action="store_true", help="render again what is timed, but not the references")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What `benchmarks.error_vs_time` measures: one scene a case."""
 
 from dataclasses import dataclass, replace
@@ -42,8 +43,10 @@ class Case:
 
     @property
     def name(self) -> str:
-        return (f"{self.volume}-{self.light}-g{self.anisotropy:g}-d{self.optical_density:g}-a{self.albedo:g}"
-                f"-{self.suns}sun-{self.size}px-{self.cells}")
+        return (
+            f"{self.volume}-{self.light}-g{self.anisotropy:g}-d{self.optical_density:g}-a{self.albedo:g}"
+            f"-{self.suns}sun-{self.size}px-{self.cells}"
+        )
 
     @property
     def available(self) -> bool:
@@ -85,7 +88,7 @@ def make(case: Case, folder: Path, openvdb, read_scene):
     shader.inputs["Color"].default_value = (case.albedo,) * 3 + (1.0,)
     demo_scene.fit(scene, volume, shader, read_scene, case.optical_density)
     sun = scene.objects["Sun"]
-    sun.rotation_euler = _towards(case.light).to_track_quat('Z', 'Y').to_euler()
+    sun.rotation_euler = _towards(case.light).to_track_quat("Z", "Y").to_euler()
     for number in range(1, case.suns):
         other = sun.copy()
         other.rotation_euler = (0.4 + 0.3 * number, 0.0, 1.7 * number)

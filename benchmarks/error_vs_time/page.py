@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The page docs/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
 
 import math
@@ -24,8 +25,11 @@ def seconds_to_error(result, method: str, error: float = None, timed=None):
     tracer's noise in a pixel does not depend on the size of the image, a filter's error does.
     """
     error = result["judged"]["rmse"]["value"] if error is None else error
-    rungs = [Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
-             for one in result["rungs"] if one["method"] == method]
+    rungs = [
+        Rung(**{**one, "rmse": Estimate(**one["rmse"]), "bias": Estimate(**one["bias"])})
+        for one in result["rungs"]
+        if one["method"] == method
+    ]
     if not error or not rungs:
         return None
     if method == DENOISED:
@@ -64,7 +68,7 @@ def counted(results) -> list:
 
 
 def sources(results) -> list:
-    """What made the figures, as `made_by` tells it, each once."""
+    """The sentences on what made the figures, each once."""
     return list(dict.fromkeys(result["made_by"] for result in results if "made_by" in result))
 
 
@@ -76,11 +80,16 @@ def csv_table(results):
             row = dict(result["case"])
             row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
             for name in ("rmse", "bias"):
-                row.update({f"{name}{end}": rung[name][key]
-                            for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))})
+                row.update(
+                    {
+                        f"{name}{end}": rung[name][key]
+                        for end, key in (("", "value"), ("_low", "low"), ("_high", "high"))
+                    }
+                )
             rows.append(row)
-    return list(rows[0]), [[f"{value:.5g}" if isinstance(value, float) else value for value in row.values()]
-                           for row in rows]
+    return list(rows[0]), [
+        [f"{value:.5g}" if isinstance(value, float) else value for value in row.values()] for row in rows
+    ]
 
 
 def page(results, wanted: int) -> str:
@@ -90,7 +99,7 @@ def page(results, wanted: int) -> str:
     size = results[0]["case"]["size"]
     parts = [
         "# Error against run time\n",
-        *(f"Made by {line}.\n" for line in sources(results)),
+        *(f"{sentence}\n" for sentence in sources(results)),
         f"{len(results)} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
         f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "
@@ -102,11 +111,19 @@ def page(results, wanted: int) -> str:
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if main:
-        parts += ["![Seconds to the same error](images/error-vs-time-headline.png)\n", headline(counted(main), results),
-                  "![Error against time, a scene a panel](images/error-vs-time.png)\n",
-                  "## Every scene\n", scenes(main, model)]
-    parts += [filtered(results), "## How costs grow\n",
-              "![Processor seconds by what grows](images/error-vs-time-growth.png)\n", growth(results)]
+        parts += [
+            "![Seconds to the same error](images/error-vs-time-headline.png)\n",
+            headline(counted(main), results),
+            "![Error against time, a scene a panel](images/error-vs-time.png)\n",
+            "## Every scene\n",
+            scenes(main, model),
+        ]
+    parts += [
+        filtered(results),
+        "## How costs grow\n",
+        "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
+        growth(results),
+    ]
     return "\n".join(parts)
 
 
@@ -117,28 +134,53 @@ def headline(main, results) -> str:
         timed = [(r, at_size(r, pixels, results)) for r in main]
         for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
             for per_frame in (False, True) if method == CYCLES or pixels == size else ():
-                ratios = [(times_as_long(r, method, per_frame, None, other),
-                           times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other))
-                          for r, other in timed if other]
+                ratios = [
+                    (
+                        times_as_long(r, method, per_frame, None, other),
+                        times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other),
+                    )
+                    for r, other in timed
+                    if other
+                ]
                 by_error, by_high = ([one[i] for one in ratios if one[i]] for i in (0, 1))
                 if by_error:
                     mean, least = geometric_mean(by_error), geometric_mean(by_high)
                     reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
-                    rows.append([f"{pixels}²", method, "frame" if per_frame else "first", f"{mean:.3g}",
-                                 f"{min(by_error):.3g}", f"{max(by_error):.3g}", f"{least:.3g}",
-                                 f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"])
-    head = ["pixels", "against", "of the layer", "geometric mean", "least", "most", "by the intervals' upper ends",
-            "scenes", "target reached"]
-    return ("How many times as long Cycles takes to reach the layer's error. Without denoising: by its measured noise, "
-            "extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which is a lower bound. "
-            f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
-            f"number of samples that Cycles needs is that at {size}², as if the layer's error were the same. Denoised "
-            "Cycles has no such rows: the error that a filter leaves depends on the size (see below). Scenes of "
-            f"volumes that the repository lacks ({', '.join(EXTRAS)}) count in no row. "
-            "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
-            "scenes, is the mean if each error were as large as its 95 % interval allows. A target counts as reached "
-            "where that mean reaches it, and as missed where even the geometric mean falls short.\n\n"
-            + table(head, rows))
+                    rows.append(
+                        [
+                            f"{pixels}²",
+                            method,
+                            "frame" if per_frame else "first",
+                            f"{mean:.3g}",
+                            f"{min(by_error):.3g}",
+                            f"{max(by_error):.3g}",
+                            f"{least:.3g}",
+                            f"{len(by_error)} of {len(by_high)}",
+                            f"{wanted}: {reached}",
+                        ]
+                    )
+    head = [
+        "pixels",
+        "against",
+        "of the layer",
+        "geometric mean",
+        "least",
+        "most",
+        "by the intervals' upper ends",
+        "scenes",
+        "target reached",
+    ]
+    return (
+        "How many times as long Cycles takes to reach the layer's error. Without denoising: by its measured noise, "
+        "extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which is a lower bound. "
+        f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
+        f"number of samples that Cycles needs is that at {size}², as if the layer's error were the same. Denoised "
+        "Cycles has no such rows: the error that a filter leaves depends on the size (see below). Scenes of "
+        f"volumes that the repository lacks ({', '.join(EXTRAS)}) count in no row. "
+        "The references' noise leaves the errors uncertain: the mean by the intervals' upper ends, over all "
+        "scenes, is the mean if each error were as large as its 95 % interval allows. A target counts as reached "
+        "where that mean reaches it, and as missed where even the geometric mean falls short.\n\n" + table(head, rows)
+    )
 
 
 def filtered(results) -> str:
@@ -150,20 +192,35 @@ def filtered(results) -> str:
             judged = one["judged"]
             ladder = sorted((r for r in one["rungs"] if r["method"] == DENOISED), key=lambda r: r["samples"])
             times = [times_as_long(one, DENOISED, per_frame) for per_frame in (False, True)]
-            rows.append([label(one), f"{one['case']['size']}²", _error(judged),
-                         f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
-                         ", ".join(f"{r['samples']}: {r['rmse']['value']:.3f}" for r in ladder),
-                         "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×"])
+            rows.append(
+                [
+                    label(one),
+                    f"{one['case']['size']}²",
+                    _error(judged),
+                    f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                    ", ".join(f"{r['samples']}: {r['rmse']['value']:.3f}" for r in ladder),
+                    "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×",
+                ]
+            )
     if not rows:
         return ""
-    head = ["scene", "pixels", "layer: error", "seconds, first / frame", "denoised: error by samples per pixel",
-            "denoised to the layer's error: times first / frame"]
-    return ("## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
-            "scenes with little noise, errors were measured in larger images too.\n\n" + table(head, rows))
+    head = [
+        "scene",
+        "pixels",
+        "layer: error",
+        "seconds, first / frame",
+        "denoised: error by samples per pixel",
+        "denoised to the layer's error: times first / frame",
+    ]
+    return (
+        "## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
+        "scenes with little noise, errors were measured in larger images too.\n\n" + table(head, rows)
+    )
 
 
 def at_size(result, size: int, results):
     """The same scene's figures at another size, None where there are none."""
+
     def scene(one, **other):
         return {**one["case"], "growth": "", **other}
 
@@ -174,35 +231,60 @@ def scenes(main, model: str) -> str:
     rows = []
     for result in main:
         judged = result["judged"]
-        row = [label(result), _error(judged), f"{judged['bias']['value']:+.1%}",
-               f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}"]
+        row = [
+            label(result),
+            _error(judged),
+            f"{judged['bias']['value']:+.1%}",
+            f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+        ]
         for method in (CYCLES, DENOISED):
             one = equal(result, method)
             error = judged["rmse"]["value"] or judged["rmse"]["high"]
             first, frame = (times_as_long(result, method, per_frame, error) for per_frame in (False, True))
             how = one["needed"]["how"] if judged["rmse"]["value"] else "to the upper end"
-            row.append("n/a" if first is None else
-                       f"{first * judged['cpu_seconds']:.3g} s ({how}): {first:.3g} / {frame:.3g} ×")
+            row.append(
+                "n/a"
+                if first is None
+                else f"{first * judged['cpu_seconds']:.3g} s ({how}): {first:.3g} / {frame:.3g} ×"
+            )
             row.append("n/a" if one is None else f"{one['error']['value']:.3f} ({one['error']['how']})")
         for method in ("single-scattering", "multi-octave"):
             found = rung(result, method)
             row.append(_error(found) if found else "n/a")
         row.append("good" if result["verdict"]["good"] else f"{NOISY}: {_more(result['verdict'])}")
         rows.append(row)
-    head = ["scene", f"{model}: error", "bias", "seconds, first / frame", "Cycles to this error: times first / frame",
-            "Cycles in the first's time", "denoised to this error", "denoised in the first's time", "single-scattering",
-            "multi-octave", "reference"]
-    return ("Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
-            "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "
-            "how many times the samples a good one has.\n\n" + table(head, rows))
+    head = [
+        "scene",
+        f"{model}: error",
+        "bias",
+        "seconds, first / frame",
+        "Cycles to this error: times first / frame",
+        "Cycles in the first's time",
+        "denoised to this error",
+        "denoised in the first's time",
+        "single-scattering",
+        "multi-octave",
+        "reference",
+    ]
+    return (
+        "Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
+        "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "
+        "how many times the samples a good one has.\n\n" + table(head, rows)
+    )
 
 
 def growth(results) -> str:
     """Costs where one thing changes: the layer's seconds, and Cycles' to an error of 0.1."""
     base = results[0]["case"]
     rows = []
-    for what, key in (("pixels", "size"), ("voxels", "cells"), ("suns", "suns"), ("albedo", "albedo"),
-                      ("optical density", "optical_density"), ("G", "anisotropy")):
+    for what, key in (
+        ("pixels", "size"),
+        ("voxels", "cells"),
+        ("suns", "suns"),
+        ("albedo", "albedo"),
+        ("optical density", "optical_density"),
+        ("G", "anisotropy"),
+    ):
         same = [r for r in results if all(r["case"][k] == base[k] for k in base if k not in (key, "growth"))]
         if len({r["case"][key] for r in same}) < 2:
             continue
@@ -210,19 +292,41 @@ def growth(results) -> str:
             law = result["path_tracing"].get("cpu_seconds")
             judged, value = result["judged"], result["case"][key]
             shown = f"{value}²" if key == "size" else f"{value}³" if key == "cells" else f"{value:g}"
-            rows.append([what, shown, f"{judged['once_cpu']:.2g}", f"{judged['cpu_seconds'] - judged['once_cpu']:.2g}",
-                         f"{law['each']:.2g}", f"{law['start'] + law['each'] * law['variance'] / 0.01:.3g}"])
+            rows.append(
+                [
+                    what,
+                    shown,
+                    f"{judged['once_cpu']:.2g}",
+                    f"{judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                    f"{law['each']:.2g}",
+                    f"{law['start'] + law['each'] * law['variance'] / 0.01:.3g}",
+                ]
+            )
     for one in (r for r in results[0]["rungs"] if r["method"] == results[0]["judged"]["method"]):
-        rows.append(["depth samples", str(one["samples"]), f"{one['once_cpu']:.2g}",
-                     f"{one['cpu_seconds'] - one['once_cpu']:.2g}", "", ""])
-    head = ["grows", "value", "layer, once", "layer, frame", "Cycles, per sample per pixel",
-            "Cycles, to an error of 0.1"]
+        rows.append(
+            [
+                "depth samples",
+                str(one["samples"]),
+                f"{one['once_cpu']:.2g}",
+                f"{one['cpu_seconds'] - one['once_cpu']:.2g}",
+                "",
+                "",
+            ]
+        )
+    head = [
+        "grows",
+        "value",
+        "layer, once",
+        "layer, frame",
+        "Cycles, per sample per pixel",
+        "Cycles, to an error of 0.1",
+    ]
     return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
 
 
 def label(result) -> str:
     case = result["case"]
-    return (f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}")
+    return f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}"
 
 
 def _error(found) -> str:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Plots of `benchmarks.error_vs_time`."""
 
 import math
@@ -14,8 +15,14 @@ from .page import CYCLES, at_size, counted, label, of_the_set, seconds_to_error
 COLOURS = {"cycles": "#1f77b4", "cycles denoised": "#17a2a2", "single-scattering": "#7f7f7f", "multi-octave": "#b8860b"}
 LAYER_COLOUR = "#c0392b"
 COLUMNS = 4
-GROWING = (("size", "pixels per edge"), ("cells", "voxels per edge"), ("suns", "suns"), ("albedo", "albedo"),
-           ("optical_density", "optical density"), ("anisotropy", "G"))
+GROWING = (
+    ("size", "pixels per edge"),
+    ("cells", "voxels per edge"),
+    ("suns", "suns"),
+    ("albedo", "albedo"),
+    ("optical_density", "optical density"),
+    ("anisotropy", "G"),
+)
 
 
 def save_ladders(results, path: Path) -> None:
@@ -24,14 +31,23 @@ def save_ladders(results, path: Path) -> None:
     if not main:
         return
     rows = math.ceil(len(main) / COLUMNS)
-    figure, axes = pyplot.subplots(rows, COLUMNS, figsize=(3.2 * COLUMNS, 2.5 * rows), squeeze=False, sharex=True,
-                                   sharey=True, layout="constrained")
-    for axis in axes.flat[len(main):]:
+    figure, axes = pyplot.subplots(
+        rows,
+        COLUMNS,
+        figsize=(3.2 * COLUMNS, 2.5 * rows),
+        squeeze=False,
+        sharex=True,
+        sharey=True,
+        layout="constrained",
+    )
+    for axis in axes.flat[len(main) :]:
         axis.axis("off")
     for result, axis in zip(main, axes.flat):
         case = result["case"]
-        axis.set_title(f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, "
-                       f"density {case['optical_density']:g}", fontsize=8)
+        axis.set_title(
+            f"{case['volume']}, {case['light']}, G {case['anisotropy']:g}, density {case['optical_density']:g}",
+            fontsize=8,
+        )
         _ladder(axis, result)
     axes[0, 0].legend(fontsize=6)
     figure.supxlabel("processor seconds", fontsize=9)
@@ -45,10 +61,21 @@ def _ladder(axis, result) -> None:
         found = sorted((r for r in result["rungs"] if r["method"] == method), key=lambda r: r["samples"])
         seconds = [r["cpu_seconds"] for r in found]
         errors = [r["rmse"]["value"] or r["rmse"]["high"] for r in found]
-        bars = [[max(e - r["rmse"]["low"], 0.0) for e, r in zip(errors, found)],
-                [max(r["rmse"]["high"] - e, 0.0) for e, r in zip(errors, found)]]
-        axis.errorbar(seconds, errors, yerr=bars, label=method, color=COLOURS.get(method, LAYER_COLOUR), fmt="o-",
-                      markersize=3, linewidth=1, elinewidth=1)
+        bars = [
+            [max(e - r["rmse"]["low"], 0.0) for e, r in zip(errors, found)],
+            [max(r["rmse"]["high"] - e, 0.0) for e, r in zip(errors, found)],
+        ]
+        axis.errorbar(
+            seconds,
+            errors,
+            yerr=bars,
+            label=method,
+            color=COLOURS.get(method, LAYER_COLOUR),
+            fmt="o-",
+            markersize=3,
+            linewidth=1,
+            elinewidth=1,
+        )
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.tick_params(labelsize=7)
@@ -61,7 +88,8 @@ def save_headline(results, path: Path) -> None:
     size = ENLARGED * results[0]["case"]["size"]
     known = [(r, at_size(r, size, results)) for r in main if r["judged"]["rmse"]["value"]]
     known = sorted(
-        ((r, timed) for r, timed in known if timed), key=lambda one: seconds_to_error(one[0], CYCLES, None, one[1]))
+        ((r, timed) for r, timed in known if timed), key=lambda one: seconds_to_error(one[0], CYCLES, None, one[1])
+    )
     if not known:
         return
     figure, axis = pyplot.subplots(figsize=(8.0, 0.24 * len(known) + 1.0), layout="constrained")
@@ -70,7 +98,10 @@ def save_headline(results, path: Path) -> None:
         "the layer, a further frame": (LAYER_COLOUR, "|", [j["cpu_seconds"] - j["once_cpu"] for j in layer]),
         "the layer": (LAYER_COLOUR, "o", [j["cpu_seconds"] for j in layer]),
         "Cycles, to the same error": (
-            COLOURS[CYCLES], "o", [seconds_to_error(r, CYCLES, None, timed) for r, timed in known]),
+            COLOURS[CYCLES],
+            "o",
+            [seconds_to_error(r, CYCLES, None, timed) for r, timed in known],
+        ),
     }
     rows = range(len(known))
     axis.hlines(rows, points["the layer"][2], points["Cycles, to the same error"][2], color="#d8d8d8", linewidth=1)
@@ -91,15 +122,27 @@ def save_growth(results, path: Path) -> None:
     base = results[0]["case"]
     figure, axes = pyplot.subplots(2, 3, figsize=(9.6, 5.2), layout="constrained")
     for (key, title), axis in zip(GROWING, axes.flat):
-        same = sorted((r for r in results if all(r["case"][k] == base[k] for k in base if k not in (key, "growth"))),
-                      key=lambda r: r["case"][key])
+        same = sorted(
+            (r for r in results if all(r["case"][k] == base[k] for k in base if k not in (key, "growth"))),
+            key=lambda r: r["case"][key],
+        )
         values = [r["case"][key] for r in same]
         laws = [r["path_tracing"]["cpu_seconds"] for r in same]
         axis.plot(values, [r["judged"]["cpu_seconds"] for r in same], "o-", color=LAYER_COLOUR, label="layer, first")
-        axis.plot(values, [r["judged"]["cpu_seconds"] - r["judged"]["once_cpu"] for r in same], "o--",
-                  color=LAYER_COLOUR, label="layer, frame")
-        axis.plot(values, [law["start"] + law["each"] * law["variance"] / 0.01 for law in laws], "o-",
-                  color=COLOURS["cycles"], label="Cycles, to an error of 0.1")
+        axis.plot(
+            values,
+            [r["judged"]["cpu_seconds"] - r["judged"]["once_cpu"] for r in same],
+            "o--",
+            color=LAYER_COLOUR,
+            label="layer, frame",
+        )
+        axis.plot(
+            values,
+            [law["start"] + law["each"] * law["variance"] / 0.01 for law in laws],
+            "o-",
+            color=COLOURS["cycles"],
+            label="Cycles, to an error of 0.1",
+        )
         if key not in ("albedo", "anisotropy"):
             axis.set_xscale("log")
         axis.set_yscale("log")

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How far each system's image is from path-traced references: the paper's Tables 1 and 2 on our scenes.
 
     python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference]
@@ -32,7 +33,8 @@ SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
 
 def main(options=None):
     parser = argparse.ArgumentParser(
-        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=pathlib.Path, required=True)
     present = [system for system in SYSTEMS if system in available_models()]
     parser.add_argument("--models", nargs="+", default=present, choices=available_models(), metavar="NAME")
@@ -54,8 +56,10 @@ def main(options=None):
         found, absent = real_views(arguments.size, arguments.samples, arguments.references)
         views += found
         for path in absent:
-            print(f"left out: views of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
-                  file=sys.stderr)
+            print(
+                f"left out: views of {path.name}, which is not at {path} (see benchmarks/data/README.md)",
+                file=sys.stderr,
+            )
     views = [view for view in views if arguments.match in view.name]
     if not views:
         parser.error(f"no view's name contains {arguments.match!r}")
@@ -73,7 +77,7 @@ def main(options=None):
         measured += found
         # After each view, so that a run that is stopped leaves what it has.
         write_csv(arguments.out / "fidelity.csv", measured, source)
-        facts = f"Made by {source}. {arguments.depth_samples} depth samples."
+        facts = f"{source} {arguments.depth_samples} depth samples."
         text = tables.document(measured, published_network(), facts)
         (arguments.out / "fidelity.md").write_text(text)
 

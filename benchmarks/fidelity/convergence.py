@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How training converged: error on held-back volumes against the rows seen.
 
     python -m benchmarks.fidelity.convergence runs/* --csv docs/convergence.csv --png docs/images/convergence.png
@@ -13,12 +14,11 @@ import pathlib
 
 import matplotlib
 
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
 from ..support import pages
 from ..support.provenance import made_by
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-
 
 PROGRAM = "benchmarks.fidelity.convergence"
 HEAD = ["network", "volumes", "rows", "rows_seen", "held_rmse", "held_bias"]
@@ -29,13 +29,16 @@ def read_run(folder: pathlib.Path):
     run = json.loads((folder / "configuration.json").read_text())
     lines = [json.loads(line) for line in (folder / "progress.jsonl").read_text().splitlines()]
     facts = [run["network"], str(run["volumes"]), str(run["rows"])]
-    return [[*facts, str(line["step"] * run["batch"]), f"{line['held_rmse']:.4f}", f"{line['held_bias']:.4f}"]
-            for line in lines]
+    return [
+        [*facts, str(line["step"] * run["batch"]), f"{line['held_rmse']:.4f}", f"{line['held_bias']:.4f}"]
+        for line in lines
+    ]
 
 
 def main(options=None):
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("runs", nargs="+", type=pathlib.Path)
     parser.add_argument("--csv", type=pathlib.Path, required=True)
     parser.add_argument("--png", type=pathlib.Path, required=True)

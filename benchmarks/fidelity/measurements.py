@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Systems measured on views, and their figures as CSV."""
 
 import json
@@ -16,6 +17,7 @@ from ..support.pages import csv_text, replace
 from . import pictures
 from .references import relative_variance, seconds_per_sample
 from .views import MASK_ALPHA, View
+
 
 @dataclass
 class Measurement:
@@ -66,11 +68,26 @@ def measure(view: View, systems, depth_samples: int):
         # Where the error is too small to be told from 0, the interval's end stands for it.
         error = rmse.value or rmse.high
         needed = relative_variance(a, b, mask, view.spec.samples) / error**2 if error else np.inf
-        measured.append(Measurement(
-            view.name, spec.volume, spec.light, spec.sigma_hat, spec.anisotropy, spec.albedo, system,
-            rmse.value, rmse.low, rmse.high, bias.value, bias.low, bias.high, paper_metric(rgb, a, b),
-            layer.report.seconds["total"], needed * sample,
-        ))
+        measured.append(
+            Measurement(
+                view.name,
+                spec.volume,
+                spec.light,
+                spec.sigma_hat,
+                spec.anisotropy,
+                spec.albedo,
+                system,
+                rmse.value,
+                rmse.low,
+                rmse.high,
+                bias.value,
+                bias.low,
+                bias.high,
+                paper_metric(rgb, a, b),
+                layer.report.seconds["total"],
+                needed * sample,
+            )
+        )
     return measured, pictures.picture(images, a, b)
 
 

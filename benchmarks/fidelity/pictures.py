@@ -1,4 +1,5 @@
-"""Each system beside the reference, with its signed error below."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Each system's image beside the reference, with its signed error below."""
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -13,7 +14,7 @@ def shown(radiance: np.ndarray, exposure: float) -> np.ndarray:
 
 
 def signed_error(difference: np.ndarray, exposure: float) -> np.ndarray:
-    """(H, W, 3): red too bright, blue too dark, white right."""
+    """(H, W, 3): red where too bright, blue where too dark, white where equal."""
     error = difference.mean(axis=-1) * exposure
     red, blue = np.clip(error, 0, 1), np.clip(-error, 0, 1)
     return np.clip(np.stack([1.0 - blue, 1.0 - red - blue, 1.0 - red], axis=-1), 0.0, 1.0)

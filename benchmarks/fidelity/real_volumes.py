@@ -1,9 +1,9 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Real volumes as the path tracer takes them: cubic voxels, the largest density 1."""
 
 import functools
 import itertools
 import pathlib
-from typing import List, Tuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def real_density(name: str) -> np.ndarray:
     return np.maximum(density, 0.0) / density.max()
 
 
-def real_views(size: int, samples: int, folder: pathlib.Path) -> Tuple[List[View], List[pathlib.Path]]:
+def real_views(size: int, samples: int, folder: pathlib.Path) -> tuple[list[View], list[pathlib.Path]]:
     """Every volume at every optical thickness, at the strongest and no anisotropy, in every light.
 
     size: pixels per edge; samples: paths per pixel in each half; folder: of references. Gives the views and the files
@@ -51,8 +51,12 @@ def real_views(size: int, samples: int, folder: pathlib.Path) -> Tuple[List[View
     facts = itertools.product(present, SIGMA_HATS, (ANISOTROPIES[0], ANISOTROPIES[-1]), LIGHTS)
     specs = [ViewSpec(volume, light, sigma_hat, GREY, g, size, samples) for volume, sigma_hat, g, light in facts]
     views = [
-        traced_view(f"{spec.volume}-{spec.sigma_hat:g}-{spec.light}-g{spec.anisotropy:g}", spec,
-                    functools.partial(real_density, spec.volume), folder)
+        traced_view(
+            f"{spec.volume}-{spec.sigma_hat:g}-{spec.light}-g{spec.anisotropy:g}",
+            spec,
+            functools.partial(real_density, spec.volume),
+            folder,
+        )
         for spec in specs
     ]
     return views, absent

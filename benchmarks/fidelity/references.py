@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Path-traced references in two independent halves, stored on disk, and what such a reference costs."""
 
 import hashlib
@@ -7,8 +8,9 @@ import time
 
 import numpy as np
 
-from training.tracer.path_tracer import trace_pixels
-from training.tracer.transport import prepare
+from inference import Medium
+from training.tracer.density_grid import prepare
+from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, trace_pixels
 
 #: Paths per pixel by which the tracer's time is measured.
 TIMED_SAMPLES = 4
@@ -16,10 +18,9 @@ TIMED_SAMPLES = 4
 
 def _trace(view, grid, samples: int, seed: int) -> np.ndarray:
     spec = view.spec
-    return trace_pixels(
-        grid, view.position, (0.0, 0.0, 0.0), view.up, view.fov, spec.size, view.sun, spec.sigma_hat, spec.anisotropy,
-        spec.albedo, samples, seed,
-    )
+    camera = PinholeCamera(view.position, (0.0, 0.0, 0.0), view.up, view.fov, spec.size)
+    medium = Medium(spec.sigma_hat, spec.albedo, spec.anisotropy)
+    return trace_pixels(Scene(grid, view.sun), camera, medium, Sampling(samples, seed))
 
 
 def traced_halves(view, folder: pathlib.Path) -> np.ndarray:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The measurements as Markdown: a summary, the independent references, and the paper's Tables 1 and 2."""
 
 from .real_volumes import FILES
@@ -59,7 +60,7 @@ class Measured:
 
 
 def summary(measured: Measured) -> str:
-    """Each system over the views that all systems were measured on, so that means compare."""
+    """Each system over the views that all systems were measured on, so that means are comparable."""
     common = set.intersection(*({m.view for m in measured.all if m.system == s} for s in measured.systems))
     every = {m.view for m in measured.all}
     rows = []
@@ -68,12 +69,18 @@ def summary(measured: Measured) -> str:
             found = [m for m in measured.all if m.system == system and m.view in views]
             if found:
                 worst = max(found, key=lambda m: abs(m.bias))
-                rows.append([
-                    system, f"{label}, {len(found)}", f"{_mean(m.rmse for m in found):.3f}",
-                    percent(_mean(m.bias for m in found)), f"{percent(worst.bias)} ({worst.view})",
-                    f"{_mean(m.paper for m in found):.2f}", f"{_mean(m.seconds for m in found):.1f}",
-                ])
-    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds a frame"]
+                rows.append(
+                    [
+                        system,
+                        f"{label}, {len(found)}",
+                        f"{_mean(m.rmse for m in found):.3f}",
+                        percent(_mean(m.bias for m in found)),
+                        f"{percent(worst.bias)} ({worst.view})",
+                        f"{_mean(m.paper for m in found):.2f}",
+                        f"{_mean(m.seconds for m in found):.1f}",
+                    ]
+                )
+    head = ["system", "views", "relative RMSE", "bias", "largest bias", "paper's metric", "seconds per frame"]
     return table(head, rows)
 
 
@@ -124,24 +131,42 @@ def real_tables(measured: Measured) -> str:
 def table1(measured: Measured) -> str:
     """Volumes x light at albedo 1: errors, then seconds and convergence boosts."""
     rows = [
-        (m.volume, m.light, m.view) for m in measured.all
+        (m.volume, m.light, m.view)
+        for m in measured.all
         if m.albedo == GREY and m.anisotropy == USUAL_G and m.sigma_hat == SIGMA_HAT and m.volume not in FILES
     ]
-    rows = [(v, light, view) for v in unique(r[0] for r in rows) for light in LIGHTS
-            for view in unique(r[2] for r in rows if r[:2] == (v, light))]
+    rows = [
+        (v, light, view)
+        for v in unique(r[0] for r in rows)
+        for light in LIGHTS
+        for view in unique(r[2] for r in rows if r[:2] == (v, light))
+    ]
     errors = [[v, light, *measured.cells(view, lambda m: f"{interval(m)} · {m.paper:.2f}")] for v, light, view in rows]
     costs = []
     for v, light, view in rows:
         rpnn = measured.by_key.get((view, "rpnn"))
-        costs.append([v, light, *measured.cells(view, lambda m: " · ".join([
-            f"{m.seconds:.2g} s",
-            boost(rpnn.seconds, m.seconds) if rpnn else "n/a",
-            boost(m.reference_seconds, m.seconds),
-        ]))])
+        costs.append(
+            [
+                v,
+                light,
+                *measured.cells(
+                    view,
+                    lambda m: " · ".join(
+                        [
+                            f"{m.seconds:.2g} s",
+                            boost(rpnn.seconds, m.seconds) if rpnn else "n/a",
+                            boost(m.reference_seconds, m.seconds),
+                        ]
+                    ),
+                ),
+            ]
+        )
     head = ["volume", "light", *measured.systems]
     return (
-        "Error: relative RMSE (95 %) · the paper's metric\n\n" + table(head, errors)
-        + "\nSeconds a frame · convergence boost against RPNN · against the path tracer\n\n" + table(head, costs)
+        "Error: relative RMSE (95 %) · the paper's metric\n\n"
+        + table(head, errors)
+        + "\nSeconds per frame · convergence boost against RPNN · against the path tracer\n\n"
+        + table(head, costs)
     )
 
 
@@ -158,8 +183,11 @@ def table2(measured: Measured) -> str:
                 for light in LIGHTS
             }
             if any(views.values()):
-                cells = [cell for light in LIGHTS
-                         for cell in measured.cells(views[light], lambda m: f"{m.rmse:.3f} · {m.paper:.2f}")]
+                cells = [
+                    cell
+                    for light in LIGHTS
+                    for cell in measured.cells(views[light], lambda m: f"{m.rmse:.3f} · {m.paper:.2f}")
+                ]
                 lines.append([volume, label, *cells])
         # Where only the usual values were measured Table 1 has said it all.
         if len(lines) > 2:
@@ -178,13 +206,14 @@ def document(measurements, published: dict, source: str) -> str:
         "metric is RMSE × 100 of tone-mapped luma. 0: less than the references can resolve. n/a: the system does not "
         "know that albedo or anisotropy, or was not measured. The error of `reference`, the path tracer at the "
         "depth samples, is its noise.\n",
-        "## Summary\n", summary(measured),
+        "## Summary\n",
+        summary(measured),
     ]
     if any(m.view in published for m in measurements):
         parts += ["## Independent references\n", independent_tables(measured, published)]
     parts += [
         f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
-        "The boost against RPNN is the ratio of seconds a frame at equal samples, as in the paper. That against the "
+        "The boost against RPNN is the ratio of seconds per frame at equal samples, as in the paper. That against the "
         "path tracer is the time in which its noise would be as large as the system's whole error, over the "
         "system's seconds.\n",
         table1(measured),

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The views that systems are measured on: what is seen, from where, in what light, and its reference.
 
 Cube units: the volume fills [-1/2, 1/2]^3, the camera looks at the origin, the sun has irradiance 1.
@@ -5,8 +6,8 @@ Cube units: the volume fills [-1/2, 1/2]^3, the camera looks at the origin, the 
 
 import functools
 import pathlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable, Tuple
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class ViewSpec:
     volume: str
     light: str
     sigma_hat: float = SIGMA_HAT
-    albedo: Tuple[float, float, float] = GREY
+    albedo: tuple[float, float, float] = GREY
     anisotropy: float = ANISOTROPIES[0]
     size: int = 64
     samples: int = 1024
@@ -66,7 +67,7 @@ class View:
     density: Callable
     sun: np.ndarray
     position: np.ndarray
-    up: Tuple[float, float, float]
+    up: tuple[float, float, float]
     fov: float
     reference: Callable
 
@@ -102,9 +103,9 @@ def look_at(position, up=(0.0, 1.0, 0.0)) -> np.ndarray:
 
 @functools.lru_cache(1)
 def independent_density(name: str) -> np.ndarray:
-    """float32 (N, N, N): the density of an independent reference's volume, its second axis up."""
+    """float32 (N, N, N), largest value 1: the density of an independent reference's volume, its second axis up."""
     with np.load(REFERENCES / "volumes" / f"{name}.npz") as data:
-        return data["density"].astype(np.float32)
+        return data["density"].astype(np.float32) / data["largest"]
 
 
 def _independent_view(path: pathlib.Path) -> View:
@@ -118,11 +119,24 @@ def _independent_view(path: pathlib.Path) -> View:
 
     volume, _, light = path.stem.split("-")[:3]
     spec = ViewSpec(
-        volume, light, float(facts["sigma"]), tuple(round(float(value), 6) for value in facts["albedo"]),
-        round(float(facts["g"]), 6), size, int(facts["spp"]),
+        volume,
+        light,
+        float(facts["sigma"]),
+        tuple(round(float(value), 6) for value in facts["albedo"]),
+        round(float(facts["g"]), 6),
+        size,
+        int(facts["spp"]),
     )
-    return View(path.stem, spec, functools.partial(independent_density, volume), facts["sun"], facts["cam"],
-                (0.0, 1.0, 0.0), float(facts["fov"]), halves)
+    return View(
+        path.stem,
+        spec,
+        functools.partial(independent_density, volume),
+        facts["sun"],
+        facts["cam"],
+        (0.0, 1.0, 0.0),
+        float(facts["fov"]),
+        halves,
+    )
 
 
 def independent_views() -> list:

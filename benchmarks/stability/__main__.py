@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Extreme scenes and every stage, each against an independent result and within a bound.
 
     python -m benchmarks.stability                 all of them; writes docs/stability.csv, its table and picture
@@ -24,7 +25,7 @@ CASES = [case for part in (densities, files, placements, lights, stages, laws, r
 
 
 def measure(case) -> Outcome:
-    """The case's outcome; a warning of numpy's or an exception is none."""
+    """The case's outcome; an empty one where it warns or raises."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
@@ -35,19 +36,25 @@ def measure(case) -> Outcome:
 
 
 def main(options=None) -> int:
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", nargs="+", metavar="GROUP")
     arguments = parser.parse_args(options)
-    chosen = [case for case in CASES if (case.quick or not arguments.quick)
-              and (not arguments.only or case.group in arguments.only)]
+    chosen = [
+        case
+        for case in CASES
+        if (case.quick or not arguments.quick) and (not arguments.only or case.group in arguments.only)
+    ]
     found = []
     for case in chosen:
         outcome = measure(case)
         found.append((case, outcome))
-        print(f"{case.group}, {case.name}: "
-              + ", ".join(f"{name} {value:.2g}" for name, value in outcome.errors.items()), flush=True)
+        print(
+            f"{case.group}, {case.name}: " + ", ".join(f"{name} {value:.2g}" for name, value in outcome.errors.items()),
+            flush=True,
+        )
     broken = [sentence for case, outcome in found for sentence in violations(case, outcome)]
     if not arguments.quick:
         before, measured = read_csv(DOCS / "stability.csv"), {id(case): outcome for case, outcome in found}

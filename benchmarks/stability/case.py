@@ -1,7 +1,8 @@
-"""A case, what may be wrong with it, and what every picture must be whatever the scene."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A case, how it is violated, and what must hold for every picture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Optional
 
 import numpy as np
 
@@ -12,15 +13,15 @@ from inference import SceneError
 class Case:
     """One extreme scene or stage.
 
-    against: what tells the truth. measure: gives an Outcome. bounds: the largest allowed value of each of its
-    quantities. quick: whether the quick run has it.
+    against: where the truth comes from. measure: () -> Outcome. bounds: the largest allowed value of each of its
+    quantities. quick: whether it is part of the quick run.
     """
 
     group: str
     name: str
     against: str
     measure: Callable
-    bounds: Dict[str, float]
+    bounds: dict[str, float]
     quick: bool = False
 
 
@@ -28,21 +29,22 @@ class Case:
 class Outcome:
     """errors: by quantity. picture: float (H, W, 3) linear, or None."""
 
-    errors: Dict[str, float] = field(default_factory=dict)
-    picture: Optional[np.ndarray] = None
+    errors: dict[str, float] = field(default_factory=dict)
+    picture: np.ndarray | None = None
 
 
 def violations(case: Case, outcome: Outcome):
-    """Sentences about what is missing or beyond its bound; NaN is beyond every bound."""
+    """Sentences on quantities that are missing or beyond their bounds; NaN is beyond every bound."""
     found = [(quantity, outcome.errors.get(quantity, np.nan), bound) for quantity, bound in case.bounds.items()]
     return [
         f"{case.group}, {case.name}: {quantity} is {error:.3g}, at most {bound:g} is allowed"
-        for quantity, error, bound in found if not error <= bound
+        for quantity, error, bound in found
+        if not error <= bound
     ]
 
 
 def unsound(layer) -> float:
-    """Number of pixels that no picture may hold: not finite, negative, or alpha outside 0 to 1."""
+    """Number of invalid pixels: not finite, negative, or of an alpha outside 0 to 1."""
     parts = np.concatenate([layer.rgb, layer.single, layer.multiple], axis=2)
     bad = ~np.isfinite(parts).all(axis=2) | (parts < 0.0).any(axis=2)
     bad |= ~((layer.alpha >= 0.0) & (layer.alpha <= 1.0)) | ~np.isfinite(layer.uncertainty)
@@ -51,7 +53,8 @@ def unsound(layer) -> float:
 
 
 def refused(name: str, make, words: str, quick: bool = True) -> Case:
-    """A scene that must be refused with a message that holds some words."""
+    """A scene that must be refused with a message that contains `words`."""
+
     def measure():
         try:
             make()

@@ -1,4 +1,5 @@
-"""Optical density, and densities that change suddenly."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Optical thickness, and densities that change abruptly."""
 
 import numpy as np
 
@@ -78,7 +79,7 @@ CASES = [
     render_case(
         "sudden density", "densities of 3e38, σ̂ = 30", RenderSpec(blob() * np.float32(3e38), 1e-37), quick=True
     ),
-    # Light reaches less deep than double precision tells places apart.
+    # Light penetrates less deep than double precision resolves.
     render_case(
         "sudden density",
         "densities of 3e38, σ̂ = 3e38",

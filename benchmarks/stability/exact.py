@@ -1,8 +1,8 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Alpha and single scattering of a trilinear density in double precision, without steps of a fixed size.
 
-Between two planes of voxel centres the density along a ray is a cubic, so that two Gauss points give its
-integral exactly. Depths are drawn at even quantiles of the ray's opacity, which stays right however
-steep the density is.
+Between two planes of voxel centres the density along a ray is a cubic, which two Gauss–Legendre nodes integrate
+exactly. Depths are even quantiles of the ray's opacity, which is accurate however steep the density is.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from inference.numerics.intersection import box_interval
 from inference.scene.camera_rays import camera_rays
 
-# Midpoints of even shares of a ray's opacity at which the sun is looked at.
+# Midpoints of even shares of a ray's opacity at which the transmittance to the sun is evaluated.
 QUANTILES = 192
 HALVINGS = 60
 GAUSS = 0.5 / np.sqrt(3.0)
@@ -48,7 +48,7 @@ class ExactVolume:
         return cuts, np.concatenate([np.zeros((len(near), 1)), np.cumsum(tau, axis=1)], axis=1)
 
     def through(self, origins, slopes, start, end):
-        """Optical depth between two distances that no plane of voxel centres lies between."""
+        """Optical depth between two distances with no plane of voxel centres in between."""
         middle, width = 0.5 * (start + end), end - start
         total = 0.0
         for side in (-GAUSS, GAUSS):
@@ -83,7 +83,7 @@ def exact_view(volume, sigma_t: float, suns, camera):
 
 
 def _at_quantiles(exact, origins, slopes, cuts, tau):
-    """Indices (R, QUANTILES, 3) at which even shares of each ray's opacity lie behind."""
+    """Indices (R, QUANTILES, 3) where each ray has reached even shares of its opacity."""
     share = (np.arange(QUANTILES) + 0.5) / QUANTILES
     wanted = -np.log1p(share * np.expm1(-tau[:, -1:]))
     cell = np.stack([np.searchsorted(t[1:], w) for t, w in zip(tau, wanted)])

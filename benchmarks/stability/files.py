@@ -1,4 +1,5 @@
-"""Generated .vdb files through the extension's own reader: voxels that are no density, and grids that are no fog.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Generated .vdb files through the extension's reader: voxels that are not a density, and grids that are not fog.
 
 Needs bpy, whose OpenVDB writes them.
 """
@@ -19,17 +20,17 @@ SPOILT = (slice(6, 9), slice(5, 8), slice(7, 11))
 
 
 def without() -> np.ndarray:
-    """The blob with 0 in their place."""
+    """The blob with 0 in the spoilt voxels."""
     density = blob()
     density[SPOILT] = 0.0
     return density
 
 
 def fog(openvdb, value=0.0, background=0.0):
-    """The blob as a grid, with a value in their place."""
+    """The blob as a grid, with `value` in the spoilt voxels."""
     grid = openvdb.FloatGrid(background)
     grid.copyFromArray(blob())
-    # One by one: copyFromArray takes NaN for the background.
+    # One by one: copyFromArray mistakes NaN for the background.
     accessor = grid.getAccessor()
     for voxel in np.argwhere(blob() != without()):
         accessor.setValueOn(tuple(voxel.tolist()), value)
@@ -41,10 +42,10 @@ def level_set(openvdb):
 
 
 def read(make, told: str = "") -> Volume:
-    """The Volume of a grid that `make` gives of the OpenVDB module, written and read; of a blob it lies where `placed`
-    has it.
+    """Write the grid that `make` creates with the OpenVDB module, and read it as a Volume.
 
-    Raises SceneError as the reader does, and ValueError where it does not warn of what is `told`.
+    A blob is put where `placed` puts it. Raises SceneError as the reader does, and ValueError where no warning contains
+    `told`.
     """
     package = extension()
     with tempfile.TemporaryDirectory() as folder:
@@ -63,12 +64,12 @@ def read(make, told: str = "") -> Volume:
         except package.inference.SceneError as error:
             raise SceneError(str(error)) from None
         if told not in " ".join(found.warnings):
-            raise ValueError(f"nothing says \"{told}\"")
+            raise ValueError(f'no warning says "{told}"')
         return Volume(found.density, found.object_from_index, "cloud")
 
 
 def taken_as_0(name, value, told):
-    """A file some of whose voxels have a value that is none, against the blob that has 0 there."""
+    """A file with an invalid value in some voxels, against the blob that has 0 there."""
     return render_case(
         "file",
         name,

@@ -1,4 +1,5 @@
-"""What holds in every scene: renders with the shipped network against each other, and against the path tracer."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What holds in every scene: renders with the shipped network, against each other and against the path tracer."""
 
 import functools
 from dataclasses import replace
@@ -7,8 +8,8 @@ import numpy as np
 
 from inference import Medium, Settings, Sun, predict_multiple, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from inference.network.predictor import MAX_FLUENCE
 from inference.network.network import register_system
+from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome, unsound
@@ -64,12 +65,14 @@ def coloured():
     albedo = (1.0, 0.5, 0.0)
     layer = draw(medium=Medium(30.0, albedo, 0.5))
     greys = np.stack([draw(medium=Medium(30.0, a, 0.5)).rgb[..., i] for i, a in enumerate(albedo)], axis=-1)
-    return Outcome({"unsound": unsound(layer), "largest": float(np.abs(layer.rgb - greys).max() / greys.mean())},
-                   layer.rgb / layer.rgb.max())
+    return Outcome(
+        {"unsound": unsound(layer), "largest": float(np.abs(layer.rgb - greys).max() / greys.mean())},
+        layer.rgb / layer.rgb.max(),
+    )
 
 
 def large_image():
-    """8192 × 8192 pixels, a tenth of a thousandth of which show something, against that part rendered alone."""
+    """8192 × 8192 pixels, one in 10 000 of which shows something, against that part rendered alone."""
     view = camera(pixels=8192, fov=2.9)
     whole = draw(view=view, settings=Settings(1))
     rows, columns = np.nonzero(whole.alpha)
@@ -78,7 +81,7 @@ def large_image():
     strips = [slice(top, top + 256) for top in range(0, 8192, 256)]
     names = ("rgb", "single", "multiple", "alpha", "uncertainty", "depth")
     bad = sum(unsound(replace(whole, **{name: getattr(whole, name)[rows] for name in names})) for rows in strips)
-    same_rgb = whole.rgb[part[1]:part[3], part[0]:part[2]]
+    same_rgb = whole.rgb[part[1] : part[3], part[0] : part[2]]
     return Outcome({"unsound": bad, "largest": float(np.abs(same_rgb - alone.rgb).max() / alone.rgb.mean())})
 
 
@@ -88,15 +91,23 @@ def black():
 
 
 def bounded(**changed):
-    """No more than the largest fluence of a conservative medium, where the phase function peaks."""
+    """At most what the largest fluence of a conservative medium scatters at the phase function's peak."""
+
     def measure():
         layer = draw(**changed)
         medium = changed.get("medium", MEDIUM)
         g = float(np.clip(abs(medium.anisotropy), 0.0, 0.95))
         most = MAX_FLUENCE * henyey_greenstein(1.0, g)
         told = bool(layer.report.warnings) or abs(medium.anisotropy) <= 0.95
-        return Outcome({"unsound": unsound(layer), "share of the most": float(layer.multiple.max() / most),
-                        "not told": float(not told)}, layer.rgb / max(layer.rgb.max(), 1e-30))
+        return Outcome(
+            {
+                "unsound": unsound(layer),
+                "share of the most": float(layer.multiple.max() / most),
+                "not told": float(not told),
+            },
+            layer.rgb / max(layer.rgb.max(), 1e-30),
+        )
+
     return measure
 
 
@@ -112,8 +123,10 @@ def thin_truth():
     from training.reference import PathTracer
 
     register_system("1024 paths", lambda: PathTracer(1024))
-    found, truth = (draw(medium=Medium(0.1, 1.0, 0.5), settings=Settings(8, model)).multiple.mean()
-                    for model in ("mrpnn", "1024 paths"))
+    found, truth = (
+        draw(medium=Medium(0.1, 1.0, 0.5), settings=Settings(8, model)).multiple.mean()
+        for model in ("mrpnn", "1024 paths")
+    )
     return Outcome({"bias": float(abs(found / truth - 1.0))})
 
 
@@ -125,23 +138,27 @@ def more_depths():
 
 
 def furnace(anisotropy: float):
-    """Albedo 1 under an even sky of radiance 1 looks like the sky; here 14 suns are the sky."""
+    """Albedo 1 under an even sky of radiance 1 looks like the sky, which 14 suns approximate."""
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = [tuple(sign * (i == axis) for i in range(3)) for axis in range(3) for sign in (-1, 1)]
-    # Weights with which these 14 integrate polynomials of degree 5 over the sphere.
+    # The weights of the quadrature that integrates polynomials of degree 5 over the sphere.
     suns = [Sun(d, 4 * np.pi * 3 / 40) for d in corners] + [Sun(d, 4 * np.pi / 15) for d in faces]
 
     def measure():
         layer = draw(medium=Medium(30.0, 1.0, anisotropy), suns=suns)
         seen = layer.alpha > 0.02
         ratio = float(layer.rgb.mean(axis=2)[seen].sum() / layer.alpha[seen].sum())
-        return Outcome({"unsound": unsound(layer), "returned over received": ratio, "missing": 1.0 - ratio},
-                       layer.rgb / layer.rgb.max())
+        return Outcome(
+            {"unsound": unsound(layer), "returned over received": ratio, "missing": 1.0 - ratio},
+            layer.rgb / layer.rgb.max(),
+        )
+
     return measure
 
 
 def traced(**changed):
-    """The network's picture against two independent halves of the path tracer's, whose noise does not count."""
+    """The network's picture against two independent halves by the path tracer, whose noise does not count."""
+
     def measure():
         from training.reference import PathTracer
 
@@ -149,8 +166,15 @@ def traced(**changed):
         layer = draw(**changed, settings=Settings(16))
         a, b = (draw(**changed, settings=Settings(16, "64 paths", seed)).rgb for seed in (1, 2))
         seen = layer.alpha > 0.5 * layer.alpha.max()
-        return Outcome({"unsound": unsound(layer), "relative RMSE": relative_rmse(layer.rgb, a, b, seen).value,
-                        "bias": abs(relative_bias(layer.rgb, a, b, seen).value)}, layer.rgb / layer.rgb.max())
+        return Outcome(
+            {
+                "unsound": unsound(layer),
+                "relative RMSE": relative_rmse(layer.rgb, a, b, seen).value,
+                "bias": abs(relative_bias(layer.rgb, a, b, seen).value),
+            },
+            layer.rgb / layer.rgb.max(),
+        )
+
     return measure
 
 
@@ -160,13 +184,26 @@ TRACED = {"unsound": 0.0, "relative RMSE": 0.4, "bias": 0.25}
 AHEAD, BEHIND = (Sun(sign * VIEW.world_matrix[:3, 2]) for sign in (-1.0, 1.0))
 
 CASES = [
-    Case("law", "linear in irradiance: 1e8", "itself", lambda: same(draw(suns=(Sun(SUN.direction, 1e8),)), 1e8),
-         {"unsound": 0.0, "largest": 1e-5}, True),
-    Case("law", "linear in irradiance: 1e-6", "itself", lambda: same(draw(suns=(Sun(SUN.direction, 1e-6),)), 1e-6),
-         {"unsound": 0.0, "largest": 1e-5}),
+    Case(
+        "law",
+        "linear in irradiance: 1e8",
+        "itself",
+        lambda: same(draw(suns=(Sun(SUN.direction, 1e8),)), 1e8),
+        {"unsound": 0.0, "largest": 1e-5},
+        True,
+    ),
+    Case(
+        "law",
+        "linear in irradiance: 1e-6",
+        "itself",
+        lambda: same(draw(suns=(Sun(SUN.direction, 1e-6),)), 1e-6),
+        {"unsound": 0.0, "largest": 1e-5},
+    ),
     Case("law", "the whole scene turned", "itself", turned, SAME),
-    *(Case("law", f"the whole scene scaled by {k:g}", "itself", functools.partial(resized, k), SAME)
-      for k in (1e-6, 1e6)),
+    *(
+        Case("law", f"the whole scene scaled by {k:g}", "itself", functools.partial(resized, k), SAME)
+        for k in (1e-6, 1e6)
+    ),
     Case("law", "the whole scene moved by 1e7", "itself", far_away, SAME),
     Case("law", "albedo 1 − 1e-7 is albedo 1", "itself", nearly_white, {"largest": 1e-4}),
     Case("law", "albedo 1, 0.5 and 0 by channel", "grey ones", coloured, {"unsound": 0.0, "largest": 1e-5}, True),
@@ -175,21 +212,35 @@ CASES = [
     Case("law", "multiple scattering is linear in a thin medium", "closed form", thin_slope, {"ratio": 1e-3}),
     Case("law", "multiple scattering at σ̂ = 0.1", "path tracer", thin_truth, {"bias": 0.25}),
     Case("law", "more depth samples", "512 samples", more_depths, {"32 over 4 samples": 0.2}),
-    *(Case("law", f"white furnace, G = {g:g}", "closed form", furnace(g),
-           {"unsound": 0.0, "returned over received": 1.17, "missing": 0.17}) for g in (0.0, 0.5)),
-    *(Case("bounded", name, "conservative half-space", bounded(**changed), BOUNDED, quick)
-      for name, changed, quick in (
-          ("σ̂ = 1e-6", {"medium": Medium(1e-6, 1.0, 0.5)}, False),
-          ("σ̂ = 1e7", {"medium": Medium(1e7, 1.0, 0.5)}, True),
-          ("G = 0.999, sun in front", {"medium": Medium(30.0, 1.0, 0.999), "suns": (AHEAD,)}, False),
-          ("G = −0.999, sun behind", {"medium": Medium(30.0, 1.0, -0.999), "suns": (BEHIND,)}, False))),
-    *(Case("path tracer", name, "path tracer", traced(**changed), TRACED)
-      for name, changed in (
-          ("σ̂ = 0.01", {"medium": Medium(0.01, 1.0, 0.5)}),
-          ("σ̂ = 1000", {"medium": Medium(1000.0, 0.99, 0.5)}),
-          ("γ = 0", {"suns": (AHEAD,)}),
-          ("γ = π", {"suns": (BEHIND,)}),
-          ("albedo 0.1", {"medium": Medium(30.0, 0.1, 0.5)}),
-          ("G = −0.3", {"medium": Medium(30.0, 0.95, -0.3)}),
-          ("G = 0.95", {"medium": Medium(30.0, 0.95, 0.95)}))),
+    *(
+        Case(
+            "law",
+            f"white furnace, G = {g:g}",
+            "closed form",
+            furnace(g),
+            {"unsound": 0.0, "returned over received": 1.17, "missing": 0.17},
+        )
+        for g in (0.0, 0.5)
+    ),
+    *(
+        Case("bounded", name, "conservative half-space", bounded(**changed), BOUNDED, quick)
+        for name, changed, quick in (
+            ("σ̂ = 1e-6", {"medium": Medium(1e-6, 1.0, 0.5)}, False),
+            ("σ̂ = 1e7", {"medium": Medium(1e7, 1.0, 0.5)}, True),
+            ("G = 0.999, sun in front", {"medium": Medium(30.0, 1.0, 0.999), "suns": (AHEAD,)}, False),
+            ("G = −0.999, sun behind", {"medium": Medium(30.0, 1.0, -0.999), "suns": (BEHIND,)}, False),
+        )
+    ),
+    *(
+        Case("path tracer", name, "path tracer", traced(**changed), TRACED)
+        for name, changed in (
+            ("σ̂ = 0.01", {"medium": Medium(0.01, 1.0, 0.5)}),
+            ("σ̂ = 1000", {"medium": Medium(1000.0, 0.99, 0.5)}),
+            ("γ = 0", {"suns": (AHEAD,)}),
+            ("γ = π", {"suns": (BEHIND,)}),
+            ("albedo 0.1", {"medium": Medium(30.0, 0.1, 0.5)}),
+            ("G = −0.3", {"medium": Medium(30.0, 0.95, -0.3)}),
+            ("G = 0.95", {"medium": Medium(30.0, 0.95, 0.95)}),
+        )
+    ),
 ]

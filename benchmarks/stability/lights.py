@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Suns along axes, faces, corners and the camera; their irradiance; phase functions and albedos."""
 
 import numpy as np
@@ -10,8 +11,17 @@ from .scenes import camera, placed
 
 BOX = placed(np.ones((16, 16, 16)))
 VIEW = camera()
-DIRECTIONS = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-z": (0, 0, -1),
-              "an edge": (1, 1, 0), "a corner": (1, 1, 1), "1e-9 off x": (1, 1e-9, 0), "1e-3 off x": (1, 1e-3, 0)}
+DIRECTIONS = {
+    "x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "y": (0, 1, 0),
+    "z": (0, 0, 1),
+    "-z": (0, 0, -1),
+    "an edge": (1, 1, 0),
+    "a corner": (1, 1, 1),
+    "1e-9 off x": (1, 1e-9, 0),
+    "1e-3 off x": (1, 1e-3, 0),
+}
 TOWARDS_CAMERA = VIEW.world_matrix[:3, 2]
 
 CASES = [

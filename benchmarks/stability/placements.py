@@ -1,4 +1,5 @@
-"""Where volumes and cameras are, and how they are turned, scaled and sheared."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Volumes and cameras in extreme places, turned, scaled and sheared."""
 
 import numpy as np
 
@@ -27,8 +28,12 @@ def sheared(amount: float):
 
 
 TURNS = {"1e-7 rad": rotation(1e-7), "1e-4 rad": rotation(1e-4), "0.7 rad": rotation(0.7)}
-STRETCHED = {"mirrored": (-1.0, 1.0, 1.0), "flat to 1e-3": (1.0, 1.0, 1e-3), "flat to 1e-6": (1e-6, 1.0, 1.0),
-             "stretched by 100": (1.0, 100.0, 1.0)}
+STRETCHED = {
+    "mirrored": (-1.0, 1.0, 1.0),
+    "flat to 1e-3": (1.0, 1.0, 1e-3),
+    "flat to 1e-6": (1e-6, 1.0, 1.0),
+    "stretched by 100": (1.0, 100.0, 1.0),
+}
 CAMERAS = {
     "at the centre": camera((0.0, 0.0, 0.0), target=(0.2, 0.1, -1.0)),
     "at a voxel's centre, along an axis": camera((1 / 32, 1 / 32, 1 / 32), target=(1.0, 1 / 32, 1 / 32)),
@@ -40,8 +45,10 @@ CAMERAS = {
     "orthographic scale 1e-4": along((0.3, 0.2, -1.0), ortho_scale=1e-4),
     "orthographic scale 1e5": along((0.3, 0.2, -1.0), ortho_scale=1e5, pixels=11),
     "one pixel": camera(pixels=1),
-    **{f"along {name}, orthographic": along(axis, pixels=11)
-       for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("-z", (0, 0, -1)))},
+    **{
+        f"along {name}, orthographic": along(axis, pixels=11)
+        for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("-z", (0, 0, -1)))
+    },
 }
 
 CASES = [

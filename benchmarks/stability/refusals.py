@@ -1,4 +1,5 @@
-"""What cannot be rendered, and the words that say so."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Input that must be refused, and what the message must say."""
 
 import numpy as np
 
@@ -11,8 +12,12 @@ from .scenes import SUN, camera, placed
 
 
 def drawn(volumes=None, suns=(SUN,), view=None, settings=None):
-    return lambda: render(volumes or [(CLOUD, Medium(10.0, 0.5))], list(suns), view or camera(),
-                          settings or Settings(1, "single-scattering"))
+    return lambda: render(
+        volumes or [(CLOUD, Medium(10.0, 0.5))],
+        list(suns),
+        view or camera(),
+        settings or Settings(1, "single-scattering"),
+    )
 
 
 def beside(k: float):
@@ -44,7 +49,10 @@ CASES = [
     refused("a million threads", lambda: Settings(threads=10**6), "threads"),
     refused("memory limit of NaN", lambda: Settings(memory_limit=float("nan")), "memory limit"),
     refused("a network named by a path", lambda: load_network("../../mrpnn"), "no network called"),
-    refused("one volume a million times as large as another",
-            drawn(beside(1e6), view=camera(1e6 * EYE)), "view layers of their own"),
+    refused(
+        "one volume a million times as large as another",
+        drawn(beside(1e6), view=camera(1e6 * EYE)),
+        "view layers of their own",
+    ),
     refused("no voxel above 0", drawn([(placed(np.zeros((4, 4, 4))), Medium(1.0))]), "zero everywhere"),
 ]

@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Small renders against double precision: alpha and single scattering, which hold nothing learned."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Callable, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -31,20 +32,20 @@ class RenderSpec:
     is not all of it.
     """
 
-    volume: Union[Volume, np.ndarray, Callable[[], Volume]]
+    volume: Volume | np.ndarray | Callable[[], Volume]
     sigma_t: float = 10.0
-    view: Optional[Camera] = None
+    view: Camera | None = None
     suns: Sequence[Sun] = (SUN,)
     anisotropy: float = 0.0
     albedo: float = 0.5
-    visible: Optional[Volume] = None
+    visible: Volume | None = None
 
     def placed_volume(self) -> Volume:
         if callable(self.volume):
             return self.volume()
         return self.volume if isinstance(self.volume, Volume) else placed(self.volume)
 
-    def exact(self, volume: Volume, view: Camera) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def exact(self, volume: Volume, view: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Alpha (R,), single scattering (R,) and single scattering without shadows (R,), in double precision."""
         alpha, transmittance = exact_view(self.visible or volume, self.sigma_t, self.suns, view)
         cosine = camera_rays(view)[1] @ np.array([sun.direction for sun in self.suns]).T
@@ -59,6 +60,7 @@ def render_case(group: str, name: str, spec: RenderSpec, quick: bool = False, **
     Quantities: alpha, the largest difference; single, the root mean square relative to the mean; bias of the sum. A
     bound of None leaves one out.
     """
+
     def measure():
         volume, view = spec.placed_volume(), spec.view or camera()
         medium = Medium(spec.sigma_t, spec.albedo, spec.anisotropy)
@@ -67,11 +69,21 @@ def render_case(group: str, name: str, spec: RenderSpec, quick: bool = False, **
         single = layer.single[..., 0].ravel().astype(np.float64)
         mean = max(truth.mean(), DARK * unshadowed.mean(), 1e-30)
         return Outcome(
-            {"unsound": unsound(layer), "alpha": float(np.abs(layer.alpha.ravel() - alpha).max()),
-             "single": float(np.sqrt(((single - truth) ** 2).mean()) / mean),
-             "bias": float(abs(single.mean() - truth.mean()) / mean)},
-            layer.single / max(layer.single.max(), 1e-30))
+            {
+                "unsound": unsound(layer),
+                "alpha": float(np.abs(layer.alpha.ravel() - alpha).max()),
+                "single": float(np.sqrt(((single - truth) ** 2).mean()) / mean),
+                "bias": float(abs(single.mean() - truth.mean()) / mean),
+            },
+            layer.single / max(layer.single.max(), 1e-30),
+        )
 
     bounds = {"unsound": 0.0, **BOUNDS, **bounds}
-    return Case(group, name, "double precision", measure,
-                {quantity: bound for quantity, bound in bounds.items() if bound is not None}, quick)
+    return Case(
+        group,
+        name,
+        "double precision",
+        measure,
+        {quantity: bound for quantity, bound in bounds.items() if bound is not None},
+        quick,
+    )

@@ -1,4 +1,5 @@
-"""Small volumes, cameras and lights that the cases are made of."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Small volumes, cameras and lights for the cases."""
 
 import numpy as np
 
@@ -17,7 +18,7 @@ def placed(density, size=1.0, name="volume") -> Volume:
 
 
 def blob(cells=16, seed=3) -> np.ndarray:
-    """A lumpy density in (0, 1] that fades to 0 at its bounds, float32 (cells,) * 3."""
+    """A lumpy density in [0, 1) that fades to 0 at its bounds, float32 (cells,) * 3."""
     axis = (np.arange(cells) + 0.5) / cells * 2.0 - 1.0
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     fade = np.clip(1.0 - np.sqrt(x**2 + y**2 + z**2), 0.0, None)
@@ -52,6 +53,6 @@ def camera(position=(1.7, -1.3, 2.1), pixels=10, fov=0.6, target=(0.0, 0.0, 0.0)
 
 
 def along(direction, distance=3.0, **options) -> Camera:
-    """Looks along a direction at the origin, orthographically."""
+    """An orthographic camera that looks at the origin along a direction."""
     direction = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     return camera(-distance * direction, projection="orthographic", **{"ortho_scale": 1.3, **options})

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Many renders in one Blender process: does memory grow?
 
     python -m benchmarks.stability.soak [--renders 200] [--figures docs/soak.csv]
@@ -56,8 +57,9 @@ def vary(scene, number: int) -> None:
 
 
 def main(options=None) -> int:
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--renders", type=int, default=200)
     parser.add_argument("--figures", type=pathlib.Path, default=DOCS / "soak.csv")
     arguments = parser.parse_args(options)
@@ -82,9 +84,11 @@ def main(options=None) -> int:
     rows = [(n + 1, f"{size:.1f}") for n, size in enumerate(held)]
     replace(arguments.figures, csv_text([made_by(PROGRAM, options)], ["render", "resident MiB"], rows))
     half = len(held) // 2
-    growth = min(held[-max(len(held) // 10, 1):]) / max(held[:half])
-    print(f"minimum of the last tenth over maximum of the first half: {growth:.3f}; "
-          f"{threads} threads, {images} images, files {left}")
+    growth = min(held[-max(len(held) // 10, 1) :]) / max(held[:half])
+    print(
+        f"minimum of the last tenth over maximum of the first half: {growth:.3f}; "
+        f"{threads} threads, {images} images, files {left}"
+    )
     return int(growth > GROWTH or threads > 1 or images > 2 or len(left) > 3)
 
 

@@ -1,18 +1,19 @@
-"""Each stage in the precision that renders use, against the same in double precision or a closed form."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Each stage in the precision of renders, against double precision or a closed form."""
 
 import numpy as np
 
 from inference import Medium
-from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.features.phase_features import cumulative_phase
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.marching.ray_march import mean_transmittance
-from inference.features.phase_features import cumulative_phase
-from inference.scene.phase_function import henyey_greenstein
-from inference.marching.ray_features import SampleSteps, gather_ray_features
-from inference.marching.ray_steps import Blocks
 from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.marching.ray_features import SampleSteps, gather_ray_features
+from inference.marching.ray_march import mean_transmittance
+from inference.marching.ray_steps import Blocks
+from inference.scene.phase_function import henyey_greenstein
 
 from .case import Case, Outcome
 from .exact import ExactVolume
@@ -21,6 +22,7 @@ from .scenes import SUN, blob, placed
 
 def shadows(density, sigma_t):
     """Transmittance to the sun from random points of steep density, against exact integrals."""
+
     def measure():
         volume = placed(density)
         grid, exact = Grid(volume), ExactVolume(volume, sigma_t)
@@ -92,7 +94,7 @@ def cones():
 
 
 def mass():
-    """What the working frame's 256³ cells and their pyramid hold, against the voxels."""
+    """The mass in the working cube's 256³ cells and in their pyramid, against that of the voxels."""
     volume = placed(np.exp(12.0 * np.random.default_rng(3).random((20, 14, 17))))
     cube = fit_cube(volume)
     cells = level0_density(volume, cube)
@@ -103,7 +105,7 @@ def mass():
 
 
 def half_floats():
-    """The viewport's picture is stored in half precision, the only place."""
+    """The viewport's picture, which alone is stored in half precision."""
     values = np.float32(10.0) ** np.linspace(-4, 4.8, 1000, dtype=np.float32)
     return Outcome({"largest": float(np.abs(values.astype(np.float16).astype(np.float32) / values - 1).max())})
 
@@ -112,9 +114,18 @@ STEEP = np.zeros((16, 16, 16), np.float32)
 STEEP[4:12, 5:11, 6:13] = 1.0
 
 CASES = [
-    *(Case("stage", f"transmittance to the sun, {name}, σ̂ = {s:g}", "double precision", shadows(density, s),
-           {"root mean square": 0.08, "mean": 0.01}, quick=s == 1e3)
-      for name, density in (("lumpy", blob()), ("hard edges", STEEP)) for s in (1.0, 30.0, 1e3, 1e6)),
+    *(
+        Case(
+            "stage",
+            f"transmittance to the sun, {name}, σ̂ = {s:g}",
+            "double precision",
+            shadows(density, s),
+            {"root mean square": 0.08, "mean": 0.01},
+            quick=s == 1e3,
+        )
+        for name, density in (("lumpy", blob()), ("hard edges", STEEP))
+        for s in (1.0, 30.0, 1e3, 1e6)
+    ),
     Case("stage", "optical depth over 256 slices", "double precision", sweep_precision, {"largest": 1e-5}, True),
     Case("stage", "mean transmittance of a step", "extended precision", step_means, {"largest": 1e-4}, True),
     Case("stage", "light along the camera ray", "double precision", light_ahead, {"largest": 1e-3}, True),

@@ -1,11 +1,11 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
-
 
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
 
 from ..support import pages
 
@@ -22,7 +22,7 @@ def rows(found):
 
 
 def read_csv(path):
-    """Errors {(group, case): {quantity: error}} of an earlier run; nothing where there was none."""
+    """Errors {(group, case): {quantity: error}} of an earlier run; empty where there was none."""
     errors = {}
     for row in pages.read_csv(path) if path.exists() else ():
         errors.setdefault((row["group"], row["case"]), {})[row["quantity"]] = float(row["error"])
@@ -30,14 +30,14 @@ def read_csv(path):
 
 
 def write_csv(path, found, sources):
-    """sources: what made the figures, a line for each run that some of them are of."""
+    """sources: sentences on what made the figures, one for each run that some of them are from."""
     formatted = ([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
     pages.replace(path, pages.csv_text(sources, COLUMNS, formatted))
 
 
 def write_table(path, found, sources):
     """Replace what is between the marks in the page."""
-    lines = [*(f"Made by {source}.\n" for source in sources)]
+    lines = [f"{source}\n" for source in sources]
     lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
     for group, name, against, quantity, error, bound in rows(found):
         mark = "" if error <= bound else " **violated**"
@@ -48,7 +48,7 @@ def write_table(path, found, sources):
 
 
 def write_pictures(path, found):
-    """A contact sheet of every case that has a picture, each scaled to its own brightest pixel."""
+    """A contact sheet of every case that has a picture, each relative to its brightest pixel."""
     shown = [(case, outcome.picture) for case, outcome in found if outcome.picture is not None]
     columns = 12
     lines = -(-len(shown) // columns)

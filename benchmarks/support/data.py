@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Where the benchmarks' volumes and references are: in the repository, but for what may not be copied into it."""
 
 from pathlib import Path

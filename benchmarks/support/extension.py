@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The extension from the repository, without building and installing its zip."""
 
 import atexit
@@ -31,8 +32,7 @@ def load_extension():
     Its `mrpnn.inference` is the `inference` that is imported from the root. Needs bpy. Returns the
     package; unregister it before the process ends: classes still registered keep the bpy module from ending.
     """
-    spec = importlib.util.spec_from_file_location(
-        "mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+    spec = importlib.util.spec_from_file_location("mrpnn", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules["mrpnn"] = package
     share_inference()

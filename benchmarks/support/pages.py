@@ -1,11 +1,12 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Pages and CSV files that benchmarks write."""
 
 import csv
 import io
 import os
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Iterable, List, Sequence
 
 
 def replace(path: Path, text: str) -> None:
@@ -16,25 +17,25 @@ def replace(path: Path, text: str) -> None:
 
 
 def with_table(page: str, name: str, table: str, made_by: str) -> str:
-    """The page with a table, and what made it, between the marks <!-- name --> and <!-- end -->."""
-    found = f"{table}\n\nMade by {made_by}.\n"
+    """The page with a table, and the sentence on what made it, between the marks <!-- name --> and <!-- end -->."""
+    found = f"{table}\n\n{made_by}\n"
     marked = rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)"
     return re.sub(marked, lambda mark: mark.group(1) + found + mark.group(2), page, flags=re.S)
 
 
 def csv_text(made_by: Sequence[str], header: Sequence, rows: Iterable[Sequence]) -> str:
-    """CSV below lines "# ..." that tell what made it."""
+    """CSV below lines "# ...": sentences on what made it."""
     text = io.StringIO()
     text.writelines(f"# {line}\n" for line in made_by)
     csv.writer(text, lineterminator="\n").writerows([header, *rows])
     return text.getvalue()
 
 
-def read_csv(path: Path) -> List[dict]:
+def read_csv(path: Path) -> list[dict]:
     """Rows of a file that `csv_text` made, by column."""
     return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
 
 
-def csv_made_by(path: Path) -> List[str]:
-    """The lines of such a file that tell what made it."""
+def csv_made_by(path: Path) -> list[str]:
+    """The sentences of such a file on what made it."""
     return [line[2:] for line in path.read_text().splitlines() if line.startswith("# ")]

@@ -1,8 +1,8 @@
-"""Pictures for people: view-transformed images, signed error maps, captioned rows of both."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures to look at: view-transformed images, signed error maps, captioned rows of both."""
 
 import tempfile
 from pathlib import Path
-from typing import List, Tuple
 
 import bpy
 import numpy as np
@@ -30,9 +30,9 @@ def view_transformed(linear: np.ndarray, scene) -> Image.Image:
     try:
         opaque = np.concatenate([linear, np.ones((height, width, 1))], axis=-1).astype(np.float32)
         image.pixels.foreach_set(opaque[::-1].ravel())
-        scene.render.image_settings.file_format = 'PNG'
-        scene.render.image_settings.color_mode = 'RGB'
-        scene.render.image_settings.color_depth = '8'
+        scene.render.image_settings.file_format = "PNG"
+        scene.render.image_settings.color_mode = "RGB"
+        scene.render.image_settings.color_depth = "8"
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "view.png"
             image.save_render(str(path), scene=scene)
@@ -50,18 +50,25 @@ def pixels(image_name: str) -> np.ndarray:
 
 
 def signed_map(error: np.ndarray, limit: float) -> Image.Image:
-    """(H, W) as colour: red too bright, blue too dark, white right, full colour at `limit`."""
+    """(H, W) as colours: red where too bright, blue where too dark, white at 0, saturated at `limit`."""
     share = np.clip(error / limit, -1.0, 1.0)[..., None]
     colour = np.where(share > 0, TOO_BRIGHT, TOO_DARK)
     mapped = 1.0 + np.abs(share) * (colour - 1.0)
     return Image.fromarray((255 * mapped + 0.5).astype(np.uint8))
 
 
-def row(panels: List[Tuple[str, Image.Image]], height: int) -> Image.Image:
+def row(panels: list[tuple[str, Image.Image]], height: int) -> Image.Image:
     """Pictures side by side at one height, each under its caption."""
-    scaled = [(caption, picture.resize((round(picture.width * height / picture.height), height), Image.LANCZOS
-                                       if picture.height > height else Image.NEAREST))
-              for caption, picture in panels]
+    scaled = [
+        (
+            caption,
+            picture.resize(
+                (round(picture.width * height / picture.height), height),
+                Image.LANCZOS if picture.height > height else Image.NEAREST,
+            ),
+        )
+        for caption, picture in panels
+    ]
     width = sum(picture.width for _, picture in scaled) + GAP * (len(scaled) - 1)
     sheet = Image.new("RGB", (width, height + CAPTION_HEIGHT), PAPER)
     draw, font, x = ImageDraw.Draw(sheet), ImageFont.load_default(15), 0

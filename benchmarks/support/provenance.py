@@ -1,29 +1,30 @@
-"""The line that every table of figures carries: the command, the weights and the commit that made it."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sentence that every table of figures carries: the weights, the commit and the command that made it."""
 
 import hashlib
 import shlex
 import subprocess
 import sys
-from typing import Optional, Sequence
+from collections.abc import Sequence
 
 from .data import ROOT
 
-# Hexadecimal digits of a checksum or a commit that are shown.
+# Hexadecimal digits of a checksum that are shown.
 DIGITS = 12
 
 
-def made_by(program: str, arguments: Optional[Sequence] = None, models: Sequence[str] = ("mrpnn",)) -> str:
-    """For example: `python -m benchmarks.cost.speed --size 256`; weights mrpnn 0123456789ab; commit 0123456789ab.
+def made_by(program: str, arguments: Sequence | None = None, models: Sequence[str] = ("mrpnn",)) -> str:
+    """For example: Weights `mrpnn` 0123456789ab, commit 0123456, `python -m benchmarks.cost.speed --size 256`.
 
-    arguments: the command line's without. models: names of the networks whose weights were measured; those that have
-    no weights, as the path tracer, are not named.
+    arguments: by default the command line's. models: names of the networks that were measured; those without weights,
+    such as the path tracer, are not named.
     """
     command = shlex.join(["python", "-m", program, *map(str, sys.argv[1:] if arguments is None else arguments)])
-    parts = [f"`{command}`"]
-    known = [f"{name} {checksum}" for name, checksum in ((name, weights_checksum(name)) for name in models) if checksum]
-    if known:
-        parts.append("weights " + ", ".join(known))
-    return "; ".join([*parts, commit()])
+    checksums = {model: weights_checksum(model) for model in models}
+    weights = [f"`{model}` {checksum}" for model, checksum in checksums.items() if checksum]
+    parts = [f"weights {', '.join(weights)}"] if weights else []
+    sentence = ", ".join([*parts, commit(), f"`{command}`"]) + "."
+    return sentence[0].upper() + sentence[1:]
 
 
 def weights_checksum(model: str) -> str:
@@ -37,7 +38,7 @@ def weights_checksum(model: str) -> str:
 def commit() -> str:
     """The commit of the repository, and whether files other than docs, where tables are written, differ from it."""
     try:
-        head = _git("rev-parse", f"--short={DIGITS}", "HEAD").strip()
+        head = _git("rev-parse", "--short", "HEAD").strip()
         changed = _git("status", "--porcelain", "--", ".", ":!docs").strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown commit"
@@ -45,5 +46,6 @@ def commit() -> str:
 
 
 def _git(*arguments) -> str:
-    return subprocess.run(["git", *arguments], cwd=ROOT, check=True, text=True, stdout=subprocess.PIPE,
-                          stderr=subprocess.DEVNULL).stdout
+    return subprocess.run(
+        ["git", *arguments], cwd=ROOT, check=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ).stdout

@@ -1,4 +1,5 @@
-"""Materials of one shader, for the scenes of benchmarks."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials with a single shader, for the scenes of the benchmarks."""
 
 import bpy
 

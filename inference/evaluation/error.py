@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How far a rendered layer is from a reference that is itself noisy.
 
 The reference comes as two independent halves A and B. A squared error against one half includes that half's noise; the

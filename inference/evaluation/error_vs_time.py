@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error against run time: candidates at several sample counts, and the error that a given time buys.
 
 The error of a path tracer is noise: error^2 = variance / samples. Its variance is estimated from the two halves of the
@@ -141,8 +142,10 @@ class Verdict:
             return f"good: its noise moves the error by less than {ACCURACY:.0%}"
         if not np.isfinite(self.more):
             return "too noisy to judge: the error cannot be told from 0"
-        return (f"too noisy to judge: one that tells the error to {ACCURACY:.0%} has {self.more:.1f} times the samples "
-                f"and takes about {self.seconds:.0f} s")
+        return (
+            f"too noisy to judge: one that tells the error to {ACCURACY:.0%} has {self.more:.1f} times the samples "
+            f"and takes about {self.seconds:.0f} s"
+        )
 
 
 def judge(rung: Rung, a: np.ndarray, b: np.ndarray, mask: np.ndarray, seconds: float) -> Verdict:

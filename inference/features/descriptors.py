@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Features mu, S and P at the stencil's points around each x."""
 
 import numpy as np
@@ -80,7 +81,9 @@ class FieldLookup:
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers int (V,) of the rows (N, k) that differ from the previous one, and int32 (N,) which of them each row
+    """Run-length encoding of rows (N, k).
+
+    Returns the numbers int (V,) of the rows that differ from the previous one, and int32 (N,) which of them each row
     equals.
     """
     new = np.ones(len(rows), bool)
@@ -95,7 +98,10 @@ def angle_to_sun(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 
 def describe(
-    lookup: FieldLookup, phase: PhaseFeatures, positions: np.ndarray, omega: np.ndarray,
+    lookup: FieldLookup,
+    phase: PhaseFeatures,
+    positions: np.ndarray,
+    omega: np.ndarray,
     jitter: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Descriptors of points for one sun, as the paper's networks read them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the descriptors read: the density pyramid and the scaled transmittance fields.
 
 Mip m has n = 2^(8 - m) cells along the edge of the cube. Its density is level m of the pyramid; its transmittance is
@@ -73,8 +74,10 @@ def visibility_levels(stencil: Stencil, shadow_map: ShadowMap) -> list[np.ndarra
 
     shadow_map: in the cube's frame.
     """
-    return [shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, parts)
-            for m, (margin, parts) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)]
+    return [
+        shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, parts)
+        for m, (margin, parts) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)
+    ]
 
 
 def _shaded(visibility: np.ndarray, scale: float) -> np.ndarray:
@@ -118,8 +121,9 @@ class Lattices:
         return self.values.itemsize // 2
 
     def read(self, index: np.ndarray, features: np.ndarray) -> None:
-        """Fill features, float32 (N, k, columns), with density and, if stored, transmittance at places (N, k) in
-        `values`.
+        """Fill features, float32 (N, k, columns), with density and, if stored, transmittance.
+
+        index: (N, k), places in `values`.
         """
         # The lattices contain every cell that a stencil can read; clipping is cheaper than checking.
         steps = self.values.take(index, mode="clip").view(np.uint16)
@@ -188,8 +192,12 @@ class SunLevels:
 
 
 def build_lattices(
-    padded: Sequence[np.ndarray], sigma_hat: float, stencil: Stencil, sun: SunLevels | None = None,
-    bounds: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5), mapper: Callable[..., Iterable[None]] = map,
+    padded: Sequence[np.ndarray],
+    sigma_hat: float,
+    stencil: Stencil,
+    sun: SunLevels | None = None,
+    bounds: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5),
+    mapper: Callable[..., Iterable[None]] = map,
     earlier: Lattices | None = None,
 ) -> Lattices:
     """Lattices of mips 0 to 7 for one optical thickness and one sun.
@@ -208,8 +216,9 @@ def build_lattices(
     ends = np.cumsum([np.prod(last - first) for first, last in spans])
     values = earlier.values.copy() if earlier else np.empty(ends[-1], np.uint16 if sun is None else np.uint32)
 
-    packed = [values[end - np.prod(last - first) : end].reshape(last - first)
-              for end, (first, last) in zip(ends, spans)]
+    packed = [
+        values[end - np.prod(last - first) : end].reshape(last - first) for end, (first, last) in zip(ends, spans)
+    ]
     # No mean exceeds the largest of its terms.
     scale = np.float32(sigma_hat / DENSITY_SCALE)
     density_step = max(np.log(np.float32(1.0) + scale * padded[0].max()) / np.float32(QUANTA), np.float32(1e-12))
@@ -249,6 +258,13 @@ def build_lattices(
     planes = [max(CELLS_PER_TASK // lattice[0].size, 1) for lattice in packed]
     tasks = [(m, start) for m in range(MIPS) for start in range(0, len(packed[m]), planes[m])]
     list(mapper(lambda task: build(*task), tasks))
-    return Lattices(values, [Lattice(packed[m], -0.5 - margin[m] / (LEVEL0_CELLS >> m),
-                                     float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]) for m in range(MIPS)],
-                    density_step)
+    return Lattices(
+        values,
+        [
+            Lattice(
+                packed[m], -0.5 - margin[m] / (LEVEL0_CELLS >> m), float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]
+            )
+            for m in range(MIPS)
+        ],
+        density_step,
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The Henyey-Greenstein phase function integrated over cones (appendix A.4 of the paper).
 
 The phase function carries 1/(4 pi) and integrates to 1 over the sphere.
@@ -37,8 +38,9 @@ def cumulative_phase(cosine: ArrayLike, half_angle: ArrayLike, anisotropy: float
 
 
 def cone_half_angles(distance: ArrayLike, mip: ArrayLike) -> np.ndarray:
-    """Half angle c/2 that a ball of the size of a cell of `mip` subtends at `distance` (cube edges); pi inside the
-    ball.
+    """Half angle c/2 that a ball of the size of a cell of `mip` subtends.
+
+    distance: from the centre of the ball, in cube edges. Returns pi inside the ball. Arrays broadcast.
     """
     radius = 0.5 * 2.0 ** np.asarray(mip) / LEVEL0_CELLS
     distance = np.asarray(distance)

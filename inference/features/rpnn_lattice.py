@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN's descriptor: mean density on ten lattices around x that extend towards the sun.
 
 A lattice has 5 x 5 x 9 points that span [-1, -1, -1] to [1, 1, 3], z along the direction to the sun. Level k is twice
@@ -90,7 +91,11 @@ def refined_levels(pyramid: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def read_lattices(
-    lattice: SunLattice, levels: Sequence[np.ndarray], positions: np.ndarray, omega: np.ndarray, sun: np.ndarray,
+    lattice: SunLattice,
+    levels: Sequence[np.ndarray],
+    positions: np.ndarray,
+    omega: np.ndarray,
+    sun: np.ndarray,
     jitter: np.ndarray | None = None,
 ) -> np.ndarray:
     """Values of refined levels at the lattices around points: float32 (N, 10, 225).

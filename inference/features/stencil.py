@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The stencil of appendix A.2 of the paper: 192 points around x at which the medium is described.
 
 160 low-frequency points live in a frame that follows the camera ray: z along omega, the sun in the half-plane x > 0,
@@ -47,9 +48,7 @@ class Stencil:
 
     @classmethod
     def read(cls, values: np.ndarray, every: int = 1) -> "Stencil":
-        """From the floats (640,), or (160,) of a sparse stencil, that `written` gives. Raises ValueError for other
-        sizes.
-        """
+        """From the floats that `written` gives. Raises ValueError for another number of them."""
         low = 3 * (LOW_POINTS // every)
         return cls(values[:low].reshape(-1, 3), values[low:], every)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A medium bound to its grid and to the extinction of some colour channels, for ray marching."""
 
 from dataclasses import dataclass

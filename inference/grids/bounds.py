@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Bounds of the voxels that are not 0."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depths towards one sun, stored on every slice of a grid."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A grid that stores all its voxels."""
 
 import numpy as np

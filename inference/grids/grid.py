@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A volume at the resolution of its density, for camera rays and single scattering."""
 
 import threading
@@ -77,8 +78,9 @@ class Grid:
     def corners(self) -> np.ndarray:
         """World corners (8, 3) of the support."""
         low, high = self.box
-        ends = np.array([[(low, high)[b][axis] for axis, b in enumerate((x, y, z))]
-                         for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        ends = np.array(
+            [[(low, high)[b][axis] for axis, b in enumerate((x, y, z))] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+        )
         return (ends - self.offset) @ np.linalg.inv(self.linear).T
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

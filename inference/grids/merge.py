@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Several overlapping volumes as one medium."""
-
 
 from collections.abc import Callable, Sequence
 
@@ -55,7 +55,10 @@ def merge(
 
 
 def resampled(
-    grid: Grid, sample: Callable[[np.ndarray], np.ndarray], world_from_index: np.ndarray, shape: np.ndarray,
+    grid: Grid,
+    sample: Callable[[np.ndarray], np.ndarray],
+    world_from_index: np.ndarray,
+    shape: np.ndarray,
     cancel: CancelToken = NEVER,
 ) -> np.ndarray:
     """Values of a Grid at the voxels of another: float32 of `shape`.
@@ -78,7 +81,7 @@ def resampled(
     rows = max(POINTS_PER_BATCH // max(len(axes[1]) * len(axes[2]), 1), 1)
     for start in range(0, len(axes[0]), rows):
         cancel.check()
-        slab = np.stack(np.meshgrid(axes[0][start:start + rows], *axes[1:], indexing="ij"), axis=-1)
+        slab = np.stack(np.meshgrid(axes[0][start : start + rows], *axes[1:], indexing="ij"), axis=-1)
         centre = slab.reshape(-1, 3) @ index_from_other.T + offset
         found = np.zeros(len(centre), np.float32)
         for place in inner @ index_from_other.T:
@@ -86,5 +89,5 @@ def resampled(
             filled = np.flatnonzero(grid.occupancy.near(index))
             found[filled] += sample(index[:, filled]) / len(inner)
         x = slice(low[0] + start, low[0] + start + len(slab))
-        values[x, low[1]:high[1], low[2]:high[2]] = found.reshape(slab.shape[:3])
+        values[x, low[1] : high[1], low[2] : high[2]] = found.reshape(slab.shape[:3])
     return values

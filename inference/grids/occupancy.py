@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Which parts of a grid are empty, so that camera rays may skip them."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depth from every cell of a grid towards the sun, in one sweep.
 
 Slices across the sun's dominant axis are visited from the sun's side. Each slice is sheared once along the sun's
@@ -35,10 +36,10 @@ def cubic(f: Fraction) -> list[Fraction]:
 
 
 def shift_up(planes: np.ndarray, f_b: Fraction, f_c: Fraction, weights: Weights) -> np.ndarray:
-    """Resample planes (..., b, c), 0 outside, at points a fraction beyond each cell, beginning BEFORE cells before the
-    first.
+    """Resample planes (..., b, c), 0 outside, at points a fraction beyond each cell.
 
-    f_b, f_c: fractions along b and c, which grow by MORE. weights: `linear` or `cubic`.
+    f_b, f_c: fractions along b and c, which grow by MORE, from BEFORE cells before the first. weights: `linear` or
+    `cubic`.
     """
     for axis, fraction in ((-2, f_b), (-1, f_c)):
         count = planes.shape[axis] + MORE

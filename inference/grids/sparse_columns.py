@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depths towards one sun, stored only where a sparse grid holds density.
 
 Columns along the sun's rays are stored in tiles of 8 x 8, slice by slice, in rows of blocks across the sun's main axis.
@@ -38,11 +39,11 @@ class SparseColumns:
             cancel.check()
             # Tiles that the last row changed and this row does not keep their present depths.
             ended, count = int(left.sum()), int(touched.sum())
-            self.tiles[free:free + ended] = np.maximum(columns[left], 0.0)
+            self.tiles[free : free + ended] = np.maximum(columns[left], 0.0)
             latest[left] = 2 * np.arange(free, free + ended)
             free += ended
             latest[touched] = 2 * (free + EDGE * np.arange(count)) + 1
-            own = self.tiles[free:free + EDGE * count].reshape(count, EDGE, EDGE, EDGE)
+            own = self.tiles[free : free + EDGE * count].reshape(count, EDGE, EDGE, EDGE)
             free += EDGE * count
             self.table[slab] = latest
             b, c = np.nonzero(slabs[slab])
@@ -50,7 +51,7 @@ class SparseColumns:
             for index in shear.towards_sun(EDGE * slab, EDGE * (slab + 1)) if count else ():
                 (tile_b, in_b, f_b), (tile_c, in_c, f_c) = plan.place(index)
                 resampled = np.zeros((len(b), EDGE * reached(in_b), EDGE * reached(in_c)), np.float32)
-                half_slice = resampled[:, in_b:in_b + EDGE + MORE, in_c:in_c + EDGE + MORE]
+                half_slice = resampled[:, in_b : in_b + EDGE + MORE, in_c : in_c + EDGE + MORE]
                 half_slice[:] = shift_up(blocks[:, index % EDGE], f_b, f_c, cubic)
                 half_slice *= np.float32(shear.half_step)
                 _add(columns, resampled, b + tile_b, c + tile_c)

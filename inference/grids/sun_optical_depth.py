@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depth from any point of a grid towards one sun.
 
 Each slice stores the columns of the sweep where they pass it, along the sun's own rays; the sweep reads the density by

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The working cube: the smallest cube around the active part of a volume, edge length 1.
 
 Positions in its frame lie in [-1/2, 1/2]^3. Networks see the medium's optical thickness as sigma_hat = sigma_t * edge,
@@ -102,7 +103,7 @@ def level0_density(volume: Volume, cube: Cube, cancel: CancelToken = NEVER) -> n
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     for low, slab in _slabs(volume.density, cube):
         cancel.check()
-        x, y, z = (part[:, start:start + n] for part, start, n in zip(weights, low - cube.low, slab.shape))
+        x, y, z = (part[:, start : start + n] for part, start, n in zip(weights, low - cube.low, slab.shape))
         _add_weighted(cells, x, _weighted(y, _weighted(z, slab, 2), 1), 0)
     return np.maximum(cells, 0.0)
 
@@ -155,7 +156,7 @@ def _resample_sheared(
     for i, j in np.ndindex(LEVEL0_CELLS, LEVEL0_CELLS // ROWS):
         cancel.check()
         rows = slice(j * ROWS, (j + 1) * ROWS)
-        axes = inner[2 * i:2 * i + 2], inner[2 * rows.start:2 * rows.stop], inner
+        axes = inner[2 * i : 2 * i + 2], inner[2 * rows.start : 2 * rows.stop], inner
         points = np.stack(np.meshgrid(*axes, indexing="ij"))
         index = (index_from_cube @ points.reshape(3, -1) + origin[:, None]).astype(np.float32)
         near, fine = np.flatnonzero(occupancy.near(index)), np.zeros(index.shape[1], np.float32)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Interpolation of multiple scattering between pixels, where it is smooth across the image.
 
 The image is divided into squares, and the network is evaluated at their corners and centres first. Where the corners of
@@ -62,9 +63,9 @@ class Squares:
 
     def known_pixels(self) -> np.ndarray:
         """bool (P,): corners and centres."""
-        look = np.zeros(self.size, bool)
-        look[self.known] = True
-        return look
+        known = np.zeros(self.size, bool)
+        known[self.known] = True
+        return known
 
     def centres(self, values: np.ndarray) -> np.ndarray:
         """(S,), values (P,) at the centres."""
@@ -113,8 +114,13 @@ class Squares:
 
 
 def interpolable(
-    squares: Squares, mean: np.ndarray, error: np.ndarray, opacity: np.ndarray, single: np.ndarray,
-    ahead: np.ndarray | None, difference: float,
+    squares: Squares,
+    mean: np.ndarray,
+    error: np.ndarray,
+    opacity: np.ndarray,
+    single: np.ndarray,
+    ahead: np.ndarray | None,
+    difference: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which squares may be interpolated, bool (S,), and the differences (S,) between their centres and corners.
 

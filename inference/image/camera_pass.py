@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
 from collections.abc import Sequence
@@ -62,7 +63,7 @@ def march_tile(
 ) -> DepthSamples | None:
     """Fill the tile's single scattering, emission, alpha and depth.
 
-    Returns the depth samples of all its rays, or None if no ray meets a volume. Raises Cancelled, and SceneError for
+    Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
     """
     report = context.report
@@ -74,8 +75,8 @@ def march_tile(
     longest = counts.max()
     if longest > MAX_STEPS:
         raise SceneError(
-            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny beside the way through "
-            "another; render volumes of so different sizes in view layers of their own"
+            f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
+            "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(scene, counts)
     hit = np.arange(len(rays.pixel))
@@ -104,7 +105,8 @@ def march_tile(
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     gathered = RayFeatures(np.concatenate(features)) if features else None
     samples = DepthSamples(
-        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered)
+        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered
+    )
     report.count("points", len(samples.ray))
     return samples
 
@@ -194,7 +196,7 @@ class _Shading:
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
         phase[..., self.extended], ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
-        # Light from ahead is attenuated along the whole ray, wherever on it it scatters.
+        # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
         straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
         single = segment.single * phase
@@ -202,9 +204,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
-) -> _TileRays | None:
+def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None if there are none."""
     report, settings = context.report, context.settings
     # No rays are made for pixels away from every volume.
@@ -222,14 +222,16 @@ def _tile_rays(
         with report.stage("surfaces"):
             split, far, share, free = _split_at_surfaces(scene.depth_buffer, around.window, near, far, context.cancel)
         pixel, origins, directions, offsets, near = (
-            values[split] for values in (pixel, origins, directions, offsets, near))
+            values[split] for values in (pixel, origins, directions, offsets, near)
+        )
     hit = np.flatnonzero(near < far)
     report.count("rays that miss every volume", len(origins) - len(hit))
     report.count("rays marched", len(hit))
     if not len(hit):
         return None
-    return _TileRays(RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit],
-                     free[hit])
+    return _TileRays(
+        RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit], free[hit]
+    )
 
 
 def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple[Camera, np.ndarray]:
@@ -246,13 +248,16 @@ def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple
 
 
 def _ray_intervals(
-    plan: Plan, media: Sequence[BoundMedium], origins: np.ndarray, directions: np.ndarray,
+    plan: Plan,
+    media: Sequence[BoundMedium],
+    origins: np.ndarray,
+    directions: np.ndarray,
     clip: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Distances (P,) between which each ray meets any medium that attenuates or emits, near > far on a miss, and
-    warnings.
+    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
 
-    clip: distances (P,) to the near and the far clipping plane. Volumes that the near one cuts cause a warning.
+    near > far on a miss. clip: distances (P,) to the near and the far clipping plane. Volumes that the near plane cuts
+    cause a warning.
     """
     clip_near, clip_far = clip
     near, far, warnings = np.full(len(origins), np.inf), np.full(len(origins), -np.inf), []
@@ -260,17 +265,22 @@ def _ray_intervals(
         if medium.matters:
             enter, leave = medium.grid.interval(origins, directions)
             if np.any((enter > 0.0) & (enter < clip_near) & (leave > clip_near)):
-                warnings.append(f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
-                                "Cycles would not render it there at all")
+                warnings.append(
+                    f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
+                    "Cycles would not render it there at all"
+                )
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            meets = enter < leave
-            near[meets] = np.minimum(near[meets], enter[meets])
-            far[meets] = np.maximum(far[meets], leave[meets])
+            hits = enter < leave
+            near[hits] = np.minimum(near[hits], enter[hits])
+            far[hits] = np.maximum(far[hits], leave[hits])
     return near, far, warnings
 
 
 def _split_at_surfaces(
-    depth_buffer: DepthBuffer, window: tuple[int, int, int, int], near: np.ndarray, far: np.ndarray,
+    depth_buffer: DepthBuffer,
+    window: tuple[int, int, int, int],
+    near: np.ndarray,
+    far: np.ndarray,
     cancel: CancelToken,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rays that end at surfaces, as `split_rays_at_surfaces`."""

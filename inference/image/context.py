@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a render holds while it runs."""
 
 from dataclasses import dataclass, replace
@@ -5,8 +6,8 @@ from dataclasses import dataclass, replace
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
-from ..marching.extended_lights import ExtendedLights
 from ..kernels.library import Kernels
+from ..marching.extended_lights import ExtendedLights
 from ..marching.marcher import Marcher
 from ..network.interfaces import System
 from ..occluders.depth_buffer import DepthBuffer
@@ -63,13 +64,18 @@ class PreparedScene:
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
-        return [(g, group) for g, group in enumerate(self.groups)
-                if group is not None and self.plan.predicts(g, channels)]
+        return [
+            (g, group) for g, group in enumerate(self.groups) if group is not None and self.plan.predicts(g, channels)
+        ]
 
     def media(self, channels: Channels) -> list[BoundMedium]:
         """The volumes bound to their grids and to their extinction in some colour channels."""
-        return [BoundMedium(grid, medium, float(sigma_t), depths) for grid, (_, medium), sigma_t, depths
-                in zip(self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths)]
+        return [
+            BoundMedium(grid, medium, float(sigma_t), depths)
+            for grid, (_, medium), sigma_t, depths in zip(
+                self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths
+            )
+        ]
 
 
 @dataclass(frozen=True)
@@ -98,6 +104,10 @@ def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> list[Til
     """The plan's tiles, each sharing memory with the framebuffer."""
     x0, y0, x1, _ = camera.window
     width = x1 - x0
-    return [Tile(replace(camera, region=(x0, top, x1, bottom)),
-                 framebuffer.part(slice((top - y0) * width, (bottom - y0) * width)))
-            for top, bottom in plan.tiles]
+    return [
+        Tile(
+            replace(camera, region=(x0, top, x1, bottom)),
+            framebuffer.part(slice((top - y0) * width, (bottom - y0) * width)),
+        )
+        for top, bottom in plan.tiles
+    ]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The images that a render accumulates."""
 
 from dataclasses import dataclass, fields
@@ -7,10 +8,10 @@ import numpy as np
 
 @dataclass
 class Framebuffer:
-    """Images of P pixels, row by row: single, multiple and emission float32 (P, 3), alpha, depth and uncertainty
-    float32 (P,).
+    """Images of P pixels, row by row.
 
-    As in `layer.Layer`, except that depth is the sum of distance times opacity.
+    single, multiple, emission: float32 (P, 3). alpha, depth, uncertainty: float32 (P,). As in `layer.Layer`, except
+    that depth is the sum of distance times opacity.
     """
 
     single: np.ndarray

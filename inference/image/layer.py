@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The result of a render."""
 
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ class Layer:
 def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:
     """The Layer of a framebuffer's pixels; shape: (H, W)."""
     single, multiple, emission = (
-        colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission))
+        colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission)
+    )
     alpha = framebuffer.alpha
     depth = np.where(alpha > 0.0, framebuffer.depth / np.maximum(alpha, np.float32(1e-30)), np.float32(np.inf))
     return Layer(

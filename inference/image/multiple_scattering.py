@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
-
 
 import numpy as np
 
@@ -37,7 +37,11 @@ def solve_transport(
 
 
 def add_multiple_scattering(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples,
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    tile: Tile,
+    samples: DepthSamples,
     work: WorkEstimate,
 ) -> None:
     """Add the predicted multiple scattering of every group and sun to the tile, and its uncertainty.
@@ -52,7 +56,11 @@ def add_multiple_scattering(
 
 
 def _add_source(
-    context: RenderContext, scene: PreparedScene, group: ScatteringGroup, tile: Tile, samples: DepthSamples,
+    context: RenderContext,
+    scene: PreparedScene,
+    group: ScatteringGroup,
+    tile: Tile,
+    samples: DepthSamples,
     source: "_Source",
 ) -> None:
     """Add the multiple scattering of one group and one sun."""
@@ -66,14 +74,14 @@ def _add_source(
         bounds = _bounds(context, scene, group.predictor, samples, inside)
         with context.progress.stage("lattices", 1):
             prepared = group.predictor.prepare(
-                float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks)
+                float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
+            )
         report.count("cells of lookup fields", prepared.lattice_cells)
         context.cancel.check()
     report.count("network points wanted", len(inside))
     directions = samples.directions
     if sun.spread is not None:
-        directions = equivalent_directions(
-            tile.camera, samples.pixel, directions, sun, group.medium.anisotropy)
+        directions = equivalent_directions(tile.camera, samples.pixel, directions, sun, group.medium.anisotropy)
     estimate = _Estimate(context, samples, directions, tile, prepared, source)
     with report.stage("network"), context.progress.stage("network"):
         if "shared_pixels" not in context.settings.leave_out:
@@ -126,8 +134,13 @@ class _Estimate:
     """
 
     def __init__(
-        self, context: RenderContext, samples: DepthSamples, directions: np.ndarray, tile: Tile,
-        prepared: PreparedPredictor, source: _Source,
+        self,
+        context: RenderContext,
+        samples: DepthSamples,
+        directions: np.ndarray,
+        tile: Tile,
+        prepared: PreparedPredictor,
+        source: _Source,
     ):
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.prepared, self.source = context, samples, prepared, source
@@ -147,7 +160,8 @@ class _Estimate:
         def task(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             directions = self.directions[samples.ray[points]]
             return points, self.prepared.predict(
-                samples.positions(points), directions, values, samples.jitter(points), self._features(points))
+                samples.positions(points), directions, values, samples.jitter(points), self._features(points)
+            )
 
         for done, radiance in context.tasks.map(task, _batches(points)):
             weight = samples.weight[done, None] * (self.fraction[done] @ source.scattered)
@@ -205,8 +219,14 @@ def _evaluate_adaptively(
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
         smooth, centre_error = interpolable(
-            squares, mean.mean(axis=0), error * (3.0 / len(mean)), opacity, single.mean(axis=0), ahead,
-            difference / np.sqrt(estimate.context.settings.depth_samples))
+            squares,
+            mean.mean(axis=0),
+            error * (3.0 / len(mean)),
+            opacity,
+            single.mean(axis=0),
+            ahead,
+            difference / np.sqrt(estimate.context.settings.depth_samples),
+        )
         smooth &= ~squares.any(split)
         interior = squares.interior(smooth) & ~evaluated & ~interpolated
         for values in (*mean, error):

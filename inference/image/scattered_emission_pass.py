@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the light that volumes emit and scatter."""
 
 import numpy as np
@@ -20,7 +21,8 @@ def add_scattered_emission(
             continue
         with report.stage("emission"):
             emission = context.cache.scattered_emission(
-                plan.members(g), [scene.grids[v] for v in group], g, context.cancel)
+                plan.members(g), [scene.grids[v] for v in group], g, context.cancel
+            )
         warnings = emission.warnings(plan.group_name(g))
         report.warnings += [warning for warning in warnings if warning not in report.warnings]
         for v in group:

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render is: told to its Progress, and corrected as tiles and predictions are finished."""
-
 
 from .camera_pass import estimate_march
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
@@ -12,8 +12,8 @@ EVALUATED_SHARE = 0.4
 class WorkEstimate:
     """Expects marched steps and depth samples by what a sparse grid of rays takes in the first channel pass.
 
-    A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by tile.
-    """
+    A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by
+    tile."""
 
     def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
         self._context, self._scene, self._tiles = context, scene, tiles

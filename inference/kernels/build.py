@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Compile the kernels for one platform, or for all that the extension supports, with the `ziglang` package.
 
     .venv/bin/python -m inference.kernels.build [--platform windows-x64 | all]
@@ -20,8 +21,17 @@ from pathlib import Path
 SOURCES = Path(__file__).resolve().parent
 BUILD = SOURCES.parents[1] / "build" / "kernels"
 # Contraction and fast mathematics would make processors differ.
-FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-strict-aliasing", "-fvisibility=hidden",
-         "-Wall", "-Wextra", "-Werror")
+FLAGS = (
+    "-std=c99",
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-strict-aliasing",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+)
 # Kinds of x86-64 processors, in the order of dispatch.c.
 X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"}
 # Files that are compiled once for each kind of processor.
@@ -98,8 +108,18 @@ def _compile(target: Target, folder: Path) -> Path:
         kinds = target.variants if source.name in VARYING else {"baseline": target.variants["baseline"]}
         for variant, processor in kinds.items():
             objects.append(folder / f"{source.stem}_{variant}.o")
-            _zig(target, folder, *FLAGS, f"-mcpu={processor}", "-fPIC", f"-DVARIANT={variant}", "-c", source,
-                 "-o", objects[-1])
+            _zig(
+                target,
+                folder,
+                *FLAGS,
+                f"-mcpu={processor}",
+                "-fPIC",
+                f"-DVARIANT={variant}",
+                "-c",
+                source,
+                "-o",
+                objects[-1],
+            )
     library = folder / target.library
     _zig(target, folder, "-shared", "-s", *objects, "-o", library)
     return library

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
 /* The library's functions, each in the variant that the processor can run. */
 
 #include "kernels.h"

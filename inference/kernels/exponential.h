@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
 /* exp(-x) and 1 - exp(-x) in single precision, written so that compilers vectorise loops over them.
 
 One source for every processor: without contraction the same operations give the same bits whatever their width. */

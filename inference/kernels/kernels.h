@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Data that Python hands to the compiled kernels; inference/kernels/structures.py holds the same structures.
 
 Every number is 8 bytes wide or an array of 8-byte numbers, so that no compiler pads. Pointers are to C-contiguous

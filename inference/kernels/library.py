@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The library of compiled kernels: beside its sources in an installed extension, built on first use in a clone."""
 
 import ctypes
@@ -5,6 +6,7 @@ import functools
 import os
 import threading
 from ctypes import POINTER, c_int64
+from pathlib import Path
 
 from . import build, structures
 from .structures import INTERFACE
@@ -29,6 +31,7 @@ class Kernels:
     """
 
     def __init__(self, path: os.PathLike, variant: int | None = None):
+        self.path = Path(path)
         try:
             self._library = ctypes.CDLL(os.fspath(path))
             self._library.mrpnn_interface.restype = c_int64
@@ -39,8 +42,9 @@ class Kernels:
             raise Unavailable(f"{os.fspath(path)} has interface {number} instead of {INTERFACE}")
         self._declare("best_variant")
         self._declare("scratch_bytes", POINTER(structures.Scene), c_int64)
-        self._declare("march", c_int64, POINTER(structures.Scene), POINTER(structures.Rays),
-                      POINTER(structures.Gathered))
+        self._declare(
+            "march", c_int64, POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered)
+        )
         #: Variants that this processor can run: 0 to the best one.
         self.best = int(self._library.mrpnn_best_variant())
         self.variant = self.best if variant is None else min(variant, self.best)

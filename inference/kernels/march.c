@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Camera rays through volumes, one after another; the twins are marching/ray_march.py and marching/emission.py.
 
 Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps of equal length,

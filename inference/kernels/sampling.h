@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Samples of grids and of optical depths towards suns; the twins are DenseGrid, SparseGrid and SunOpticalDepth. */
 
 #ifndef MRPNN_SAMPLING_H

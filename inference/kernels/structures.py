@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The structures of kernels.h."""
 
 import ctypes
@@ -16,8 +17,8 @@ class Shared(ctypes.Structure):
     def __init__(self, **fields: Any):
         """Arrays become pointers or, where the structure holds their numbers itself, copies."""
         super().__init__()
-        self.kept = []
-        types = dict(self._fields_)
+        self.kept: list[Any] = []
+        types: dict[str, Any] = {field[0]: field[1] for field in self._fields_}
         for name, value in fields.items():
             if types[name] is c_void_p:
                 value = self._pointer(value)
@@ -39,8 +40,12 @@ class Grid(Shared):
     """See kernels.h, as for the others."""
 
     _fields_ = [
-        ("values", c_void_p), ("table", c_void_p), ("size", c_int64 * 3), ("shape", c_int64 * 3),
-        ("first", c_int64 * 3), ("rows", c_int64),
+        ("values", c_void_p),
+        ("table", c_void_p),
+        ("size", c_int64 * 3),
+        ("shape", c_int64 * 3),
+        ("first", c_int64 * 3),
+        ("rows", c_int64),
     ]
 
 
@@ -50,61 +55,119 @@ class Occupancy(Shared):
 
 class SunColumns(Shared):
     _fields_ = [
-        ("depths", c_void_p), ("table", c_void_p), ("offsets", c_void_p), ("slices", c_int64), ("size", c_int64 * 2),
-        ("tiles", c_int64), ("first", c_int64), ("main", c_int64), ("others", c_int64 * 2), ("step", c_int64),
-        ("integrated", c_int64), ("everywhere", c_int64), ("steep", c_int64), ("move", c_double * 3),
-        ("length", c_double), ("direction", c_double * 3),
+        ("depths", c_void_p),
+        ("table", c_void_p),
+        ("offsets", c_void_p),
+        ("slices", c_int64),
+        ("size", c_int64 * 2),
+        ("tiles", c_int64),
+        ("first", c_int64),
+        ("main", c_int64),
+        ("others", c_int64 * 2),
+        ("step", c_int64),
+        ("integrated", c_int64),
+        ("everywhere", c_int64),
+        ("steep", c_int64),
+        ("move", c_double * 3),
+        ("length", c_double),
+        ("direction", c_double * 3),
     ]
 
 
 class Medium(Shared):
     _fields_ = [
-        ("density", Grid), ("occupancy", Occupancy), ("suns", c_void_p), ("linear", c_double * 9),
-        ("offset", c_double * 3), ("sigma_t", c_double), ("emission", Grid * CHANNELS), ("emission_power", c_int64),
+        ("density", Grid),
+        ("occupancy", Occupancy),
+        ("suns", c_void_p),
+        ("linear", c_double * 9),
+        ("offset", c_double * 3),
+        ("sigma_t", c_double),
+        ("emission", Grid * CHANNELS),
+        ("emission_power", c_int64),
         ("emission_factor", c_double),
     ]
 
 
 class ShadowMap(Shared):
     _fields_ = [
-        ("heights", c_void_p), ("rows", c_int64), ("columns", c_int64), ("linear", c_double * 9),
+        ("heights", c_void_p),
+        ("rows", c_int64),
+        ("columns", c_int64),
+        ("linear", c_double * 9),
         ("offset", c_double * 3),
     ]
 
 
 class Fluence(Shared):
     _fields_ = [
-        ("lights", c_void_p), ("cells", c_int64), ("linear", c_double * 9), ("offset", c_double * 3),
-        ("flux_from_world", c_double * 9), ("reduced_fraction", c_double),
+        ("lights", c_void_p),
+        ("cells", c_int64),
+        ("linear", c_double * 9),
+        ("offset", c_double * 3),
+        ("flux_from_world", c_double * 9),
+        ("reduced_fraction", c_double),
     ]
 
 
 class Scene(Shared):
     _fields_ = [
-        ("volumes", c_int64), ("suns", c_int64), ("groups", c_int64), ("channels", c_int64), ("media", c_void_p),
-        ("group_starts", c_void_p), ("group_members", c_void_p), ("shadow_maps", c_void_p), ("fluence", c_void_p),
-        ("nodes", c_void_p), ("node_weights", c_void_p), ("depth_samples", c_int64), ("adaptive", c_int64),
-        ("coarse_count", c_int64), ("skip_empty", c_int64), ("refinements", c_int64), ("behind", c_double),
-        ("behind_emission", c_double), ("min_alpha", c_double), ("dark", c_double), ("visible", c_double),
-        ("max_sun_depth", c_double), ("max_tau_sun", c_double), ("max_tau_ahead", c_double), ("scales", c_double * 3),
+        ("volumes", c_int64),
+        ("suns", c_int64),
+        ("groups", c_int64),
+        ("channels", c_int64),
+        ("media", c_void_p),
+        ("group_starts", c_void_p),
+        ("group_members", c_void_p),
+        ("shadow_maps", c_void_p),
+        ("fluence", c_void_p),
+        ("nodes", c_void_p),
+        ("node_weights", c_void_p),
+        ("depth_samples", c_int64),
+        ("adaptive", c_int64),
+        ("coarse_count", c_int64),
+        ("skip_empty", c_int64),
+        ("refinements", c_int64),
+        ("behind", c_double),
+        ("behind_emission", c_double),
+        ("min_alpha", c_double),
+        ("dark", c_double),
+        ("visible", c_double),
+        ("max_sun_depth", c_double),
+        ("max_tau_sun", c_double),
+        ("max_tau_ahead", c_double),
+        ("scales", c_double * 3),
         ("jitter", c_double * 3),
     ]
 
 
 class Rays(Shared):
     _fields_ = [
-        ("rays", c_int64), ("origins", c_void_p), ("directions", c_void_p), ("near_distance", c_void_p),
-        ("far_distance", c_void_p), ("counts", c_void_p), ("max_count", c_int64), ("stop", c_void_p),
+        ("rays", c_int64),
+        ("origins", c_void_p),
+        ("directions", c_void_p),
+        ("near_distance", c_void_p),
+        ("far_distance", c_void_p),
+        ("counts", c_void_p),
+        ("max_count", c_int64),
+        ("stop", c_void_p),
         ("scratch", c_void_p),
     ]
 
 
 class Gathered(Shared):
     _fields_ = [
-        ("alpha", c_void_p), ("depth", c_void_p), ("optical_depth", c_void_p), ("single_scattering", c_void_p),
-        ("emission", c_void_p), ("sample_counts", c_void_p), ("sample_distance", c_void_p),
-        ("sample_weight", c_void_p), ("sample_fraction", c_void_p), ("sample_features", c_void_p),
-        ("samples", c_int64), ("blocks", c_int64),
+        ("alpha", c_void_p),
+        ("depth", c_void_p),
+        ("optical_depth", c_void_p),
+        ("single_scattering", c_void_p),
+        ("emission", c_void_p),
+        ("sample_counts", c_void_p),
+        ("sample_distance", c_void_p),
+        ("sample_weight", c_void_p),
+        ("sample_fraction", c_void_p),
+        ("sample_features", c_void_p),
+        ("samples", c_int64),
+        ("blocks", c_int64),
     ]
 
 
@@ -114,5 +177,5 @@ def array_of(values: list) -> ctypes.Array | None:
         return None
     array = (type(values[0]) * len(values))(*values)
     # ctypes copies the structures, not the Python attributes of their objects.
-    array.kept = values  # type: ignore[attr-defined]
+    array.kept = values
     return array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays marched by the compiled kernel; `ray_march.march` and `emission.emitted_radiance` are its twins."""
 
 import threading
@@ -38,7 +39,11 @@ class CompiledMarch:
     """
 
     def __init__(
-        self, kernels: Kernels, media: Sequence[BoundMedium], options: MarchOptions, channels: Sequence[int],
+        self,
+        kernels: Kernels,
+        media: Sequence[BoundMedium],
+        options: MarchOptions,
+        channels: Sequence[int],
         stop: c_int32,
     ):
         """channels: colour channels, by number. stop: once it is not 0, calls return soon, their result incomplete."""
@@ -75,16 +80,33 @@ class CompiledMarch:
         if self._options.fluence is not None:
             features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
         gathered = structures.Gathered(
-            alpha=alpha, depth=depth, optical_depth=optical_depth, single_scattering=single, emission=emission,
-            sample_counts=samples, sample_distance=distance, sample_weight=weight, sample_fraction=fraction,
-            sample_features=features)
+            alpha=alpha,
+            depth=depth,
+            optical_depth=optical_depth,
+            single_scattering=single,
+            emission=emission,
+            sample_counts=samples,
+            sample_distance=distance,
+            sample_weight=weight,
+            sample_fraction=fraction,
+            sample_features=features,
+        )
         self._kernels.march(self._scene, batch, gathered)
         end = gathered.samples
         # Copies: most of the arrays may be unused.
         return RaySegment(
-            alpha, depth, optical_depth, single, np.repeat(np.arange(count), samples), distance[:end].copy(),
-            weight[:end].copy(), fraction[:end].copy(),
-            None if features is None else RayFeatures(features[:end].copy()), gathered.blocks * STEPS, emission)
+            alpha,
+            depth,
+            optical_depth,
+            single,
+            np.repeat(np.arange(count), samples),
+            distance[:end].copy(),
+            weight[:end].copy(),
+            fraction[:end].copy(),
+            None if features is None else RayFeatures(features[:end].copy()),
+            gathered.blocks * STEPS,
+            emission,
+        )
 
     def _scratch(self, max_count: int) -> np.ndarray:
         """Scratch memory of the calling thread."""
@@ -163,13 +185,15 @@ def _grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
     # Voxels from -1 to the shape + 1 are read.
     assert np.all(grid.first >= 1) and np.all(grid.first + shape + 1 < EDGE * np.array(table.shape))
     return structures.Grid(
-        values=values, table=table, size=np.array(table.shape), shape=shape, first=grid.first, rows=len(values))
+        values=values, table=table, size=np.array(table.shape), shape=shape, first=grid.first, rows=len(values)
+    )
 
 
 def _occupancy(occupancy: Occupancy) -> structures.Occupancy:
     filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
     return structures.Occupancy(
-        filled=filled, size=np.array(filled.shape), first=np.float64(occupancy.first), scale=1.0 / occupancy.cell)
+        filled=filled, size=np.array(filled.shape), first=np.float64(occupancy.first), scale=1.0 / occupancy.cell
+    )
 
 
 def _sun_columns(depth: SunOpticalDepth, sigma_t: float) -> structures.SunColumns:

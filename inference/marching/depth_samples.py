@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Depths along camera rays at which multiple scattering is evaluated.
 
 Multiple scattering varies smoothly along a ray, and its integral over the ray's opacity is computed by Gauss-Legendre
@@ -24,14 +25,12 @@ LATTICE_NOISE = 0.5
 @functools.lru_cache(maxsize=256)
 def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Legendre nodes in (0, 1) and their weights, which sum to 1: float64 (count,) each."""
-    places, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 + 0.5 * places, 0.5 * weights
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def sample_counts(alpha: np.ndarray, most: int, adaptive: bool = True) -> np.ndarray:
-    """Number of depths int (R,) of each ray by its opacity: `most` for opaque rays, fewer for faint ones if
-    `adaptive`.
-    """
+    """Number of depths int (R,) of rays of opacity alpha (R,): `most`, or fewer for faint rays if `adaptive`."""
     if not adaptive:
         return np.where(alpha > 0.0, most, 0)
     counts = np.ceil(most * np.sqrt(alpha)).astype(int)
@@ -45,9 +44,7 @@ def possible_counts(most: int) -> list[int]:
     return [*range(1, min(most, COARSE_COUNT + 1)), *range(2 * COARSE_COUNT, most, COARSE_COUNT), most]
 
 
-def sample_opacities(
-    alpha: np.ndarray, most: int, adaptive: bool = True
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_opacities(alpha: np.ndarray, most: int, adaptive: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions of depth samples: ray int (M,), opacity between the ray's start and the sample (M,), and weight (M,).
 
     alpha: (R,), opacity of each ray, to which the weights of its samples sum. most, adaptive: as for `sample_counts`.
@@ -55,11 +52,11 @@ def sample_opacities(
     counts = sample_counts(alpha, most, adaptive)
     ray = np.repeat(np.arange(len(alpha)), counts)
     number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
-    places, weights = np.zeros((2, most + 1, most))
+    nodes, weights = np.zeros((2, most + 1, most))
     for count in np.unique(counts[counts > 0]):
-        places[count, :count], weights[count, :count] = gauss_legendre(count)
+        nodes[count, :count], weights[count, :count] = gauss_legendre(count)
     count = counts[ray]
-    return ray, places[count, number] * alpha[ray], weights[count, number] * alpha[ray]
+    return ray, nodes[count, number] * alpha[ray], weights[count, number] * alpha[ray]
 
 
 @dataclass
@@ -101,12 +98,12 @@ class DepthSamples:
         return along - np.floor(along) - 0.5
 
     def standard_error(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors of the sums over each sampled ray of weighted values (M,): the rays' pixels (S,), and errors
-        (S,).
+        """Standard errors of the sums over each sampled ray of weighted values: the rays' pixels (S,), and errors (S,).
 
-        Estimated from the upper quarter of the Legendre coefficients that the values at the nodes determine. A smooth
-        integrand leaves little in them; noise contributes as much to each as to the mean, apart from what cancels
-        because the jitter along a ray is a lattice. With one sample the error is taken to be the sum itself.
+        parts: (M,), weighted values. Estimated from the upper quarter of the Legendre coefficients that the values at
+        the nodes determine. A smooth integrand leaves little in them; noise contributes as much to each as to the mean,
+        apart from what cancels because the jitter along a ray is a lattice. With one sample the error is taken to be
+        the sum itself.
         """
         errors = np.zeros(len(self.starts))
         for count in np.unique(self.counts):

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Light that volumes emit, as it reaches the camera."""
-
 
 import functools
 from collections.abc import Sequence

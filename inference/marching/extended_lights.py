@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Lights with an angular extent, which one direction represents.
 
 A phase function may be much narrower than the angular extent of the light. Its mean over the light takes the place of
@@ -38,8 +39,12 @@ class ExtendedLights:
     """
 
     def __init__(
-        self, camera: Camera, suns: Sequence[Sun], phases: Sequence[Callable[[np.ndarray], np.ndarray]],
-        split_forward: bool = True, cancel: CancelToken = NEVER,
+        self,
+        camera: Camera,
+        suns: Sequence[Sun],
+        phases: Sequence[Callable[[np.ndarray], np.ndarray]],
+        split_forward: bool = True,
+        cancel: CancelToken = NEVER,
     ):
         width, height = camera.resolution
         self.step = max(width, height) / np.clip(np.ceil(widest_angle(camera) / KNOT_SPACING), 1, MAX_KNOTS)
@@ -47,8 +52,7 @@ class ExtendedLights:
         rows, columns = (self.step * np.arange(count) for count in self.count)
         x, y = (values.ravel() for values in np.meshgrid(columns, rows))
         _, directions, _ = image_rays(camera, x, y)
-        table = np.array(
-            [[_means(directions, sun, phase, split_forward, cancel) for sun in suns] for phase in phases])
+        table = np.array([[_means(directions, sun, phase, split_forward, cancel) for sun in suns] for phase in phases])
         #: float64 (rows, columns, V, L, 2)
         self.table = np.moveaxis(table, 2, 0).reshape(*self.count, len(phases), len(suns), 2)
 
@@ -70,13 +74,13 @@ class ExtendedLights:
 def equivalent_directions(
     camera: Camera, pixel: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
 ) -> np.ndarray:
-    """Camera rays equivalent_directions towards or away from the sun, such that the phase function takes its mean over
-    the sun's extent.
+    """Camera rays, rotated such that the phase function at one direction of light takes its mean over the sun's extent.
 
     A network that knows a single direction of light then predicts approximately the mean over the extent. The phase
-    function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power. pixel: int (N,) of
-    the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the plane of ray and
-    sun.
+    function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power.
+
+    pixel: int (N,) of the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the
+    plane of ray and sun.
     """
     g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     if abs(g) < MIN_ANISOTROPY:
@@ -93,11 +97,15 @@ def equivalent_directions(
 
 
 def _means(
-    directions: np.ndarray, sun: Sun, phase: Callable[[np.ndarray], np.ndarray], split_forward: bool,
+    directions: np.ndarray,
+    sun: Sun,
+    phase: Callable[[np.ndarray], np.ndarray],
+    split_forward: bool,
     cancel: CancelToken,
 ) -> np.ndarray:
-    """Means (P, 2) of a phase function over the sun's extent at unit directions (P, 3): without the light ahead, and of
-    it.
+    """Means (P, 2) of a phase function over the sun's extent: without the light from ahead, and of that light.
+
+    directions: unit (P, 3) of the camera rays.
     """
     assert sun.spread is not None
     towards, weights = sun.spread

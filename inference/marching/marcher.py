@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays marched by the compiled kernel where there is one, by numpy otherwise."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The medium along a camera ray as seen from points on it: optical depths, and the light ahead.
 
 Forward scattering brings light from ahead along the camera ray. Marching the ray for single scattering has already
@@ -9,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.exponential import one_minus_exp
 from .ray_steps import Blocks, sums_within
 
 # Scales of extinction for the light ahead: forward scattering reaches further than direct light.
@@ -51,8 +51,13 @@ class SampleSteps:
 
 
 def gather_ray_features(
-    blocks: Blocks, tau: np.ndarray, sun_depths: np.ndarray, source: np.ndarray, reduced_fractions: Sequence[float],
-    samples: SampleSteps, visibility: np.ndarray | None = None,
+    blocks: Blocks,
+    tau: np.ndarray,
+    sun_depths: np.ndarray,
+    source: np.ndarray,
+    reduced_fractions: Sequence[float],
+    samples: SampleSteps,
+    visibility: np.ndarray | None = None,
 ) -> RayFeatures:
     """Ray features of samples on marched rays.
 
@@ -63,22 +68,21 @@ def gather_ray_features(
     volumes, suns = sun_depths.shape[:2]
     block, step = samples.block, samples.step
     values = np.empty((len(block), volumes, suns, COLUMNS), np.float32)
-    inside = samples.inside.astype(tau.dtype)
+    # Integrals of light ahead are differences of large numbers on long rays.
+    tau, inside = tau.astype(np.float64), samples.inside
     for v in range(volumes):
         within = sums_within(tau[v])
-        before = blocks.before(within[:, -1]).astype(tau.dtype)[:, None] + (within - tau[v])
+        before = blocks.before(within[:, -1])[:, None] + (within - tau[v])
         rest = (1 - inside) * tau[v][block, step]
         # Samples lie where light reaches; the bound limits rounding in thick steps.
         at = np.clip(before[block, step] + tau[v][block, step] - rest, 0.0, 2.0 * REACH)
         # Light that each step absorbs, for each scaled extinction, as seen from the start of the ray.
-        ends = {a: np.exp(-a * before) * one_minus_exp(a * tau[v]) for a in {*SCALES, 1.0, reduced_fractions[v]}}
+        ends = {a: np.exp(-a * before) * -np.expm1(-a * tau[v]) for a in {*SCALES, 1.0, reduced_fractions[v]}}
         whole = blocks.sums(within[:, -1])
         ahead = np.minimum(whole[blocks.ray[block]] - at, MAX_TAU_AHEAD)
 
         def integral(a: float, light: np.ndarray) -> np.ndarray:
-            """(M,) integral of exp(-a tau) light a d(tau) ahead of the samples; light: (P, S), constant in each
-            step.
-            """
+            """Integral (M,) of exp(-a tau) light a d(tau) ahead of the samples; light: (P, S), of each step."""
             # Contributions of whole steps at the start of the ray, then suffix sums: within the block, and over later
             # blocks.
             given = light * ends[a]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Ray marching: transmittance, exact single scattering and depths to sample along camera rays.
 
 Within a step extinction is constant and the optical depth towards the sun linear, so that the integrals over a step are
@@ -150,7 +151,8 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
     single = _single(medium, sun_depths, transmitted, visibility)
     block, step, inside, weight = _sample_depths(
-        medium, alpha, options.depth_samples, "faint_rays" in options.optimizations)
+        medium, alpha, options.depth_samples, "faint_rays" in options.optimizations
+    )
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     features = None
@@ -159,7 +161,8 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         source = _scattered_source(options.fluence, rays, sigma, depths.shape[1], medium)
         samples = SampleSteps(block, step, inside)
         features = gather_ray_features(
-            blocks, sigma * dt, depths, source, _reduced_fractions(options.fluence), samples, visibility)
+            blocks, sigma * dt, depths, source, _reduced_fractions(options.fluence), samples, visibility
+        )
     return RaySegment(
         alpha,
         depth,
@@ -177,9 +180,7 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
 def ray_features_at(
     medium: BoundMedium, positions: np.ndarray, directions: np.ndarray, fluence: ScatteredFluence
 ) -> RayFeatures:
-    """Ray features at the start of rays from world positions (N, 3) along unit directions (N, 3), in one medium
-    alone.
-    """
+    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), in one medium alone."""
     _, far = medium.grid.interval(positions, directions)
     far = np.maximum(far, 1e-6 * medium.grid.voxel)
     rays = RayBatch(positions, directions, np.zeros(len(positions)), far)
@@ -192,15 +193,21 @@ def ray_features_at(
     source = _scattered_source([fluence], rays, marched.sigma, sun_depths.shape[1], marched)
     samples = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
     return gather_ray_features(
-        blocks, marched.sigma * marched.dt, sun_depths, source, _reduced_fractions([fluence]), samples)
+        blocks, marched.sigma * marched.dt, sun_depths, source, _reduced_fractions([fluence]), samples
+    )
 
 
 def _cut_into_steps(
-    media: Sequence[BoundMedium], rays: RayBatch, behind: float, always_first: bool = False, refine: bool = True,
+    media: Sequence[BoundMedium],
+    rays: RayBatch,
+    behind: float,
+    always_first: bool = False,
+    refine: bool = True,
     skip_empty: bool = True,
 ) -> _MarchedMedium:
-    """Cut rays into steps, refined where these are too thick, and sample the medium up to the optical depth
-    `behind`.
+    """Cut rays into steps, refined where these are too thick, and sample the medium on them.
+
+    behind: optical depth beyond which the medium is not sampled.
     """
     count = step_counts(media, rays)
     for _ in range(refinements(media) if refine else 0):
@@ -258,8 +265,9 @@ def _sample_depths(
 def _sun_depths(
     media: Sequence[BoundMedium], medium: _MarchedMedium, filled: np.ndarray, may_be_outside: bool = False
 ) -> np.ndarray:
-    """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps, (P,
-    STEPS).
+    """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps.
+
+    filled: bool (P, STEPS).
     """
     volumes, suns = len(media), len(media[0].sun_depths)
     ends = np.zeros((len(filled), STEPS + 1), bool)
@@ -277,7 +285,8 @@ def _sun_depths(
         position = medium.steps.index(v, ray, step)
         for l in range(suns):
             depths[v, l].reshape(-1)[edge] = bound.sun_optical_depth(
-                position, l, may_be_outside or volumes > 1, camera_depth)
+                position, l, may_be_outside or volumes > 1, camera_depth
+            )
     depths[:, :, joint, -1] = depths[:, :, joint + 1, 0]
     return depths
 
@@ -315,12 +324,12 @@ def _scattered_source(
         filled = np.flatnonzero(sigma[v])
         number = step.reshape(-1)[filled]
         ray_of = np.repeat(ray, STEPS)[filled]
-        places = frames.index(known, ray_of, number + np.float32(0.5))
+        indices = frames.index(known, ray_of, number + np.float32(0.5))
         # Jittered from step to step, so that neighbouring rays do not enter a cell at the same step, which would be
         # visible.
         jitter = number.astype(np.float32) * JITTER
-        places += jitter - np.floor(jitter) - np.float32(0.5)
-        cells, towards = one.cells(places), one.towards(rays.directions).take(ray_of, axis=0)
+        indices += jitter - np.floor(jitter) - np.float32(0.5)
+        cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
         for l, values in enumerate(one.lights):
             found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
             source[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0))

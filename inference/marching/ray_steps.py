@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays cut into steps, and the blocks of steps that may hold density.
 
 Most of the box around a cloud is empty. Steps are therefore stored in blocks, and only the blocks of a ray that lie
@@ -78,7 +79,8 @@ def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
     """Number of steps int (R,) per ray, as the medium that needs most requires."""
     crossed = [
         np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * (rays.far - rays.near)
-        for medium in media if medium.matters
+        for medium in media
+        if medium.matters
     ]
     return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)
 
@@ -105,9 +107,9 @@ class RaySteps:
         """
         along = step.astype(np.float32) * self.dt[ray].reshape(-1, *[1] * (step.ndim - 1))
         shape = (3, len(ray)) + (1,) * (step.ndim - 1)
-        places = along * self.slope[v].take(ray, axis=1).reshape(shape)
-        places += self.first[v].take(ray, axis=1).reshape(shape)
-        return places.reshape(3, -1)
+        indices = along * self.slope[v].take(ray, axis=1).reshape(shape)
+        indices += self.first[v].take(ray, axis=1).reshape(shape)
+        return indices.reshape(3, -1)
 
     def mean(
         self, sample: Callable[[np.ndarray], np.ndarray], v: int, ray: np.ndarray, number: np.ndarray
@@ -117,8 +119,8 @@ class RaySteps:
         sample: values (M,) at indices (3, M) into frame v. ray, number: (N,), of each block its ray and its place on
         it.
         """
-        places = (np.arange(STEPS * SAMPLES, dtype=np.float32) + np.float32(0.5)) / np.float32(SAMPLES)
-        values = sample(self.index(v, ray, (number * STEPS)[:, None] + places)).reshape(-1, STEPS, SAMPLES)
+        samples = (np.arange(STEPS * SAMPLES, dtype=np.float32) + np.float32(0.5)) / np.float32(SAMPLES)
+        values = sample(self.index(v, ray, (number * STEPS)[:, None] + samples)).reshape(-1, STEPS, SAMPLES)
         return product(values, np.full(SAMPLES, 1.0 / SAMPLES, np.float32))
 
 

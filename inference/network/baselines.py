@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Alternatives to a network: single scattering alone, and the multi-octave approximation.
 
 Both are a `System`, under names that no list of networks shows.
@@ -68,7 +69,11 @@ class SingleScattering:
     lattice_cells = 0
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """float32 (A, N) of zeros."""
@@ -87,7 +92,11 @@ class MultiOctave:
     lattice_cells = 0
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The conditions under which the multiple scattering of a volume is predicted."""
 
 from dataclasses import dataclass

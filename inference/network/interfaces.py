@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the renderer requires of a network, and of a system that takes its place."""
 
 from typing import Any, Protocol
@@ -72,7 +73,11 @@ class PreparedPrediction(Protocol):
         """Cells of the lookup lattices, for the report."""
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """Multiple-scattered radiance float32 (A, N) for a sun of irradiance 1, without the factor of the local albedo.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kind "lattice", which is RPNN, read a volume."""
 
 import threading
@@ -31,9 +32,7 @@ class LatticePredictor:
     needs_ray_features = False
     respects_surfaces = False
 
-    def __init__(
-        self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER
-    ):
+    def __init__(self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER):
         self.network = network
         self.density = refined_levels(density_pyramid(level0_density(volume, cube, cancel)))
         self._lock = threading.Lock()
@@ -67,7 +66,11 @@ class PreparedLattice:
     lattice_cells = 0
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPrediction; jitter: as for `read_lattices`. Ray features are not used."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Networks by name: their weights files, checksums and inference.
 
 Systems registered with `register_system` take the place of a network; `interfaces.System` says what they provide.
@@ -26,7 +27,10 @@ from .stencil_predictor import RayPredictor, StencilPredictor
 WEIGHTS = pathlib.Path(__file__).parent.parent / "weights"
 # What reads a volume for a network, by the kind that its weights file states.
 KINDS: dict[str, type[StencilPredictor] | type[LatticePredictor]] = {
-    "stencil": StencilPredictor, "ray": RayPredictor, "lattice": LatticePredictor}
+    "stencil": StencilPredictor,
+    "ray": RayPredictor,
+    "lattice": LatticePredictor,
+}
 
 # Points per call are padded to a multiple of this, which is a multiple of the vector width of any processor.
 POINT_MULTIPLE = 16
@@ -130,7 +134,7 @@ def load_network(name: str, provider: str = "CPU") -> System:
     available = ", ".join(available_models()) or "none"
     if name == "reference":
         raise SceneError(
-            "the path-traced reference is no part of the extension: in the project's repository import "
+            "the path-traced reference is not part of the extension: in the project's repository import "
             f"training.reference first; available here: {available}"
         )
     if name not in available_models():
@@ -144,8 +148,17 @@ def load_network(name: str, provider: str = "CPU") -> System:
         points = KINDS[kind].read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
         configuration = json.loads(metadata["configuration"])
         promised = metadata["points_sha256"]
-        network = Network(session, KINDS[kind], points, configuration, hashlib.sha256(content).hexdigest(), name,
-                          opened.provider, opened.warnings, opened.lock)
+        network = Network(
+            session,
+            KINDS[kind],
+            points,
+            configuration,
+            hashlib.sha256(content).hexdigest(),
+            name,
+            opened.provider,
+            opened.warnings,
+            opened.lock,
+        )
         for low, high in (network.anisotropy_range, network.sigma_hat_range, network.albedo_range):
             if not low <= high:
                 raise ValueError(f"its range from {low} to {high} is empty")
@@ -164,11 +177,13 @@ def _read_weights(name: str) -> bytes:
         content = (WEIGHTS / f"{name}.onnx").read_bytes()
         promised = (WEIGHTS / f"{name}.sha256").read_text().split()[0]
     except (OSError, IndexError, UnicodeDecodeError) as error:
-        raise SceneError(f"the weights of {name!r} or their checksum cannot be read ({error}); "
-                         "reinstall the extension") from None
+        raise SceneError(
+            f"the weights of {name!r} or their checksum cannot be read ({error}); reinstall the extension"
+        ) from None
     if hashlib.sha256(content).hexdigest() != promised:
-        raise SceneError(f"the weights of {name!r} cannot be read: they do not match their checksum; "
-                         "reinstall the extension")
+        raise SceneError(
+            f"the weights of {name!r} cannot be read: they do not match their checksum; reinstall the extension"
+        )
     # The key under which ONNX names a file with the values of a tensor.
     if b"location" in content:
         raise SceneError(f"the weights of {name!r} lie partly outside their file, which is refused")

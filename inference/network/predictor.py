@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
@@ -52,27 +53,31 @@ class VolumePredictor:
         self._lock = threading.Lock()
         self._last: tuple[tuple[Any, ...], PreparedPredictor] | None = None
 
-    def warnings(
-        self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS
-    ) -> list[str]:
-        """Properties of a medium and of occluders that the network does not support; name: of the volume, for
-        messages.
+    def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
+        """Properties of a medium and of occluders that the network does not support.
+
+        name: of the volume, for the messages.
         """
         found, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:
             found.append(f"{name}: the network {network.name} does not account for surfaces")
         if self.anisotropy != medium.anisotropy:
-            found.append(f"{name}: anisotropy {medium.anisotropy:g} is outside the network's range; "
-                         f"multiple scattering uses {self.anisotropy:g}")
+            found.append(
+                f"{name}: anisotropy {medium.anisotropy:g} is outside the network's range; "
+                f"multiple scattering uses {self.anisotropy:g}"
+            )
         for albedo, _ in distinct_albedos(medium, [0, 1, 2]):
             used = float(np.clip(albedo, *network.albedo_range))
             if used != albedo:
-                found.append(f"{name}: albedo {albedo:g} is outside the network's range; "
-                             f"multiple scattering uses {used:g}")
+                found.append(
+                    f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}"
+                )
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
-            found.append(f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
-                         "multiple scattering is less accurate")
+            found.append(
+                f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
+                "multiple scattering is less accurate"
+            )
         return found
 
     def peak_sigma_hat(self, sigma_t: float) -> float:
@@ -92,7 +97,11 @@ class VolumePredictor:
         return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
 
     def prepare(
-        self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders = NO_OCCLUDERS,
+        self,
+        sigma_t: float,
+        direction: np.ndarray,
+        bounds: Bounds,
+        occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> "PreparedPredictor":
         """What predicts for one extinction and sun.
@@ -108,12 +117,16 @@ class VolumePredictor:
             prepared = self._predictor.prepare(self._conditions(sigma_t, direction, bounds, occluders), tasks)
             peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
             found = PreparedPredictor(
-                prepared, self.cube, self.network.albedo_range, self._used(sigma_t), np.float32(MAX_FLUENCE * peak))
+                prepared, self.cube, self.network.albedo_range, self._used(sigma_t), np.float32(MAX_FLUENCE * peak)
+            )
             self._last = key, found
             return found
 
     def fluence(
-        self, sigma_t: float, directions: Sequence[np.ndarray], occluders: Occluders = NO_OCCLUDERS,
+        self,
+        sigma_t: float,
+        directions: Sequence[np.ndarray],
+        occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence | None:
         """Scattered light of suns for lookups along camera rays; directions: (3,) each, in the world.
@@ -122,11 +135,10 @@ class VolumePredictor:
         """
         anywhere = np.full(3, -0.5), np.full(3, 0.5)
         return self._predictor.fluence(
-            [self._conditions(sigma_t, direction, anywhere, occluders) for direction in directions], tasks)
+            [self._conditions(sigma_t, direction, anywhere, occluders) for direction in directions], tasks
+        )
 
-    def _conditions(
-        self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders
-    ) -> Conditions:
+    def _conditions(self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
         sun = self.cube.directions(direction)
         if not occluders:
@@ -162,7 +174,11 @@ class PreparedPredictor:
         return self.prediction.lattice_cells
 
     def predict(
-        self, positions: np.ndarray, directions: np.ndarray, albedos: Sequence[float], jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """Radiance float32 (A, N) at world positions (N, 3) for camera rays along directions (N, 3).
@@ -175,7 +191,8 @@ class PreparedPredictor:
             # Outside the network's range the features belong to the optical thickness used: depths are proportional to
             # it, and so is the little light that a thin medium scatters.
             ray_features = np.concatenate(
-                [ray_features[:, :2] * self.used, ray_features[:, 2:] * max(self.used, 1.0)], axis=1)
+                [ray_features[:, :2] * self.used, ray_features[:, 2:] * max(self.used, 1.0)], axis=1
+            )
         scale = np.float32(min(1.0 / self.used, 1.0))
         radiance = self.prediction.predict(x, omega, np.clip(albedos, *self.albedo_range), jitter, ray_features)
         return np.minimum(radiance, self.most) * scale
@@ -212,7 +229,8 @@ def predict_multiple(
             if fluence is not None:
                 features = ray_features_at(bound, positions[span], directions[span], fluence).of(slice(None), 0, 0)
             radiance = prepared.predict(
-                positions[span], directions[span], [albedo for albedo, _ in albedos], ray_features=features)
+                positions[span], directions[span], [albedo for albedo, _ in albedos], ray_features=features
+            )
             for (_, channels), row in zip(albedos, radiance):
                 for c in channels:
                     result[span, c] = row * sun.irradiance[c]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """onnxruntime's execution providers: which one the user wants, and whether it is available and accurate."""
 
 import contextlib
@@ -37,10 +38,10 @@ class OpenedSession:
 
 
 def open_session(content: bytes, provider: str) -> OpenedSession:
-    """Open the network in an ONNX file's `content` with `provider`, or on the processor if that is unavailable or
-    inaccurate.
+    """Open the network in an ONNX file's `content` with a provider.
 
-    Raises SceneError for an unknown provider and if onnxruntime is missing, and onnxruntime's own errors.
+    The processor takes the place of a provider that is unavailable or inaccurate. Raises SceneError for an unknown
+    provider and if onnxruntime is missing, and onnxruntime's own errors.
     """
     if provider not in PROVIDERS:
         raise SceneError(f"there is no provider called {provider!r}; there are: {', '.join(PROVIDERS)}")
@@ -57,8 +58,11 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
     else:
         try:
             session = _session(onnxruntime, content, provider)
-            problem = _difference(session, processor) if session.get_providers()[0] == wanted else \
-                f"onnxruntime cannot start {wanted} here, whose libraries or device are missing"
+            problem = (
+                _difference(session, processor)
+                if session.get_providers()[0] == wanted
+                else f"onnxruntime cannot start {wanted} here, whose libraries or device are missing"
+            )
         except Exception as error:  # onnxruntime raises types of its own, and so do drivers
             problem = f"{wanted} cannot run it ({error})"
     if not problem:
@@ -75,8 +79,9 @@ def _session(onnxruntime: Any, content: bytes, provider: str) -> Any:
     options.log_severity_level = 3
     # DirectML does not support memory patterns.
     options.enable_mem_pattern = provider != "DIRECTML"
-    return onnxruntime.InferenceSession(content, options, providers=list(dict.fromkeys(
-        [PROVIDERS[provider], PROVIDERS["CPU"]])))
+    return onnxruntime.InferenceSession(
+        content, options, providers=list(dict.fromkeys([PROVIDERS[provider], PROVIDERS["CPU"]]))
+    )
 
 
 def _difference(session: Any, processor: Any) -> str:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
@@ -41,9 +42,7 @@ class StencilPredictor:
     needs_ray_features = False
     respects_surfaces = True
 
-    def __init__(
-        self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER
-    ):
+    def __init__(self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
         self._lock = threading.Lock()
         self._lattices: tuple[tuple[float, ...], Lattices] | None = None
@@ -72,7 +71,8 @@ class StencilPredictor:
             # Released before building new ones.
             self._lattices = None
             lattices = build_lattices(
-                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier)
+                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier
+            )
             self._lattices = conditions.bounds_key, lattices
         lookup = FieldLookup(stencil, lattices, conditions.sun)
         return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
@@ -88,7 +88,11 @@ class PreparedStencil:
     anisotropy: float
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPrediction; jitter: as for FieldLookup. Ray features are not used."""
@@ -128,7 +132,8 @@ class RayPredictor(StencilPredictor):
             if self._lattices is None or self._lattices[0] != conditions.bounds_key:
                 self._lattices = None
                 lattices = build_lattices(
-                    self.padded, conditions.sigma_hat, stencil, bounds=conditions.bounds, mapper=tasks.each)
+                    self.padded, conditions.sigma_hat, stencil, bounds=conditions.bounds, mapper=tasks.each
+                )
                 self._lattices = conditions.bounds_key, lattices
             lattices = self._lattices[1]
             cells = self._solve(conditions, tasks.cancel).astype(np.float32)
@@ -169,7 +174,11 @@ class PreparedRays:
     anisotropy: float
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, albedos: np.ndarray, jitter: np.ndarray | None = None,
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPrediction. Raises ValueError without ray features."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """1 - exp(-x) in single precision."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Trilinear interpolation of a grid that is 0 outside."""
 
 import numpy as np

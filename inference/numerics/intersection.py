@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Intersection of rays with boxes."""
 
 import numpy as np

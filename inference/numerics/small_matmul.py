@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Matrix products on the calling thread.
 
 BLAS libraries share large products among threads of their own, which then spin while they wait for the next product:

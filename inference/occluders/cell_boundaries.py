@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque surfaces on the coarse cells of the scattered light."""
 
 import numpy as np
@@ -62,7 +63,8 @@ class CellBoundaries:
         through a face of the cube at the same distance.
         """
         below, above, facing = (
-            np.moveaxis(values[axis], axis, 0)[:-1] for values in (self.below, self.above, self.facing))
+            np.moveaxis(values[axis], axis, 0)[:-1] for values in (self.below, self.above, self.facing)
+        )
         coupling[:-1][facing > 0.0] = 0.0
         total[:-1] += 0.5 * h * facing / (1.0 + below * h / (2.0 * diffusion[:-1]))
         total[1:] += 0.5 * h * facing / (1.0 + above * h / (2.0 * diffusion[1:]))

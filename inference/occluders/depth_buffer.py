@@ -1,9 +1,9 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Where opaque surfaces end camera rays.
 
 Triangles are rasterized at several sample points per pixel; the nearest wins. A pixel crossed by the edge of a surface
 is rendered as several rays, one for each distance at which parts of it end.
 """
-
 
 from collections.abc import Sequence
 
@@ -54,15 +54,16 @@ class DepthBuffer:
         else:
             value = -1.0 / corners[..., 2]
             plane = corners[..., :2] * value[..., None] / self.extent
-        place = np.stack([(plane[..., 0] - camera.shift[0] + 0.5) * width,
-                          0.5 * height - (plane[..., 1] - camera.shift[1]) * width], axis=-1)
+        place = np.stack(
+            [(plane[..., 0] - camera.shift[0] + 0.5) * width, 0.5 * height - (plane[..., 1] - camera.shift[1]) * width],
+            axis=-1,
+        )
         return place, value
 
     def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
-        """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row; infinity without a
-        surface.
+        """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row.
 
-        Raises Cancelled.
+        Infinity where there is no surface. Raises Cancelled.
         """
         x0, y0, x1, y1 = window
         size = np.array([x1 - x0, y1 - y0]) * SAMPLES

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque surfaces as occluders of the light in volumes."""
 
 import functools
@@ -67,16 +68,26 @@ def find_occluders(
     # Only surfaces within the bounds of the volumes: light that has left these does not come back.
     low, high = corners.min(axis=0), corners.max(axis=0)
     ends = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)]
-    ends = [triangles for triangles in ends
-            if np.all(triangles.min(axis=(0, 1)) < high) and np.all(triangles.max(axis=(0, 1)) > low)]
+    ends = [
+        triangles
+        for triangles in ends
+        if np.all(triangles.min(axis=(0, 1)) < high) and np.all(triangles.max(axis=(0, 1)) > low)
+    ]
     return Occluders(
-        list(directions), maps or None, np.concatenate(ends) if ends else np.zeros((0, 3, 3)),
-        [surface.triangles for surface in shading] if maps else []), visible
+        list(directions),
+        maps or None,
+        np.concatenate(ends) if ends else np.zeros((0, 3, 3)),
+        [surface.triangles for surface in shading] if maps else [],
+    ), visible
 
 
 def select_suns(occluders: Occluders, numbers: Sequence[int], corners: np.ndarray) -> Occluders:
     """Occluders for some of the suns, by number; corners as for `find_occluders`."""
     maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
     shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)
-    return Occluders([occluders.directions[n] for n in numbers], maps if shaded else None, occluders.triangles,
-                     occluders.shading if shaded else [])
+    return Occluders(
+        [occluders.directions[n] for n in numbers],
+        maps if shaded else None,
+        occluders.triangles,
+        occluders.shading if shaded else [],
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rasterization of triangles onto a regular grid of sample points."""
 
 from collections.abc import Iterator
@@ -31,8 +32,9 @@ def rasterize(
         done = ends[start - 1] if start else 0
         end = max(int(np.searchsorted(ends, done + PAIRS_PER_BATCH, side="right")), start + 1)
         triangle = np.repeat(some[start:end], counts[some[start:end]])
-        number = np.arange(len(triangle)) - np.repeat(ends[start:end] - counts[some[start:end]] - done,
-                                                      counts[some[start:end]])
+        number = np.arange(len(triangle)) - np.repeat(
+            ends[start:end] - counts[some[start:end]] - done, counts[some[start:end]]
+        )
         row, column = np.divmod(number, spans[triangle, 0])
         at = np.stack([column, row], axis=1) + first[triangle]
         edges = []
@@ -43,6 +45,9 @@ def rasterize(
         weights = np.stack(edges, axis=1)
         area = weights.sum(axis=1)
         hit = (area != 0.0) & (np.all(weights >= 0.0, axis=1) | np.all(weights <= 0.0, axis=1))
-        yield (at[hit, 1] * size[0] + at[hit, 0],
-               (weights[hit] * value[triangle[hit]]).sum(axis=1) / area[hit], triangle[hit])
+        yield (
+            at[hit, 1] * size[0] + at[hit, 0],
+            (weights[hit] * value[triangle[hit]]).sum(axis=1) / area[hit],
+            triangle[hit],
+        )
         start = end

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Which parts of volumes surfaces shadow from a sun."""
 
 import copy

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated peak memory of a render, on top of its input."""
-
 
 import numpy as np
 

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Overlapping volumes, which the network treats as one medium."""
-
 
 import numpy as np
 
@@ -27,8 +27,9 @@ def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int,
         edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
         if a is not b and edge <= MAX_EXTENT_RATIO * extent[joined].min():
             groups = sorted([group for group in groups if group is not a and group is not b] + [joined])
-    apart = [(first, second) for first, second in pairs
-             if not any(first in group and second in group for group in groups)]
+    apart = [
+        (first, second) for first, second in pairs if not any(first in group and second in group for group in groups)
+    ]
     return groups, apart
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene needs, decided from its description alone."""
 
 from collections.abc import Sequence
@@ -76,11 +77,13 @@ class Plan:
         """Whether multiple scattering is predicted in a group, in some colour channels."""
         return self.multiple[group] and any(
             channels.sigma_t[v] > 0.0 and distinct_albedos(self.volumes[v][1], channels.indices, self.optimizations)
-            for v in self.groups[group])
+            for v in self.groups[group]
+        )
 
     def in_small_tiles(self, camera: Camera) -> "Plan":
-        """The plan for a network whose lookup lattices serve every sun: small tiles then show results early at no
-        cost.
+        """The plan in smaller tiles, for networks whose lookup lattices serve every sun.
+
+        Small tiles show results early, and cost such networks nothing.
         """
         x0, y0, x1, y1 = camera.window
         tiles = make_tiles(y0, y1, small_tile_rows(x1 - x0, y1 - y0))
@@ -91,8 +94,9 @@ class Plan:
         # One sun remains even if all are dark; its single scattering is 0.
         suns = [self.suns[n] for n in numbers] or self.suns[:1]
         dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
-        return replace(self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple],
-                       left_out=[*self.left_out, dark])
+        return replace(
+            self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple], left_out=[*self.left_out, dark]
+        )
 
 
 def distinct_albedos(
@@ -164,8 +168,9 @@ def attenuates(volume: Volume, medium: Medium) -> bool:
 
 
 def make_tiles(y0: int, y1: int, rows: int) -> list[tuple[int, int]]:
-    """Rows of pixels from y0 to y1 in tiles of approximately `rows`, each made of whole bands: first and end of
-    each.
+    """Rows of pixels from y0 to y1 in tiles of approximately `rows`: first and end of each.
+
+    Tiles consist of whole bands.
     """
     size = max(rows // BAND, 1) * BAND
     starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
@@ -221,8 +226,19 @@ def make_plan(
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
-    return Plan(rendered, merged, channels, groups, multiple, scattered_emission, planned, left_out,
-                settings.leave_out, needed, tiles)
+    return Plan(
+        rendered,
+        merged,
+        channels,
+        groups,
+        multiple,
+        scattered_emission,
+        planned,
+        left_out,
+        settings.leave_out,
+        needed,
+        tiles,
+    )
 
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
@@ -261,7 +277,8 @@ def _plan_group(
     names = " and ".join(volume.name for volume, _ in members)
     scatters = any(
         attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
-        for volume, medium in members)
+        for volume, medium in members
+    )
     predicted = settings.multiple and scatters and has_sun
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:

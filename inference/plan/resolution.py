@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Resolutions that the plan decides on and later stages build to."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated time that the optimizations saved, from what the rest of the render took."""
 
 from ..runtime.report import Report
@@ -6,10 +7,9 @@ from .plan import Plan
 
 
 def estimated_savings(report: Report, plan: Plan, settings: Settings) -> dict[str, float]:
-    """Approximate wall-clock seconds saved by each of `plan.optimizations` about which the report's counts and times
-    tell.
+    """Approximate wall-clock seconds saved by each of `plan.optimizations`.
 
-    Savings below a hundredth of a second are left out.
+    Leaves out those about which the report tells nothing, and savings below a hundredth of a second.
     """
 
     def count(name: str) -> int:

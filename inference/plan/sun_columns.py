@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Columns along a sun's rays through a grid, and how many of them a sparse grid stores."""
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,8 @@ class Shear:
         ends = [sorted(slope * self.number(index) for index in (0, count - 1)) for slope in self.slopes]
         self.first = [int(np.floor(-last)) - BEFORE for _, last in ends]
         self.size = [
-            shape[axis] + int(np.ceil(last - first)) + MORE + 3 for axis, (first, last) in zip(self.others, ends)]
+            shape[axis] + int(np.ceil(last - first)) + MORE + 3 for axis, (first, last) in zip(self.others, ends)
+        ]
 
     def towards_sun(self, first: int, end: int) -> range:
         """Slices from first to before end, in the order in which the sun's light passes them."""
@@ -73,8 +75,9 @@ class TilePlan:
         return found
 
     def rows(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield rows of blocks from the sun on: number, bool (tiles, tiles) that it changes, and that it leaves for
-        good.
+        """Yield rows of blocks from the sun on: number, and bool (tiles, tiles) that it changes and that it leaves.
+
+        A row leaves the tiles that the previous row changed and it does not.
         """
         before = np.zeros(self.shape, bool)
         for slab in self.shear.towards_sun(0, len(self.slabs)):
@@ -83,7 +86,8 @@ class TilePlan:
             places = {
                 (tile_b + i, tile_c + j)
                 for (tile_b, in_b, _), (tile_c, in_c, _) in map(self.place, range(EDGE * slab, EDGE * (slab + 1)))
-                for i in range(reached(in_b)) for j in range(reached(in_c))
+                for i in range(reached(in_b))
+                for j in range(reached(in_c))
             }
             for tile_b, tile_c in places:
                 touched[b + tile_b, c + tile_c] = True

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cooperative cancellation: long work polls the caller's callback several times a second."""
 
 import contextlib

@@ -1,10 +1,10 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Progress in time rather than in steps, from the rates measured on this machine.
 
-A render states how much of each stage it expects (marched steps, network points, ...) and how much is done. The time left
-is the rest of each stage at that stage's own rate: seconds per unit so far in this render, or before that the rate of the
-last render of this process. The fraction reported is elapsed / (elapsed + left), so that elapsed / fraction - elapsed is
-the time left.
-"""
+A render states how much of each stage it expects (marched steps, network points, ...) and how much is done. The time
+left is the rest of each stage at that stage's own rate: seconds per unit so far in this render, or before that the rate
+of the last render of this process. The fraction reported is elapsed / (elapsed + left), so that elapsed / fraction -
+elapsed is the time left."""
 
 import contextlib
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a render did: its plan, counters, seconds per stage and memory."""
 
 import contextlib
@@ -13,7 +14,8 @@ class Report:
     """Statistics of a render, filled while it runs.
 
     model, checksum: name of the network and SHA-256 of its weights. provider: onnxruntime execution provider that ran
-    it. kernels: kind of processor that the compiled kernels use, or numpy where there are none. threads: worker threads. planned, left_out: sentences about what the render does, and about what it skips.
+    it. kernels: kind of processor that the compiled kernels use, or numpy where there are none. threads: worker
+    threads. planned, left_out: sentences about what the render does, and about what it skips.
     warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
     saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
     stages overlap on several threads, so "total" is measured separately. cpu_seconds: processor time of all threads of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays through pixel centres, and the pixels that can show a part of the world."""
 
 import numpy as np
@@ -40,8 +41,9 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     elif camera.projection == "equirectangular":
         longitude = _lerp(camera.longitude, x / width)
         latitude = _lerp(camera.latitude, 1.0 - y / height)
-        local = np.stack([np.cos(latitude) * np.sin(longitude), np.sin(latitude),
-                          -np.cos(latitude) * np.cos(longitude)], axis=1)
+        local = np.stack(
+            [np.cos(latitude) * np.sin(longitude), np.sin(latitude), -np.cos(latitude) * np.cos(longitude)], axis=1
+        )
         directions = product(local, rotation.T)
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = np.ones_like(u)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Description of a scene: volumes, media, lights and surfaces.
 
 Lengths are in world units, extinction in 1/world unit, irradiance in W/m^2, radiance in W/(m^2 sr). Arrays are float32
@@ -15,9 +16,9 @@ from .sparse_grid import SparseGrid
 from .validation import affine_matrix, rgb_triple
 
 # The limit that Cycles has: the phase function degenerates at -1 and 1.
-ANISOTROPY_MOST = 0.999
+MAX_ANISOTROPY = 0.999
 # Brighter light overflows single precision where the phase function peaks.
-IRRADIANCE_MOST = 1e30
+MAX_IRRADIANCE = 1e30
 
 
 @dataclass
@@ -71,9 +72,12 @@ class Volume:
         """Whether two volumes hold equal density and emission at the same place, whatever their names."""
         mine: list[np.ndarray | SparseGrid] = [self.density, *self.emission_channels()]
         theirs: list[np.ndarray | SparseGrid] = [other.density, *other.emission_channels()]
-        return (np.array_equal(self.world_from_index, other.world_from_index)
-                and self.emission_power == other.emission_power and len(mine) == len(theirs)
-                and all(map(_same_grid, mine, theirs)))
+        return (
+            np.array_equal(self.world_from_index, other.world_from_index)
+            and self.emission_power == other.emission_power
+            and len(mine) == len(theirs)
+            and all(map(_same_grid, mine, theirs))
+        )
 
     def emission_channels(self) -> list[np.ndarray] | list[SparseGrid]:
         """The emission per colour channel: three grids of the density's kind, or none."""
@@ -118,16 +122,21 @@ class Medium:
             raise SceneError(f"extinction must not be negative: {self.sigma_t.tolist()}")
         if np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0):
             raise SceneError(f"albedo must lie in [0, 1]: {self.albedo.tolist()}")
-        if not abs(self.anisotropy) <= ANISOTROPY_MOST:
-            raise SceneError(f"anisotropy must lie between -{ANISOTROPY_MOST} and {ANISOTROPY_MOST}, "
-                             f"not {self.anisotropy:g}")
+        if not abs(self.anisotropy) <= MAX_ANISOTROPY:
+            raise SceneError(
+                f"anisotropy must lie between -{MAX_ANISOTROPY} and {MAX_ANISOTROPY}, not {self.anisotropy:g}"
+            )
         if not 0.0 <= self.emission < np.inf:
             raise SceneError(f"emission must be finite and not negative, not {self.emission:g}")
 
     def same_coefficients(self, other: "Medium") -> bool:
         """Whether extinction, albedo, anisotropy and emission are equal, whatever the phase functions."""
-        return (np.array_equal(self.sigma_t, other.sigma_t) and np.array_equal(self.albedo, other.albedo)
-                and self.anisotropy == other.anisotropy and self.emission == other.emission)
+        return (
+            np.array_equal(self.sigma_t, other.sigma_t)
+            and np.array_equal(self.albedo, other.albedo)
+            and self.anisotropy == other.anisotropy
+            and self.emission == other.emission
+        )
 
     def scattered(self, cosine: Any) -> Any:
         """Phase function of single scattering, 1/sr, at cosines between the directions before and after it."""
@@ -159,8 +168,8 @@ class Sun:
             raise SceneError(f"{self.name}: direction must be three finite numbers, not all zero")
         self.direction = direction / length
         self.irradiance = rgb_triple(self.irradiance, f"{self.name}: irradiance")
-        if np.any(self.irradiance < 0.0) or np.any(self.irradiance > IRRADIANCE_MOST):
-            raise SceneError(f"{self.name}: irradiance must not be negative or above {IRRADIANCE_MOST:g}")
+        if np.any(self.irradiance < 0.0) or np.any(self.irradiance > MAX_IRRADIANCE):
+            raise SceneError(f"{self.name}: irradiance must not be negative or above {MAX_IRRADIANCE:g}")
 
 
 @dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optimizations: what a render skips because it hardly changes the picture. Each can be turned off."""
 
 from dataclasses import dataclass
@@ -22,27 +23,27 @@ class Optimization:
 ROUNDING = 1e-4
 
 OPTIMIZATIONS = {
-    "missed_pixels": Optimization(
-        "Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
-    "empty_space": Optimization(
-        "Skip Empty Space", "Camera rays skip space without density", ROUNDING),
-    "behind_opaque": Optimization(
-        "Early Ray Termination", "Camera rays end where volumes have become opaque", 1e-3),
+    "missed_pixels": Optimization("Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
+    "empty_space": Optimization("Skip Empty Space", "Camera rays skip space without density", ROUNDING),
+    "behind_opaque": Optimization("Early Ray Termination", "Camera rays end where volumes have become opaque", 1e-3),
     "needless_suns": Optimization(
-        "Merge and Cull Suns",
-        "Suns without light, or shadowed by meshes, are skipped, and parallel ones merged", 5e-3),
+        "Merge and Cull Suns", "Suns without light, or shadowed by meshes, are skipped, and parallel ones merged", 5e-3
+    ),
     "equal_channels": Optimization(
-        "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING),
+        "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
+    ),
     "equal_albedos": Optimization(
-        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none",
-        ROUNDING),
+        "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING
+    ),
     "unread_fields": Optimization(
-        "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING),
+        "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING
+    ),
     "unchanged": Optimization(
-        "Reuse Between Frames", "Viewport and animations reuse volumes, shadows and lookup grids", ROUNDING),
-    "faint_rays": Optimization(
-        "Adaptive Depth Samples", "Fewer depth samples where volumes are faint", 0.02),
+        "Reuse Between Frames", "Viewport and animations reuse volumes, shadows and lookup grids", ROUNDING
+    ),
+    "faint_rays": Optimization("Adaptive Depth Samples", "Fewer depth samples where volumes are faint", 0.02),
     "shared_pixels": Optimization(
-        "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbours agree", 0.02),
+        "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbours agree", 0.02
+    ),
 }
 ALL = frozenset(OPTIMIZATIONS)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Phase functions of single scattering: Henyey-Greenstein and others, and mixtures of them."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A grid that stores only the blocks of voxels that are not empty."""
 
 import functools
@@ -95,8 +96,13 @@ class SparseGrid:
 
     def equals(self, other: object) -> bool:
         """Whether the other is a SparseGrid with the same blocks and values."""
-        return (isinstance(other, SparseGrid) and self.shape == other.shape and np.array_equal(self.first, other.first)
-                and np.array_equal(self.table, other.table) and np.array_equal(self.values, other.values))
+        return (
+            isinstance(other, SparseGrid)
+            and self.shape == other.shape
+            and np.array_equal(self.first, other.first)
+            and np.array_equal(self.table, other.table)
+            and np.array_equal(self.values, other.values)
+        )
 
     def crop(self, low: ArrayLike, high: ArrayLike) -> "SparseGrid":
         """Voxels from low (3,) to before high (3,), outside which all must be 0; shares the values."""

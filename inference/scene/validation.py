@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Validation shared by the descriptions of a scene."""
 
 import numpy as np

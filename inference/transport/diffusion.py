@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The diffusion equation on cells, -div(D grad phi) = source, which light obeys far from where it enters.
 
 At the outer faces light leaves and none enters (Marshak's boundary condition).
@@ -12,9 +13,7 @@ THIN = 2.0
 TOLERANCE, MAX_ITERATIONS = 1e-3, 400
 
 
-def couple(
-    diffusion: np.ndarray, h: float, boundaries: CellBoundaries | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def couple(diffusion: np.ndarray, h: float, boundaries: CellBoundaries | None = None) -> tuple[np.ndarray, np.ndarray]:
     """The operator -div(D grad phi) on cells of edge h, times h^2: diagonal (x, y, z) and couplings (3, x, y, z).
 
     diffusion: D of each cell, float64. boundaries: surfaces at which light ends as at the outer faces, or None.
@@ -46,7 +45,10 @@ def _apply(diagonal: np.ndarray, couplings: np.ndarray, x: np.ndarray) -> np.nda
 
 
 def solve(
-    equation: tuple[np.ndarray, np.ndarray], source: np.ndarray, least: float = 0.0, tolerance: float = TOLERANCE,
+    equation: tuple[np.ndarray, np.ndarray],
+    source: np.ndarray,
+    least: float = 0.0,
+    tolerance: float = TOLERANCE,
     iterations: int = MAX_ITERATIONS,
 ) -> np.ndarray:
     """Solve the equation by conjugate gradients with the diagonal as preconditioner.

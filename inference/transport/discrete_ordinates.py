@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Multiple scattering on coarse cells by discrete ordinates: what light does far from where it enters.
 
 Radiance travels between neighbouring cells of the working cube along 26 directions, with the weights of Lebedev's
@@ -108,12 +109,15 @@ class DiscreteOrdinates:
         def main_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
             return np.ascontiguousarray(np.moveaxis(values, axis, 0))
 
-        return [[(main_axis_first(transmitted, axis), main_axis_first(mean, axis))
-                 for transmitted, mean in kinds[: 3 - axis]] for axis in range(3)]
+        return [
+            [
+                (main_axis_first(transmitted, axis), main_axis_first(mean, axis))
+                for transmitted, mean in kinds[: 3 - axis]
+            ]
+            for axis in range(3)
+        ]
 
-    def light(
-        self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER
-    ) -> np.ndarray:
+    def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
 
         sun: (3,) unit vector in the cube's frame. visibility: (x, y, z), fraction of its light that surfaces let
@@ -127,8 +131,11 @@ class DiscreteOrdinates:
         beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * one_minus_exp(across) / across
         phases = [self._phases(steps, sun) for steps in STEPS]
         # The quadrature of the phase function need not be exactly 1.
-        total = 4.0 * np.pi * sum(
-            (_solid_angles(steps) * phase).sum() for steps, pair in zip(STEPS, phases) for phase in pair)
+        total = (
+            4.0
+            * np.pi
+            * sum((_solid_angles(steps) * phase).sum() for steps, pair in zip(STEPS, phases) for phase in pair)
+        )
         field = np.zeros((5, n, n, n), np.float32)
         field[4] = beam
         sweeps = SWEEPS
@@ -166,9 +173,7 @@ class DiscreteOrdinates:
         self._limit_flux(field)
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
-        """Values on cells half as large, interpolated between the centres of the large ones, but not across
-        surfaces.
-        """
+        """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
         return _interpolated(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
     def _limit_flux(self, field: np.ndarray) -> None:
@@ -177,8 +182,9 @@ class DiscreteOrdinates:
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
     def _sweep(self, field: np.ndarray, phases: list[Phases], total: float, cancel: CancelToken) -> np.ndarray:
-        """Fluence and flux (4, x, y, z) of the light emitted by the sources of a field (5, x, y, z): phi, F and
-        beam.
+        """Fluence and flux (4, x, y, z) of the light that the sources of a field (5, x, y, z) emit.
+
+        The field holds phi, F and the beam.
         """
         swept = np.zeros((4, *field.shape[1:]), np.float32)
         for axis, steps in enumerate(STEPS):
@@ -192,11 +198,17 @@ class DiscreteOrdinates:
         return swept
 
     def _follow_steps(
-        self, axis: int, steps: np.ndarray, phase: np.ndarray, sources: np.ndarray, sums: np.ndarray,
+        self,
+        axis: int,
+        steps: np.ndarray,
+        phase: np.ndarray,
+        sources: np.ndarray,
+        sums: np.ndarray,
         links: np.ndarray | None,
     ) -> None:
-        """Add fluence and flux (slices, 4, b, c) of light along steps (D, 3), all to one side along an axis, to
-        `sums`.
+        """Add fluence and flux of light along steps (D, 3) to `sums` (slices, 4, b, c).
+
+        All steps lead to one side along an axis.
         """
         n, count = len(sources), len(steps)
         kinds = np.abs(steps).sum(axis=1)

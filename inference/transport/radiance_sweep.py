@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Emitted and attenuated light on coarse cells, swept along directions all over the sphere."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Light that volumes emit and scatter.
 
 Radiance is swept along directions over coarse cells, with scattering reduced to sigma_s' = sigma_s (1 - G), as if it
@@ -12,7 +13,6 @@ and the flux J of the radiance are stored, and a point scatters towards the came
 
     albedo / (4 pi) (phi - 3 G J . omega).
 """
-
 
 import functools
 from collections.abc import Sequence
@@ -67,11 +67,16 @@ class ScatteredEmission:
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(
-                        grid, functools.partial(grid.sample_emission, c), frame, shape, cancel)
+                        grid, functools.partial(grid.sample_emission, c), frame, shape, cancel
+                    )
             self.fields.append(self._field(solved, np.maximum(extinction - scattering, 0.0), reduced, emission, cancel))
 
     def _field(
-        self, solved: list[Solved], absorption: np.ndarray, reduced: np.ndarray, emission: np.ndarray,
+        self,
+        solved: list[Solved],
+        absorption: np.ndarray,
+        reduced: np.ndarray,
+        emission: np.ndarray,
         cancel: CancelToken,
     ) -> np.ndarray | None:
         """Fluence and flux, (4, ...) padded for `sample_padded`, or None where nothing is emitted or scattered.
@@ -123,8 +128,10 @@ class ScatteredEmission:
         """Limits of accuracy that the medium exceeds; name: of the volumes, for messages."""
         if self.thickest < THICK:
             return []
-        return [f"{name}: the light that it emits and scatters is less accurate in a medium as dense as this, with an "
-                f"optical thickness of {self.thickest:.2g} in a {CELLS}th of its size"]
+        return [
+            f"{name}: the light that it emits and scatters is less accurate in a medium as dense as this, with an "
+            f"optical thickness of {self.thickest:.2g} in a {CELLS}th of its size"
+        ]
 
     def scattered(self, c: int, positions: np.ndarray, directions: np.ndarray, anisotropy: float) -> np.ndarray:
         """Radiance (N,) in channel c that an albedo of 1 scatters towards the camera.

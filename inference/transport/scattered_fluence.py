@@ -1,6 +1,5 @@
-"""Fluence and flux of scattered light on coarse cells, as networks read them at points and camera rays along their
-way.
-"""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fluence and flux of scattered light on coarse cells, for networks at points and for camera rays on their way."""
 
 from dataclasses import dataclass
 
@@ -118,8 +117,9 @@ class ScatteredFluence:
         return self.linear * (-3.0 * reduced_anisotropy(self.anisotropy) / np.linalg.norm(self.linear[0]))
 
     def towards(self, directions: np.ndarray) -> np.ndarray:
-        """Weights float32 (R, 4) of fluence and flux in the light scattered against rays along (R, 3), phi - 3 G' F .
-        omega.
+        """Weights float32 (R, 4) of fluence and flux in the light scattered against rays, phi - 3 G' F . omega.
+
+        directions: (R, 3) of the rays in the world.
         """
         flux = directions @ self.flux_from_world().T
         return np.concatenate([np.ones((len(flux), 1)), flux], axis=1).astype(np.float32)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error against run time on logarithmic axes: layout, and the chart as SVG."""
 
 from dataclasses import dataclass
@@ -78,25 +79,35 @@ def _axis(values):
 def svg(chart: Chart) -> str:
     """The chart as an SVG element; each point has its figures as a tooltip."""
     left, top, right, bottom = FRAME
-    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-             'aria-label="Relative error against seconds, logarithmic axes">']
+    parts = [
+        f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+        'aria-label="Relative error against seconds, logarithmic axes">'
+    ]
     for value in ticks(*chart.x):
         x = chart.place(value, chart.y[0])[0]
-        parts.append(f'<line class="grid" x1="{x:.1f}" y1="{top}" x2="{x:.1f}" y2="{bottom}"/>'
-                     f'<text x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{value:g}</text>')
+        parts.append(
+            f'<line class="grid" x1="{x:.1f}" y1="{top}" x2="{x:.1f}" y2="{bottom}"/>'
+            f'<text x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{value:g}</text>'
+        )
     for value in ticks(*chart.y):
         y = chart.place(chart.x[0], value)[1]
-        parts.append(f'<line class="grid" x1="{left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
-                     f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
+        parts.append(
+            f'<line class="grid" x1="{left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
+            f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>'
+        )
     clock = "seconds" if chart.clock == "seconds" else "processor seconds"
-    parts.append(f'<text x="{(left + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{clock} per frame</text>'
-                 f'<text transform="translate(14 {(top + bottom) / 2}) rotate(-90)" text-anchor="middle">'
-                 'relative error (RMSE)</text>')
+    parts.append(
+        f'<text x="{(left + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{clock} per frame</text>'
+        f'<text transform="translate(14 {(top + bottom) / 2}) rotate(-90)" text-anchor="middle">'
+        "relative error (RMSE)</text>"
+    )
     for number, (method, rungs) in enumerate(chart.series.items()):
         parts.append(_series(chart, method, rungs))
         y = top + 16 + 17 * number
-        parts.append(f'<circle cx="{right - 150}" cy="{y - 4}" r="4" fill="{chart.colour(method)}"/>'
-                     f'<text x="{right - 140}" y="{y}">{escape(method)}</text>')
+        parts.append(
+            f'<circle cx="{right - 150}" cy="{y - 4}" r="4" fill="{chart.colour(method)}"/>'
+            f'<text x="{right - 140}" y="{y}">{escape(method)}</text>'
+        )
     return "\n".join(parts) + "\n</svg>"
 
 
@@ -107,10 +118,13 @@ def _series(chart: Chart, method: str, rungs: list[Rung]) -> str:
     parts = [f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="1.5"/>']
     for rung, (x, y) in zip(rungs, places):
         upper, lower = chart.bar(rung)
-        note = (f"{method}, {rung.samples} samples: {getattr(rung, chart.clock):.3g} s, error {rung.rmse.value:.3f} "
-                f"({rung.rmse.low:.3f} to {rung.rmse.high:.3f})")
+        note = (
+            f"{method}, {rung.samples} samples: {getattr(rung, chart.clock):.3g} s, error {rung.rmse.value:.3f} "
+            f"({rung.rmse.low:.3f} to {rung.rmse.high:.3f})"
+        )
         parts.append(
             f'<g class="point"><title>{escape(note)}</title>'
             f'<line class="bar" x1="{x:.1f}" y1="{upper:.1f}" x2="{x:.1f}" y2="{lower:.1f}" stroke="{colour}"/>'
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/></g>')
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/></g>'
+        )
     return "".join(parts)

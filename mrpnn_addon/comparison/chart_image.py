@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The chart of error against run time as an Image data-block."""
 
 import tempfile
@@ -63,7 +64,7 @@ def _line(pixels, x0, y0, x1, y1, colour):
 
 def _dot(pixels, x, y, colour, radius=4):
     left, top = max(int(x) - radius, 0), max(int(y) - radius, 0)
-    part = pixels[top:top + 2 * radius + 2, left:left + 2 * radius + 2]
+    part = pixels[top : top + 2 * radius + 2, left : left + 2 * radius + 2]
     rows, columns = np.indices(part.shape[:2])
     part[(columns + left - x) ** 2 + (rows + top - y) ** 2 <= radius**2] = colour
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A running comparison: one image after another, layers on a thread, Cycles in a process, without blocking."""
 
 import time
@@ -115,10 +116,17 @@ class ComparisonJob:
         if layer.error is not None:
             raise layer.error
         report = layer.result.layer.report
-        once, once_cpu = (sum(clock.get(stage, 0.0) for stage in ONCE)
-                          for clock in (report.seconds, report.cpu_seconds))
-        return Pass(rgba(layer.result.layer), report.seconds["total"], report.cpu_seconds["total"], once, once_cpu,
-                    layer.result.warnings)
+        once, once_cpu = (
+            sum(clock.get(stage, 0.0) for stage in ONCE) for clock in (report.seconds, report.cpu_seconds)
+        )
+        return Pass(
+            rgba(layer.result.layer),
+            report.seconds["total"],
+            report.cpu_seconds["total"],
+            once,
+            once_cpu,
+            layer.result.warnings,
+        )
 
     def _end(self, error):
         self.error, self.done = error, True

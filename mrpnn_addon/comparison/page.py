@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A comparison as one self-contained HTML page: pictures, chart and tables."""
 
 import base64
@@ -15,8 +16,14 @@ TEMPLATE = Path(__file__).with_name("page.html")
 ERROR_LIMIT = 0.5
 
 
-def page(comparison: Comparison, title: str, pictures: dict[str, bytes], error_map: bytes, reference: str,
-         facts: dict[str, str]) -> str:
+def page(
+    comparison: Comparison,
+    title: str,
+    pictures: dict[str, bytes],
+    error_map: bytes,
+    reference: str,
+    facts: dict[str, str],
+) -> str:
     """The page's text.
 
     pictures: PNG files by caption, the judged layer first. reference: caption of the reference. error_map: PNG. facts:
@@ -28,30 +35,60 @@ def page(comparison: Comparison, title: str, pictures: dict[str, bytes], error_m
     except ValueError as problem:
         chart = f'<p class="note">No chart: {escape(str(problem))}.</p>'
     return Template(TEMPLATE.read_text()).substitute(
-        title=escape(title), width=width, height=height, chart=chart,
+        title=escape(title),
+        width=width,
+        height=height,
+        chart=chart,
         summary=escape(_summary(comparison)),
-        notes="".join(f'<p class="note">{escape(text)}</p>'
-                      for text in (*_verdict(comparison), *comparison.marks, *comparison.warnings)),
+        notes="".join(
+            f'<p class="note">{escape(text)}</p>'
+            for text in (*_verdict(comparison), *comparison.marks, *comparison.warnings)
+        ),
         sentences="".join(f"<li>{escape(text)}</li>" for text in comparison.sentences()),
-        left_options=_options(pictures, next(iter(pictures))), right_options=_options(pictures, reference),
+        left_options=_options(pictures, next(iter(pictures))),
+        right_options=_options(pictures, reference),
         pictures=json.dumps({caption: _data(png) for caption, png in pictures.items()}).replace("<", "\\u003c"),
-        error_map=_data(error_map), error_low=f"−{ERROR_LIMIT:.0%}", error_high=f"+{ERROR_LIMIT:.0%}",
+        error_map=_data(error_map),
+        error_low=f"−{ERROR_LIMIT:.0%}",
+        error_high=f"+{ERROR_LIMIT:.0%}",
         table=_table(
             ["image", "samples", "error (95 %)", "bias (95 %)", "seconds", "once", "processor seconds", "FLIP"],
-            [_row(rung) for rung in comparison.rungs]),
+            [_row(rung) for rung in comparison.rungs],
+        ),
         equal_table=_table(
-            ["Cycles", "clock", "the layer's seconds", "seconds to its error", "times as long", "as a further frame",
-             "error in its time"],
-            [[one.method, "wall" if one.clock == "seconds" else "processor", f"{one.seconds:.3g}", str(one.needed),
-              f"{one.ratio:.3g}", f"{one.frame_ratio:.3g}", str(one.error)] for one in comparison.equal]),
-        facts=_table(["", ""], [[key, value] for key, value in facts.items()]))
+            [
+                "Cycles",
+                "clock",
+                "the layer's seconds",
+                "seconds to its error",
+                "times as long",
+                "as a further frame",
+                "error in its time",
+            ],
+            [
+                [
+                    one.method,
+                    "wall" if one.clock == "seconds" else "processor",
+                    f"{one.seconds:.3g}",
+                    str(one.needed),
+                    f"{one.ratio:.3g}",
+                    f"{one.frame_ratio:.3g}",
+                    str(one.error),
+                ]
+                for one in comparison.equal
+            ],
+        ),
+        facts=_table(["", ""], [[key, value] for key, value in facts.items()]),
+    )
 
 
 def _summary(comparison: Comparison) -> str:
     rmse, bias, judged = comparison.rmse, comparison.bias, comparison.judged
-    return (f"{judged.method} with {judged.samples} depth samples took {judged.seconds:.2f} s. Its relative error is "
-            f"{rmse.value:.3f} (95 % between {rmse.low:.3f} and {rmse.high:.3f}), its bias {bias.value:+.1%} "
-            f"({bias.low:+.1%} to {bias.high:+.1%}).")
+    return (
+        f"{judged.method} with {judged.samples} depth samples took {judged.seconds:.2f} s. Its relative error is "
+        f"{rmse.value:.3f} (95 % between {rmse.low:.3f} and {rmse.high:.3f}), its bias {bias.value:+.1%} "
+        f"({bias.low:+.1%} to {bias.high:+.1%})."
+    )
 
 
 def _verdict(comparison: Comparison):
@@ -59,9 +96,16 @@ def _verdict(comparison: Comparison):
 
 
 def _row(rung: Rung):
-    return [rung.method, str(rung.samples), f"{rung.rmse.value:.4f} ({rung.rmse.low:.4f}–{rung.rmse.high:.4f})",
-            f"{rung.bias.value:+.1%} ({rung.bias.low:+.1%} to {rung.bias.high:+.1%})", f"{rung.seconds:.3g}",
-            f"{rung.once:.3g}", f"{rung.cpu_seconds:.3g}", "" if rung.flip is None else f"{rung.flip:.4f}"]
+    return [
+        rung.method,
+        str(rung.samples),
+        f"{rung.rmse.value:.4f} ({rung.rmse.low:.4f}–{rung.rmse.high:.4f})",
+        f"{rung.bias.value:+.1%} ({rung.bias.low:+.1%} to {rung.bias.high:+.1%})",
+        f"{rung.seconds:.3g}",
+        f"{rung.once:.3g}",
+        f"{rung.cpu_seconds:.3g}",
+        "" if rung.flip is None else f"{rung.flip:.4f}",
+    ]
 
 
 def _table(head, rows) -> str:
@@ -72,8 +116,9 @@ def _table(head, rows) -> str:
 
 
 def _options(pictures, chosen: str) -> str:
-    return "".join(f'<option{" selected" if caption == chosen else ""}>{escape(caption)}</option>'
-                   for caption in pictures)
+    return "".join(
+        f"<option{' selected' if caption == chosen else ''}>{escape(caption)}</option>" for caption in pictures
+    )
 
 
 def _data(png: bytes) -> str:

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """FLIP, NVIDIA's perceptual difference, if its package is installed; the extension does not ship it."""
-
 
 import numpy as np
 

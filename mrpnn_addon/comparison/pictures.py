@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Images encoded as PNG in memory by Blender."""
 
 import tempfile
@@ -12,7 +13,7 @@ from ..output.layer_image import save_view_transformed
 def view_png(values: np.ndarray, scene) -> bytes:
     """Linear premultiplied (H, W, 4), rows from the top, with the scene's view transform and alpha."""
     image = _image(values, float_buffer=True)
-    image.alpha_mode = 'PREMUL'
+    image.alpha_mode = "PREMUL"
     return _file(image, lambda path: save_view_transformed(image, path, scene))
 
 
@@ -20,7 +21,7 @@ def display_png(colours: np.ndarray) -> bytes:
     """Display colours (H, W, 3) in [0, 1], rows from the top, unchanged."""
     opaque = np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=-1)
     image = _image(opaque, float_buffer=False)
-    image.file_format = 'PNG'
+    image.file_format = "PNG"
     return _file(image, lambda path: image.save(filepath=path))
 
 

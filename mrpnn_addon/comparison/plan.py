@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Which image a comparison renders next, from those that are finished and its budget."""
 
 from dataclasses import dataclass
@@ -63,6 +64,7 @@ def next_job(request: Request, done: dict[Job, Pass], failed=(), spent: float = 
     Two passes of the reference and the lowest rung are rendered whatever the budget, then the ladder within half of
     what is left, then the rest of the reference.
     """
+
     def missing(jobs):
         return (job for job in jobs if job not in done and job not in failed)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The files of a comparison's report, and its chart as an Image."""
 
 import csv
@@ -18,8 +19,21 @@ from .pictures import display_png, view_png
 from .results import MASK_ALPHA, Comparison
 
 TOO_DARK, TOO_BRIGHT = np.array([0.13, 0.40, 0.67]), np.array([0.70, 0.09, 0.17])
-COLUMNS = ("method", "samples", "seconds", "cpu_seconds", "once", "once_cpu", "rmse", "rmse_low", "rmse_high", "bias",
-           "bias_low", "bias_high", "flip")
+COLUMNS = (
+    "method",
+    "samples",
+    "seconds",
+    "cpu_seconds",
+    "once",
+    "once_cpu",
+    "rmse",
+    "rmse_low",
+    "rmse_high",
+    "bias",
+    "bias_low",
+    "bias_high",
+    "flip",
+)
 
 
 def writing(run, comparison: Comparison):
@@ -39,8 +53,14 @@ def writing(run, comparison: Comparison):
         pictures[caption] = view_png(image, run.scene)
         yield path
     error = signed_error(run.layer_image(), run.reference_image())
-    text = page(comparison, f"Error against run time: {run.scene.name}, frame {run.description.frame}", pictures,
-                display_png(error), reference, _facts(run, comparison))
+    text = page(
+        comparison,
+        f"Error against run time: {run.scene.name}, frame {run.description.frame}",
+        pictures,
+        display_png(error),
+        reference,
+        _facts(run, comparison),
+    )
     _replace(path, text)
     yield path
 
@@ -90,18 +110,20 @@ def _facts(run, comparison: Comparison) -> dict:
         "Blender": bpy.app.version_string,
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} logical processors; {_processor()}",
         "image": f"{width} × {height}, {comparison.pixels} pixels with alpha above {MASK_ALPHA}",
-        "reference": run.options.reference_path or (
+        "reference": run.options.reference_path
+        or (
             f"2 × {comparison.samples} samples in {comparison.cycles_seconds:.1f} s, noise left "
-            f"{comparison.noise:.3f} per pixel; {comparison.verdict}"),
+            f"{comparison.noise:.3f} per pixel; {comparison.verdict}"
+        ),
         "Cycles": f"{comparison.bounces} bounces, no clamping, no adaptive sampling, no light threshold, filter of one "
-                  "point; denoised rungs with OpenImageDenoise. In a separate process; the scene's own settings "
-                  f"({own.samples} samples, {own.volume_bounces} volume bounces of {own.max_bounces}, indirect light "
-                  f"clamped at {own.sample_clamp_indirect:g}) are neither used nor touched",
+        "point; denoised rungs with OpenImageDenoise. In a separate process; the scene's own settings "
+        f"({own.samples} samples, {own.volume_bounces} volume bounces of {own.max_bounces}, indirect light "
+        f"clamped at {own.sample_clamp_indirect:g}) are neither used nor touched",
         "layer": f"{run.settings.model}, seed {run.settings.seed}, {threads} threads",
         "alpha bias": f"{comparison.alpha_bias.value:+.2%}",
         "paper's metric": f"{comparison.paper:.2f} (100 × RMSE of tone-mapped luma, whole image)",
         "extrapolated": "seconds from the measured cost per sample and 1/√N of the measured noise; at least: beyond "
-                        "the denoised ladder, as if its error still fell with 1/√N",
+        "the denoised ladder, as if its error still fell with 1/√N",
     }
 
 

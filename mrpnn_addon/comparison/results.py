@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Figures of a comparison: errors, times, and equal-error and equal-time comparisons."""
 
 from dataclasses import asdict, dataclass, field
@@ -60,9 +61,11 @@ class Equal:
         clock = "s" if self.clock == "seconds" else "processor seconds"
         if not np.isfinite(self.ratio):
             return f"{self.method}: how long it takes to reach this error is unknown"
-        return (f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
-                f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
-                f"{self.seconds:.2g} {clock} it has an error of {self.error}")
+        return (
+            f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
+            f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
+            f"{self.seconds:.2g} {clock} it has an error of {self.error}"
+        )
 
 
 @dataclass
@@ -70,11 +73,13 @@ class Comparison:
     """Figures of all candidates.
 
     rmse, bias, alpha_bias: of the judged image, relative, with 95 % intervals, where its alpha exceeds MASK_ALPHA.
-    paper: the paper's metric over the whole image. noise: relative standard deviation of the reference per pixel, both
-    halves together. layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock. resolution:
-    (width, height). pixels: those in the mask. samples: per pixel in each half. bounces: most scattering events.
-    cycles: Blender's version. rungs: every candidate. equal: against Cycles with and without denoising. path_tracing:
-    its convergence law by clock. marks: caveats about fairness or certainty. warnings: what the layer leaves out.
+    paper: the paper's metric over the whole image.
+    noise: relative standard deviation of the reference per pixel, both halves together.
+    layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock.
+    resolution: (width, height). pixels: those in the mask.
+    samples: per pixel in each half. bounces: most scattering events. cycles: Blender's version.
+    rungs: every candidate. equal: against Cycles with and without denoising. path_tracing: convergence law by clock.
+    marks: caveats about fairness or certainty. warnings: what the layer leaves out.
     """
 
     rmse: Estimate
@@ -105,8 +110,11 @@ class Comparison:
             ("alpha bias", f"{100 * self.alpha_bias.value:+7.2f} %", _interval(self.alpha_bias, "{:+.2f} %", 100)),
             ("paper's metric", f"{self.paper:8.2f}", ""),
             ("seconds, layer", f"{self.layer_seconds:8.1f}", f"{self.judged.once:.1f} of them once per volume and sun"),
-            ("seconds, Cycles", f"{self.cycles_seconds:8.1f}",
-             f"2 x {self.samples} samples, {self.bounces} bounces, noise left {self.noise:.2f}"),
+            (
+                "seconds, Cycles",
+                f"{self.cycles_seconds:8.1f}",
+                f"2 x {self.samples} samples, {self.bounces} bounces, noise left {self.noise:.2f}",
+            ),
         ]
         width, height = self.resolution
         head = f"Layer against Cycles {self.cycles}: {width} x {height}, {self.pixels} pixels show the volume"
@@ -154,8 +162,9 @@ def halves(passes: dict[Job, Pass]):
     return tuple(found)
 
 
-def compare(passes: dict[Job, Pass], request: Request, bounces: int, version: str, given: np.ndarray | None = None,
-            marks=()) -> Comparison:
+def compare(
+    passes: dict[Job, Pass], request: Request, bounces: int, version: str, given: np.ndarray | None = None, marks=()
+) -> Comparison:
     """Measure every candidate among `passes` against their reference, or against a `given` one (H, W, 4).
 
     Raises SceneError where there is no reference yet, images differ in size or show different volumes, no volume is in
@@ -175,8 +184,11 @@ def compare(passes: dict[Job, Pass], request: Request, bounces: int, version: st
     colour_a, colour_b = a[..., :3], b[..., :3]
     try:
         alpha_bias = relative_bias(layer.image[..., 3], a[..., 3], b[..., 3], mask)
-        rungs = [_rung(job, done, colour_a, colour_b, mask)
-                 for job, done in sorted(passes.items(), key=_order(request)) if job.method != REFERENCE]
+        rungs = [
+            _rung(job, done, colour_a, colour_b, mask)
+            for job, done in sorted(passes.items(), key=_order(request))
+            if job.method != REFERENCE
+        ]
     except ValueError as error:
         raise SceneError(f"nothing to compare: {error}") from None
     marks = [*marks, *_marks(bounces, alpha_bias, given is not None)]
@@ -184,27 +196,49 @@ def compare(passes: dict[Job, Pass], request: Request, bounces: int, version: st
     mean = ((a + b) / 2)[mask][:, :3].mean()
     height, width = mask.shape
     result = Comparison(
-        rmse=judged.rmse, bias=judged.bias, alpha_bias=alpha_bias,
+        rmse=judged.rmse,
+        bias=judged.bias,
+        alpha_bias=alpha_bias,
         paper=paper_metric(layer.image[..., :3], colour_a, colour_b),
         # Half the difference of two independent halves has the variance of their mean.
         noise=float(np.sqrt(np.mean(((a - b) / 2)[mask][:, :3] ** 2)) / mean),
-        layer_seconds=layer.seconds, cycles_seconds=reference_seconds,
-        resolution=(width, height), pixels=int(mask.sum()), samples=samples, bounces=bounces, cycles=version,
-        rungs=rungs, judged=judged, verdict=judge(judged, colour_a, colour_b, mask, reference_seconds),
-        marks=marks, warnings=list(layer.warnings))
+        layer_seconds=layer.seconds,
+        cycles_seconds=reference_seconds,
+        resolution=(width, height),
+        pixels=int(mask.sum()),
+        samples=samples,
+        bounces=bounces,
+        cycles=version,
+        rungs=rungs,
+        judged=judged,
+        verdict=judge(judged, colour_a, colour_b, mask, reference_seconds),
+        marks=marks,
+        warnings=list(layer.warnings),
+    )
     if given is None:
         if result.clock != CLOCKS[0]:
-            result.marks.append("other programs slowed the layer down: it ran for "
-                                f"{judged.seconds:.1f} s and got {judged.cpu_seconds:.1f} processor seconds; "
-                                "processor time is compared")
+            result.marks.append(
+                "other programs slowed the layer down: it ran for "
+                f"{judged.seconds:.1f} s and got {judged.cpu_seconds:.1f} processor seconds; "
+                "processor time is compared"
+            )
         _add_equal(result, references, variance_at_one(colour_a, colour_b, mask, samples))
     return result
 
 
 def _rung(job: Job, done: Pass, a, b, mask) -> Rung:
     image = done.image[..., :3]
-    return Rung(job.method, job.samples, done.seconds, done.cpu_seconds, done.once, done.once_cpu,
-                relative_rmse(image, a, b, mask), relative_bias(image, a, b, mask), flip(image, (a + b) / 2))
+    return Rung(
+        job.method,
+        job.samples,
+        done.seconds,
+        done.cpu_seconds,
+        done.once,
+        done.once_cpu,
+        relative_rmse(image, a, b, mask),
+        relative_bias(image, a, b, mask),
+        flip(image, (a + b) / 2),
+    )
 
 
 def _add_equal(result: Comparison, references, variance: float) -> None:
@@ -219,12 +253,20 @@ def _add_equal(result: Comparison, references, variance: float) -> None:
         result.path_tracing[clock] = law
         seconds = getattr(result.judged, clock)
         frame = seconds - (result.judged.once if clock == CLOCKS[0] else result.judged.once_cpu)
-        result.equal.append(Equal(CYCLES, clock, seconds, frame, law.seconds_for(result.judged.error),
-                                  law.error_after(seconds)))
+        result.equal.append(
+            Equal(CYCLES, clock, seconds, frame, law.seconds_for(result.judged.error), law.error_after(seconds))
+        )
         if ladders[DENOISED]:
-            result.equal.append(Equal(
-                DENOISED, clock, seconds, frame, seconds_on_ladder(ladders[DENOISED], result.judged.error, clock),
-                error_on_ladder(ladders[DENOISED], seconds, clock)))
+            result.equal.append(
+                Equal(
+                    DENOISED,
+                    clock,
+                    seconds,
+                    frame,
+                    seconds_on_ladder(ladders[DENOISED], result.judged.error, clock),
+                    error_on_ladder(ladders[DENOISED], seconds, clock),
+                )
+            )
 
 
 def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:
@@ -232,8 +274,10 @@ def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:
     if bounces < 1024 and not given:
         found.append(f"the reference stops after {bounces} bounces: in dense and white volumes it is too dark")
     if given:
-        found.append("the reference is one image from a file: its noise counts as error, and whether it was clamped, "
-                     "denoised or cut off after few bounces cannot be seen")
+        found.append(
+            "the reference is one image from a file: its noise counts as error, and whether it was clamped, "
+            "denoised or cut off after few bounces cannot be seen"
+        )
     if alpha_bias.low > ALPHA_TOLERANCE or alpha_bias.high < -ALPHA_TOLERANCE:
         text = f"the layer's alpha differs from the reference's by {alpha_bias.value:+.0%}: they show different volumes"
         if given:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """One comparison of a Blender scene, from reading the scene to writing the report."""
 
 import os
@@ -65,14 +66,27 @@ class ComparisonRun:
             self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
             require_volumes(self.description)
             process = CyclesProcess(
-                context.scene, volumes_and_suns(depsgraph, self.description.left_out), options.bounces,
-                context.scene.world if self.description.environment else None)
-        self.request = Request(layers, options.samples, options.ladder if self.given is None else 0, options.denoised,
-                               options.seconds, self.given is not None)
+                context.scene,
+                volumes_and_suns(depsgraph, self.description.left_out),
+                options.bounces,
+                context.scene.world if self.description.environment else None,
+            )
+        self.request = Request(
+            layers,
+            options.samples,
+            options.ladder if self.given is None else 0,
+            options.denoised,
+            options.seconds,
+            self.given is not None,
+        )
         folder, version = self.folder / "passes", bpy.app.version_string
         self.job = ComparisonJob(
-            self.request, self.description, settings,
-            lambda: PassStore(folder / scene_key(self.description, options.bounces, version)), process)
+            self.request,
+            self.description,
+            settings,
+            lambda: PassStore(folder / scene_key(self.description, options.bounces, version)),
+            process,
+        )
 
     def wait(self, progress=None) -> None:
         """Block until the comparison is done. progress: called with (fraction, message). Ctrl-C stops and keeps what is
@@ -98,8 +112,14 @@ class ComparisonRun:
         if self.request.layers[0] not in self.job.passes:
             raise SceneError("the comparison was stopped before its first image was finished")
         marks = ["stopped before its end"] if self.job.cancelled else []
-        return compare(self.job.passes, self.request, self.options.bounces, bpy.app.version_string, self.given,
-                       [*marks, *self.job.marks])
+        return compare(
+            self.job.passes,
+            self.request,
+            self.options.bounces,
+            bpy.app.version_string,
+            self.given,
+            [*marks, *self.job.marks],
+        )
 
     def write(self, comparison: Comparison) -> Path:
         """Write the report's files; returns the page's path."""
@@ -121,6 +141,7 @@ class ComparisonRun:
 
 def _layers(settings: Settings, options: Options):
     """The judged image first, then its ladder, other networks, and the baselines."""
+
     def job(model, depths):
         return Job(model, depths, settings.seed)
 
@@ -157,6 +178,7 @@ def _read_reference(path: str) -> np.ndarray | None:
     except RuntimeError as error:
         raise SceneError(f"the reference {path} cannot be read: {str(error).strip()}") from None
     if image.size == 0 or not np.isfinite(image).all():
-        raise SceneError(f"the reference {path} is empty or has NaN or infinite values; render it again as OpenEXR "
-                         "with RGBA")
+        raise SceneError(
+            f"the reference {path} is empty or has NaN or infinite values; render it again as OpenEXR with RGBA"
+        )
     return image

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles as a path-traced reference, in this process or a separate one."""

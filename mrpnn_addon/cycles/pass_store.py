@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Finished passes of Cycles on disk, so that a second run continues the first."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles in a separate Blender process, which leaves this one usable and can be ended at any time."""
 
 import json
@@ -40,7 +41,7 @@ class CyclesProcess:
                 # Blender 5.2 crashes when it writes a scene whose view layers have not been updated.
                 for made in (view, box):
                     made.view_layers[0].update()
-                bpy.data.libraries.write(str(self._path("scene.blend")), {view, box}, path_remap='ABSOLUTE')
+                bpy.data.libraries.write(str(self._path("scene.blend")), {view, box}, path_remap="ABSOLUTE")
         except BaseException:
             self.stop()
             raise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A path-traced reference of the same view, rendered by Cycles in this process."""
 
 import tempfile
@@ -21,8 +22,10 @@ DEFAULTS = PathTracing()
 class Reference:
     """Two independent renders of one view.
 
-    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha. seconds: wall-clock time of
-    both, scene preparation included. samples: per pixel in each half. bounces: most scattering events along a path.
+    a, b: float32 (H, W, 4), rows from the top: linear premultiplied radiance and alpha.
+    seconds: wall-clock time of both, scene preparation included.
+    samples: per pixel in each half.
+    bounces: most scattering events along a path.
     version: of the Blender that rendered them.
     """
 
@@ -70,14 +73,16 @@ def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
     sources, others = {}, {}
     for shown in visible_objects(depsgraph):
         volume = shows_volume(shown.object) and shown.object.visible_camera
-        sun = shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN' and shown.object.visible_volume_scatter
+        sun = shown.object.type == "LIGHT" and shown.object.data.type == "SUN" and shown.object.visible_volume_scatter
         if (volume or sun) and shown.name not in left_out:
             sources[shown.source.name] = shown.source
-        elif shown.object.type in SURFACES or shown.object.type == 'LIGHT' or shown.name in left_out:
+        elif shown.object.type in SURFACES or shown.object.type == "LIGHT" or shown.name in left_out:
             others[shown.source.name] = shown.source
     for name in sources.keys() & others.keys():
-        raise SceneError(f"object \"{name}\" instances a volume or sun together with something that is not "
-                         "rendered; Cycles' image would show both, so they cannot be compared")
+        raise SceneError(
+            f'object "{name}" instances a volume or sun together with something that is not '
+            "rendered; Cycles' image would show both, so they cannot be compared"
+        )
     return list(sources.values())
 
 
@@ -95,7 +100,8 @@ def require_box_alpha(alpha: float) -> None:
     if not abs(alpha - expected) <= CHECK_TOLERANCE:
         raise SceneError(
             f"Cycles {bpy.app.version_string} does not render volumes correctly here: a homogeneous box "
-            f"shows alpha {alpha:.3f} where {expected:.3f} is right, so nothing can be compared with it")
+            f"shows alpha {alpha:.3f} where {expected:.3f} is right, so nothing can be compared with it"
+        )
 
 
 def _render(scene) -> np.ndarray:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Temporary scenes in which Cycles renders references.
 
 The user's scene is not changed: a temporary scene links the objects to compare, has its own settings, camera copy and
@@ -153,9 +154,20 @@ def _black_world():
 
 def _copy_view(source, reference, keep) -> None:
     """Copy frame, resolution, region, threads and camera of `source`; the camera without depth of field."""
-    for name in ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y",
-                 "use_border", "border_min_x", "border_min_y", "border_max_x", "border_max_y",
-                 "threads_mode", "threads"):
+    for name in (
+        "resolution_x",
+        "resolution_y",
+        "resolution_percentage",
+        "pixel_aspect_x",
+        "pixel_aspect_y",
+        "use_border",
+        "border_min_x",
+        "border_min_y",
+        "border_max_x",
+        "border_max_y",
+        "threads_mode",
+        "threads",
+    ):
         setattr(reference.render, name, getattr(source.render, name))
     # The layer has the region's size.
     reference.render.use_crop_to_border = True

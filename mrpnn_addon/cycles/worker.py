@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Renders scenes of one .blend file, pass by pass; runs in a separate Blender process without the extension.
 
 Arguments, the last two: the .blend file and a folder. Each line of standard input requests an image: {"scene",

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The World behind a viewport's volumes: immediately from a cached panorama, then at the view's resolution."""
 
 import traceback
@@ -17,8 +18,11 @@ from ..world.process import PictureFailed
 from .viewport_region import WHOLE, Part, part_pixels
 
 # Panorama from the origin, +X at its centre and +Z up, as `sampler` expects it.
-PANORAMA = Camera(np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
-                  projection="equirectangular", resolution=(2048, 1024))
+PANORAMA = Camera(
+    np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
+    projection="equirectangular",
+    resolution=(2048, 1024),
+)
 PANORAMA_SAMPLES, SAMPLES = 1, 4
 # Pixels of a picture sampled from the panorama during a redraw.
 ROUGH_PIXELS = 60_000
@@ -115,7 +119,7 @@ class _ViewRendering(Worker):
             if self._stop.wait(REST_SECONDS):
                 return
             if source.panorama is None and not source.depends_on_view:
-                around = source.view(PANORAMA, PANORAMA_SAMPLES, ('BOX', 1.0), self._check)
+                around = source.view(PANORAMA, PANORAMA_SAMPLES, ("BOX", 1.0), self._check)
                 source.panorama = np.clip(around, 0.0, BRIGHTEST).astype(np.float16)
                 self._show(self._rough())
             self._show(source.view(self._camera, SAMPLES, self._filter, self._check))
@@ -146,15 +150,21 @@ class _ViewRendering(Worker):
 
 def view_key(camera: Camera) -> tuple:
     """Equal for viewport cameras with the same view."""
-    return (camera.world_matrix.tobytes(), camera.projection, camera.resolution, camera.fov, camera.ortho_scale,
-            camera.shift)
+    return (
+        camera.world_matrix.tobytes(),
+        camera.projection,
+        camera.resolution,
+        camera.fov,
+        camera.ortho_scale,
+        camera.shift,
+    )
 
 
 def texture(picture: np.ndarray) -> gpu.types.GPUTexture:
     """The texture of a picture, float32 (h, w, 4), rows from the bottom."""
     height, width = picture.shape[:2]
-    pixels = gpu.types.Buffer('FLOAT', width * height * 4, picture.ravel())
-    return gpu.types.GPUTexture((width, height), format='RGBA16F', data=pixels)
+    pixels = gpu.types.Buffer("FLOAT", width * height * 4, picture.ravel())
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
 
 
 def _opaque(rgb):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN as a render engine: F12 writes the layer to the render result."""
 
 import time
@@ -45,7 +46,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene, renderlayer):
         """Register the passes for the compositor."""
-        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", 'COLOR')
+        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
         for extra in extra_passes(renderlayer):
             self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
@@ -58,10 +59,10 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         except Cancelled:
             pass
         except (SceneError, OSError) as error:
-            self.report({'ERROR'}, str(error))
+            self.report({"ERROR"}, str(error))
         except Exception as error:
             traceback.print_exc()
-            self.report({'ERROR'}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
+            self.report({"ERROR"}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
 
     def view_update(self, context, depsgraph):
         """Called by Blender when something in the viewport's scene has changed."""
@@ -69,7 +70,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self._viewport = Viewport()
         self._viewport.backdrop.read(depsgraph)
         if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
-                self._viewport.shows(depsgraph, context.space_data)):
+            self._viewport.shows(depsgraph, context.space_data)
+        ):
             # Selection and settings, which view_draw compares, do not change the volumes.
             return
         if not all(_keeps_volumes(update) for update in depsgraph.updates):
@@ -84,17 +86,18 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self._viewport.read_on(depsgraph, context.space_data)
         part = render_region(context, depsgraph.scene)
         try:
-            camera = part and viewport_camera(view.view_matrix, view.window_matrix, view.is_perspective, size,
-                                              context.space_data.clip_end, part)
+            camera = part and viewport_camera(
+                view.view_matrix, view.window_matrix, view.is_perspective, size, context.space_data.clip_end, part
+            )
         except SceneError:
             # A camera of scale 0 shows nothing.
             camera = None
         self._viewport.update(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
-        gpu.state.blend_set('ALPHA_PREMULT')
+        gpu.state.blend_set("ALPHA_PREMULT")
         self.bind_display_space_shader(depsgraph.scene)
         self._viewport.draw(size)
         self.unbind_display_space_shader()
-        gpu.state.blend_set('NONE')
+        gpu.state.blend_set("NONE")
         self.update_stats("", self._viewport.status)
 
     def __del__(self):
@@ -104,7 +107,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     def _render(self, depsgraph):
         view_layer = depsgraph.view_layer
         if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
-            self.report({'INFO'}, f"view layer \"{view_layer.name}\" shows no Volume object and stays empty")
+            self.report({"INFO"}, f'view layer "{view_layer.name}" shows no Volume object and stays empty')
             return self._write_empty(depsgraph)
         scene = self._read(depsgraph)
         # With a render region, Blender's result has the region's size.
@@ -124,7 +127,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         # Blender's window shows the last report only.
         missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
-            self.report({'WARNING'}, warning)
+            self.report({"WARNING"}, warning)
         result.finish(finished.layer, stamp(settings, finished.layer.report))
 
     def _read(self, depsgraph):
@@ -145,7 +148,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self.update_stats("", "Rendering the sky")
         found = read_background(depsgraph, camera, self._check)
         for warning in found.warnings:
-            self.report({'WARNING'}, warning)
+            self.report({"WARNING"}, warning)
         return found
 
     def _check(self):
@@ -180,7 +183,7 @@ def _keeps_volumes(update) -> bool:
         return True
     if not isinstance(update.id, bpy.types.Object):
         return False
-    return update.id.type in ('LIGHT', 'CAMERA') or not (update.is_updated_geometry or update.is_updated_shading)
+    return update.id.type in ("LIGHT", "CAMERA") or not (update.is_updated_geometry or update.is_updated_shading)
 
 
 def _shows_volumes(depsgraph) -> bool:

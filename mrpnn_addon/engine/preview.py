@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Progressive pictures of a viewport, rendered on a thread; imports no bpy."""
 
 import threading
@@ -68,8 +69,9 @@ class Preview:
     def __init__(self, description, camera: Camera, settings: Settings, prepared: Prepared):
         self.picture, self.number, self.message, self.done = None, 0, "", False
         self._stop = threading.Event()
-        threading.Thread(target=self._run, args=(description, camera, settings, prepared),
-                         name="mrpnn preview", daemon=True).start()
+        threading.Thread(
+            target=self._run, args=(description, camera, settings, prepared), name="mrpnn preview", daemon=True
+        ).start()
 
     def stop(self):
         """Ask the thread to stop; no picture follows."""
@@ -86,8 +88,14 @@ class Preview:
         try:
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(
-                    description.volumes, step.suns, replace(camera, resolution=step.size), step.settings,
-                    cancelled=self._stop.is_set, cache=prepared.cache, surfaces=description.surfaces)
+                    description.volumes,
+                    step.suns,
+                    replace(camera, resolution=step.size),
+                    step.settings,
+                    cancelled=self._stop.is_set,
+                    cache=prepared.cache,
+                    surfaces=description.surfaces,
+                )
                 if self.stopped:
                     return
                 _remember(prepared, description, step)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """One render of a scene that has been read, in the calling thread or on a worker thread."""
 
 import json
@@ -31,8 +32,9 @@ class Finished:
     workload: Workload | None = None
 
 
-def render_scene(scene: SceneDescription, settings: Settings, exr_path: str | None = None,
-                 progress=None, cancelled=None, parts=None) -> Finished:
+def render_scene(
+    scene: SceneDescription, settings: Settings, exr_path: str | None = None, progress=None, cancelled=None, parts=None
+) -> Finished:
     """Render a scene. Calls no bpy, so any thread may call this.
 
     exr_path: absolute path of a multi-layer EXR to write, or None. parts: its `show_coarse(layer)` and
@@ -56,8 +58,10 @@ def render_scene(scene: SceneDescription, settings: Settings, exr_path: str | No
                 progress(1.0, "writing the file")
             write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report), check)
     except MemoryError:
-        raise SceneError("not enough memory for this render; use fewer depth samples, a smaller image or smaller "
-                         "grids, or close other programs") from None
+        raise SceneError(
+            "not enough memory for this render; use fewer depth samples, a smaller image or smaller "
+            "grids, or close other programs"
+        ) from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
     workload = scene.workload(settings.depth_samples) if scene.volumes else None
     return Finished(layer, layer.report.seconds["total"], warnings, workload)
@@ -68,10 +72,14 @@ def _render(scene: SceneDescription, settings: Settings, progress, cancelled, pa
     cache = inference.RenderCache(any_view=False)
     if parts is not None:
         coarse = replace(settings, depth_samples=1)
-        parts.show_coarse(inference.render(
-            scene.volumes, scene.suns, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces))
+        parts.show_coarse(
+            inference.render(
+                scene.volumes, scene.suns, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces
+            )
+        )
     for window, layer in inference.render_tiles(
-            scene.volumes, scene.suns, scene.camera, settings, progress, cancelled, cache, scene.surfaces):
+        scene.volumes, scene.suns, scene.camera, settings, progress, cancelled, cache, scene.surfaces
+    ):
         if parts is not None and layer.report is None:
             parts.show_part(window, layer)
     return layer

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The render result of one view layer: a coarse picture first, then finished parts."""
 
 import numpy as np

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rendered viewports: progressive pictures while nothing changes."""
-
 
 import bpy
 import numpy as np
@@ -47,9 +47,14 @@ def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_en
     shift_x = (centre[0] + left + right - 1.0) / 2.0
     shift_y = (centre[1] + bottom + top - 1.0) / 2.0 * height / width
     return Camera(
-        world, projection="perspective" if perspective else "orthographic", resolution=part_pixels(part, size),
-        fov=2.0 * np.arctan(share * half_width), ortho_scale=2.0 * share * half_width,
-        shift=(shift_x / share, shift_y / share), clip=(near, clip_end))
+        world,
+        projection="perspective" if perspective else "orthographic",
+        resolution=part_pixels(part, size),
+        fov=2.0 * np.arctan(share * half_width),
+        ortho_scale=2.0 * share * half_width,
+        shift=(shift_x / share, shift_y / share),
+        clip=(near, clip_end),
+    )
 
 
 class Viewport:
@@ -78,8 +83,12 @@ class Viewport:
         """
         self._shown = _state(depsgraph, space)
         sources, loading = self.reader.wanted(depsgraph, space), self._loading
-        if loading is not None and not loading.done and loading.reader is self.reader and (
-                {source.key for source in sources} == {source.key for source in loading.sources}):
+        if (
+            loading is not None
+            and not loading.done
+            and loading.reader is self.reader
+            and ({source.key for source in sources} == {source.key for source in loading.sources})
+        ):
             return
         self._stop_loading()
         if sources:
@@ -212,7 +221,7 @@ def _redraw():
     if new:
         for window in bpy.context.window_manager.windows:
             for area in window.screen.areas:
-                if area.type == 'VIEW_3D':
+                if area.type == "VIEW_3D":
                     area.tag_redraw()
     return POLL_INTERVAL if _watched else None
 

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The render region of a 3D viewport."""
-
 
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
@@ -22,16 +22,24 @@ def render_region(context, scene) -> Part | None:
     """
     space, view, render = context.space_data, context.region_data, scene.render
     part = WHOLE
-    if view.view_perspective != 'CAMERA':
+    if view.view_perspective != "CAMERA":
         if space.use_render_border:
-            part = (space.render_border_min_x, space.render_border_min_y, space.render_border_max_x,
-                    space.render_border_max_y)
+            part = (
+                space.render_border_min_x,
+                space.render_border_min_y,
+                space.render_border_max_x,
+                space.render_border_max_y,
+            )
     elif render.use_border:
         frame = _camera_frame(context, scene)
         if frame is not None:
             (x0, y0), (x1, y1) = frame
-            part = (x0 + render.border_min_x * (x1 - x0), y0 + render.border_min_y * (y1 - y0),
-                    x0 + render.border_max_x * (x1 - x0), y0 + render.border_max_y * (y1 - y0))
+            part = (
+                x0 + render.border_min_x * (x1 - x0),
+                y0 + render.border_min_y * (y1 - y0),
+                x0 + render.border_max_x * (x1 - x0),
+                y0 + render.border_max_y * (y1 - y0),
+            )
     size = np.array((context.region.width, context.region.height) * 2)
     left, bottom, right, top = np.round(np.clip(part, 0.0, 1.0) * size) / size
     return (left, bottom, right, top) if left < right and bottom < top else None
@@ -41,12 +49,14 @@ def _camera_frame(context, scene):
     """Lower left and upper right corners of the camera's image, as fractions of the region; None without one."""
     space = context.space_data
     camera = space.camera if space.use_local_camera else scene.camera
-    if camera is None or camera.type != 'CAMERA':
+    if camera is None or camera.type != "CAMERA":
         return None
     # Blender ignores the scale of a camera.
     matrix = camera.matrix_world.normalized()
-    corners = [location_3d_to_region_2d(context.region, context.region_data, matrix @ corner)
-               for corner in camera.data.view_frame(scene=scene)]
+    corners = [
+        location_3d_to_region_2d(context.region, context.region_data, matrix @ corner)
+        for corner in camera.data.view_frame(scene=scene)
+    ]
     if None in corners:
         return None
     corners = np.array(corners) / (context.region.width, context.region.height)

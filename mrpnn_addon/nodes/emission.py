@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Emission of volume shaders, with Cycles' meaning of each socket.
 
 Measured in Cycles 4.5: emission is radiance per world unit and does not depend on density.
@@ -55,5 +56,8 @@ def blackbody(values, node, groups, attribute: str) -> np.ndarray:
 def reads_temperature(values, node, groups, attribute: str) -> bool:
     """Whether a grid that Principled Volume reads itself drives its blackbody's temperature."""
     share = values.number(node, "Blackbody Intensity", groups)
-    return bool(attribute) and values.points.has(attribute) and (
-        share.max() > NEGLIGIBLE or values.is_linked(node, "Blackbody Intensity", groups))
+    return (
+        bool(attribute)
+        and values.points.has(attribute)
+        and (share.max() > NEGLIGIBLE or values.is_linked(node, "Blackbody Intensity", groups))
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Equirectangular images at the low resolution that lighting from all directions needs."""
 
 import math
@@ -15,7 +16,7 @@ def environment_image(image):
     """
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
-    if image.source not in ('FILE', 'GENERATED'):
+    if image.source not in ("FILE", "GENERATED"):
         raise ValueError(f"an image of source {image.source}")
     width, height = image.size
     pixels = np.empty(width * height * image.channels, np.float32)
@@ -32,6 +33,7 @@ def environment_image(image):
 
 def sampler(small):
     """A function from directions (n, 3) to bilinear samples (n, 3) of pixels (rows, columns, 3)."""
+
     def colour(directions):
         x, y, z = directions.T
         u = (0.5 - np.arctan2(y, x) / (2.0 * math.pi)) * small.shape[1] - 0.5
@@ -51,8 +53,9 @@ def _downsampled(values, axis: int, most: int):
     count = values.shape[axis]
     if count <= most:
         return values
-    padded = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis=axis, dtype=np.float64)],
-                            axis=axis)
+    padded = np.concatenate(
+        [np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis=axis, dtype=np.float64)], axis=axis
+    )
     place = np.linspace(0, count, most + 1)
     first = np.minimum(place.astype(int), count - 1)
     shape = [1] * values.ndim

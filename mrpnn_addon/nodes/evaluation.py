@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Shader node trees, evaluated as Cycles evaluates them, at many points at once.
 
 A value is a float64 array (n, k): one row per point, or one row where it is uniform; k is 1 for a number and 3 for a
@@ -45,8 +46,8 @@ class NodeEvaluator:
             return _own_value(source.socket), source.socket.type
         value = self._output(source)
         # The linked socket converts first: a colour that passes through a number becomes grey.
-        if socket.type in ('VALUE', 'INT', 'BOOLEAN'):
-            return as_number(value, source.output.type), 'VALUE'
+        if socket.type in ("VALUE", "INT", "BOOLEAN"):
+            return as_number(value, source.output.type), "VALUE"
         return as_colour(value), socket.type
 
     def _output(self, source: Source) -> np.ndarray:
@@ -55,8 +56,9 @@ class NodeEvaluator:
         if key not in self._known:
             function = FUNCTIONS.get(node.bl_idname)
             if function is None:
-                raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated; "
-                                  "unlink it and enter a value")
+                raise Unsupported(
+                    f'node "{node.name}" ({node.bl_label}) cannot be evaluated; unlink it and enter a value'
+                )
             with np.errstate(all="ignore"):
                 self._known[key] = function(self, node, output, source.groups)
         return self._known[key]
@@ -66,7 +68,7 @@ def as_number(value: np.ndarray, kind: str) -> np.ndarray:
     """(n, 1): the luminance of a colour, the mean component of a vector."""
     if value.shape[1] == 1:
         return value
-    return value @ LUMA if kind == 'RGBA' else value.mean(axis=1, keepdims=True)
+    return value @ LUMA if kind == "RGBA" else value.mean(axis=1, keepdims=True)
 
 
 def as_colour(value: np.ndarray) -> np.ndarray:
@@ -75,8 +77,8 @@ def as_colour(value: np.ndarray) -> np.ndarray:
 
 
 def _own_value(socket) -> np.ndarray:
-    if not hasattr(socket, 'default_value'):
-        raise Unsupported(f"socket {socket.name} of node \"{socket.node.name}\" holds no value")
+    if not hasattr(socket, "default_value"):
+        raise Unsupported(f'socket {socket.name} of node "{socket.node.name}" holds no value')
     value = socket.default_value
     if isinstance(value, (int, float)):
         return np.full((1, 1), float(value))
@@ -96,8 +98,10 @@ class Nowhere:
     """Points without positions or attributes: nodes that read either cannot be evaluated."""
 
     def attribute(self, name, node):
-        raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) varies in space, which is not supported here; "
-                          "unlink it and enter a value")
+        raise Unsupported(
+            f'node "{node.name}" ({node.bl_label}) varies in space, which is not supported here; '
+            "unlink it and enter a value"
+        )
 
     def coordinates(self, kind, node):
         self.attribute(kind, node)

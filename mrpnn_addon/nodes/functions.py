@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Nodes that output numbers, colours and vectors, by Cycles' definitions.
 
 Each function takes (values, node, output, groups), with `values` a NodeEvaluator, and returns one output's array.
@@ -37,29 +38,32 @@ def _vector_math(values, node, output, groups):
 
 
 def _map_range(values, node, output, groups):
-    if node.data_type == 'FLOAT':
+    if node.data_type == "FLOAT":
         names, read = ("Value", "From Min", "From Max", "To Min", "To Max", "Steps"), values.number
     else:
-        names, read = ("Vector", "From_Min_FLOAT3", "From_Max_FLOAT3", "To_Min_FLOAT3", "To_Max_FLOAT3",
-                       "Steps_FLOAT3"), values.colour
+        names, read = (
+            ("Vector", "From_Min_FLOAT3", "From_Max_FLOAT3", "To_Min_FLOAT3", "To_Max_FLOAT3", "Steps_FLOAT3"),
+            values.colour,
+        )
     value, low, high, to_low, to_high, steps = (read(node, name, groups) for name in names)
-    if node.interpolation_type in ('SMOOTHSTEP', 'SMOOTHERSTEP'):
-        share = smoothstep(value, np.minimum(low, high), np.maximum(low, high),
-                           smoother=node.interpolation_type == 'SMOOTHERSTEP')
+    if node.interpolation_type in ("SMOOTHSTEP", "SMOOTHERSTEP"):
+        share = smoothstep(
+            value, np.minimum(low, high), np.maximum(low, high), smoother=node.interpolation_type == "SMOOTHERSTEP"
+        )
         share = np.where(low > high, 1.0 - share, share)
     else:
         share = divide(value - low, high - low)
-        if node.interpolation_type == 'STEPPED':
+        if node.interpolation_type == "STEPPED":
             share = divide(np.floor(share * (steps + 1.0)), steps)
     result = to_low + share * (to_high - to_low)
-    if node.clamp and node.interpolation_type in ('LINEAR', 'STEPPED'):
+    if node.clamp and node.interpolation_type in ("LINEAR", "STEPPED"):
         result = clamp(result, np.minimum(to_low, to_high), np.maximum(to_low, to_high))
     return np.where(low == high, 0.0, result)
 
 
 def _clamp(values, node, output, groups):
     value, low, high = (values.number(node, name, groups) for name in ("Value", "Min", "Max"))
-    if node.clamp_type == 'RANGE':
+    if node.clamp_type == "RANGE":
         low, high = np.minimum(low, high), np.maximum(low, high)
     return clamp(value, low, high)
 
@@ -71,9 +75,9 @@ def _blackbody(values, node, output, groups):
 def _color_ramp(values, node, output, groups):
     ramp = node.color_ramp
     table = np.array([ramp.evaluate(n / (RAMP_CELLS - 1)) for n in range(RAMP_CELLS)])
-    table = table[:, 3:] if output.identifier == 'Alpha' else table[:, :3]
+    table = table[:, 3:] if output.identifier == "Alpha" else table[:, :3]
     place = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
-    return _look_up(table, place, stepped=ramp.interpolation == 'CONSTANT')
+    return _look_up(table, place, stepped=ramp.interpolation == "CONSTANT")
 
 
 def _float_curve(values, node, output, groups):
@@ -85,10 +89,11 @@ def _float_curve(values, node, output, groups):
     value, factor = values.number(node, "Value", groups), values.number(node, "Factor", groups)
     share = divide(value - low, np.float64(high - low))
     curved = _look_up(table, clamp(share, 0.0, 1.0))
-    if mapping.extend == 'EXTRAPOLATED':
+    if mapping.extend == "EXTRAPOLATED":
         # Linear, with the slopes at the ends.
-        curved = curved + CURVE_CELLS * (np.minimum(share, 0.0) * (table[1] - table[0])
-                                         + np.maximum(share - 1.0, 0.0) * (table[-1] - table[-2]))
+        curved = curved + CURVE_CELLS * (
+            np.minimum(share, 0.0) * (table[1] - table[0]) + np.maximum(share - 1.0, 0.0) * (table[-1] - table[-2])
+        )
     return value + factor * (curved - value)
 
 
@@ -103,37 +108,49 @@ def _look_up(table, place, stepped=False):
 
 
 BLENDS = {
-    'MIX': lambda f, a, b: a + f * (b - a),
-    'ADD': lambda f, a, b: a + f * b,
-    'MULTIPLY': lambda f, a, b: a * (1.0 - f + f * b),
-    'SUBTRACT': lambda f, a, b: a - f * b,
-    'SCREEN': lambda f, a, b: 1.0 - (1.0 - f + f * (1.0 - b)) * (1.0 - a),
-    'DIVIDE': lambda f, a, b: np.where(b != 0.0, (1.0 - f) * a + f * divide(a, b), a),
-    'DIFFERENCE': lambda f, a, b: a + f * (np.abs(a - b) - a),
-    'DARKEN': lambda f, a, b: a + f * (np.minimum(a, b) - a),
-    'LIGHTEN': lambda f, a, b: a + f * (np.maximum(a, b) - a),
+    "MIX": lambda f, a, b: a + f * (b - a),
+    "ADD": lambda f, a, b: a + f * b,
+    "MULTIPLY": lambda f, a, b: a * (1.0 - f + f * b),
+    "SUBTRACT": lambda f, a, b: a - f * b,
+    "SCREEN": lambda f, a, b: 1.0 - (1.0 - f + f * (1.0 - b)) * (1.0 - a),
+    "DIVIDE": lambda f, a, b: np.where(b != 0.0, (1.0 - f) * a + f * divide(a, b), a),
+    "DIFFERENCE": lambda f, a, b: a + f * (np.abs(a - b) - a),
+    "DARKEN": lambda f, a, b: a + f * (np.minimum(a, b) - a),
+    "LIGHTEN": lambda f, a, b: a + f * (np.maximum(a, b) - a),
 }
 
 
 def _mix(values, node, output, groups):
-    kind = {'FLOAT': "Float", 'VECTOR': "Vector", 'RGBA': "Color"}.get(node.data_type)
+    kind = {"FLOAT": "Float", "VECTOR": "Vector", "RGBA": "Color"}.get(node.data_type)
     if kind is None:
         raise _unsupported(node, f"data type {node.data_type}")
-    if kind == "Vector" and node.factor_mode == 'NON_UNIFORM':
+    if kind == "Vector" and node.factor_mode == "NON_UNIFORM":
         factor = values.colour(node, "Factor_Vector", groups)
     else:
         factor = values.number(node, "Factor_Float", groups)
     read = values.number if kind == "Float" else values.colour
-    blend = node.blend_type if kind == "Color" else 'MIX'
+    blend = node.blend_type if kind == "Color" else "MIX"
     factor = clamp(factor, 0.0, 1.0) if node.clamp_factor else factor
-    return _blend(node, blend, factor, read(node, f"A_{kind}", groups), read(node, f"B_{kind}", groups),
-                  kind == "Color" and node.clamp_result)
+    return _blend(
+        node,
+        blend,
+        factor,
+        read(node, f"A_{kind}", groups),
+        read(node, f"B_{kind}", groups),
+        kind == "Color" and node.clamp_result,
+    )
 
 
 def _mix_rgb(values, node, output, groups):
     factor = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
-    return _blend(node, node.blend_type, factor, values.colour(node, "Color1", groups),
-                  values.colour(node, "Color2", groups), node.use_clamp)
+    return _blend(
+        node,
+        node.blend_type,
+        factor,
+        values.colour(node, "Color1", groups),
+        values.colour(node, "Color2", groups),
+        node.use_clamp,
+    )
 
 
 def _blend(node, blend, factor, first, second, clamp_result):
@@ -144,7 +161,7 @@ def _blend(node, blend, factor, first, second, clamp_result):
 
 
 def _separate(values, node, output, groups):
-    name = "Vector" if node.bl_idname == 'ShaderNodeSeparateXYZ' else "Color"
+    name = "Vector" if node.bl_idname == "ShaderNodeSeparateXYZ" else "Color"
     _require_rgb(node)
     return values.colour(node, name, groups)[:, [list(node.outputs).index(output)]]
 
@@ -156,7 +173,7 @@ def _combine(values, node, output, groups):
 
 
 def _require_rgb(node):
-    if getattr(node, 'mode', 'RGB') != 'RGB':
+    if getattr(node, "mode", "RGB") != "RGB":
         raise _unsupported(node, f"mode {node.mode}")
 
 
@@ -181,7 +198,7 @@ def _bright_contrast(values, node, output, groups):
 
 
 def _attribute(values, node, output, groups):
-    if node.attribute_type != 'GEOMETRY' or output.identifier == 'Alpha':
+    if node.attribute_type != "GEOMETRY" or output.identifier == "Alpha":
         raise _unsupported(node, f"{output.name} of type {node.attribute_type}")
     return values.points.attribute(node.attribute_name, node)
 
@@ -191,26 +208,26 @@ def _volume_info(values, node, output, groups):
 
 
 def _texture_coordinate(values, node, output, groups):
-    if output.identifier == 'Object' and node.object is None:
+    if output.identifier == "Object" and node.object is None:
         return values.points.coordinates("object", node)
-    if output.identifier == 'Object':
+    if output.identifier == "Object":
         inverse = np.linalg.inv(np.array(node.object.matrix_world))
         return values.points.coordinates("world", node) @ inverse[:3, :3].T + inverse[:3, 3]
-    if output.identifier == 'Generated' and not node.from_instancer:
+    if output.identifier == "Generated" and not node.from_instancer:
         return values.points.coordinates("generated", node)
     raise _unsupported(node, f"output {output.name}")
 
 
 def _geometry(values, node, output, groups):
-    if output.identifier != 'Position':
+    if output.identifier != "Position":
         raise _unsupported(node, f"output {output.name}")
     return values.points.coordinates("world", node)
 
 
 def _light_path(values, node, output, groups):
     # Only a World knows which ray evaluates it.
-    seen = getattr(values.points, 'visible_to_camera', None)
-    if seen is None or output.identifier != 'Is Camera Ray':
+    seen = getattr(values.points, "visible_to_camera", None)
+    if seen is None or output.identifier != "Is Camera Ray":
         raise _unsupported(node, f"output {output.name}")
     return np.full((1, 1), float(seen))
 
@@ -222,13 +239,13 @@ def _mapping(values, node, output, groups):
         raise _unsupported(node, "a rotation that varies in space")
     turn = np.array(Euler(angles[0]).to_matrix())
     scale = values.colour(node, "Scale", groups)
-    if node.vector_type == 'VECTOR':
+    if node.vector_type == "VECTOR":
         return (vector * scale) @ turn.T
-    if node.vector_type == 'NORMAL':
+    if node.vector_type == "NORMAL":
         turned = divide(vector, scale) @ turn.T
         return divide(turned, np.linalg.norm(turned, axis=1, keepdims=True))
     location = values.colour(node, "Location", groups)
-    if node.vector_type == 'TEXTURE':
+    if node.vector_type == "TEXTURE":
         return divide((vector - location) @ turn, scale)
     return (vector * scale) @ turn.T + location
 
@@ -241,9 +258,10 @@ def _texture_vector(values, node, groups):
 
 
 def _noise_texture(values, node, output, groups):
-    if node.noise_dimensions != '3D' or node.noise_type != 'FBM' or output.type != 'VALUE':
-        raise _unsupported(node, f"{output.name} of {node.noise_type} in {node.noise_dimensions}; "
-                                 "use the factor of 3D fBM")
+    if node.noise_dimensions != "3D" or node.noise_type != "FBM" or output.type != "VALUE":
+        raise _unsupported(
+            node, f"{output.name} of {node.noise_type} in {node.noise_dimensions}; use the factor of 3D fBM"
+        )
     named = ("Scale", "Detail", "Roughness", "Lacunarity", "Distortion")
     settings = [values.number(node, name, groups) for name in named]
     if any(len(setting) > 1 for setting in settings[1:]):
@@ -257,9 +275,9 @@ def _gradient_texture(values, node, output, groups):
 
 
 def _environment_texture(values, node, output, groups):
-    if not getattr(values.points, 'images', False):
+    if not getattr(values.points, "images", False):
         raise _unsupported(node, "an image here")
-    if node.projection != 'EQUIRECTANGULAR' or output.identifier != 'Color':
+    if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
         raise _unsupported(node, f"{output.name} in projection {node.projection}")
     if values.is_linked(node, "Vector", groups):
         vector = values.colour(node, "Vector", groups)
@@ -272,36 +290,36 @@ def _environment_texture(values, node, output, groups):
 
 
 def _unsupported(node, what: str) -> Unsupported:
-    return Unsupported(f"node \"{node.name}\" ({node.bl_label}): {what} cannot be evaluated")
+    return Unsupported(f'node "{node.name}" ({node.bl_label}): {what} cannot be evaluated')
 
 
 FUNCTIONS = {
-    'ShaderNodeValue': _value_node,
-    'ShaderNodeRGB': _value_node,
-    'ShaderNodeMath': _math,
-    'ShaderNodeVectorMath': _vector_math,
-    'ShaderNodeMapRange': _map_range,
-    'ShaderNodeClamp': _clamp,
-    'ShaderNodeBlackbody': _blackbody,
-    'ShaderNodeValToRGB': _color_ramp,
-    'ShaderNodeFloatCurve': _float_curve,
-    'ShaderNodeMix': _mix,
-    'ShaderNodeMixRGB': _mix_rgb,
-    'ShaderNodeSeparateXYZ': _separate,
-    'ShaderNodeSeparateColor': _separate,
-    'ShaderNodeCombineXYZ': _combine,
-    'ShaderNodeCombineColor': _combine,
-    'ShaderNodeRGBToBW': _rgb_to_bw,
-    'ShaderNodeGamma': _gamma,
-    'ShaderNodeInvert': _invert,
-    'ShaderNodeBrightContrast': _bright_contrast,
-    'ShaderNodeAttribute': _attribute,
-    'ShaderNodeVolumeInfo': _volume_info,
-    'ShaderNodeTexCoord': _texture_coordinate,
-    'ShaderNodeNewGeometry': _geometry,
-    'ShaderNodeLightPath': _light_path,
-    'ShaderNodeMapping': _mapping,
-    'ShaderNodeTexNoise': _noise_texture,
-    'ShaderNodeTexGradient': _gradient_texture,
-    'ShaderNodeTexEnvironment': _environment_texture,
+    "ShaderNodeValue": _value_node,
+    "ShaderNodeRGB": _value_node,
+    "ShaderNodeMath": _math,
+    "ShaderNodeVectorMath": _vector_math,
+    "ShaderNodeMapRange": _map_range,
+    "ShaderNodeClamp": _clamp,
+    "ShaderNodeBlackbody": _blackbody,
+    "ShaderNodeValToRGB": _color_ramp,
+    "ShaderNodeFloatCurve": _float_curve,
+    "ShaderNodeMix": _mix,
+    "ShaderNodeMixRGB": _mix_rgb,
+    "ShaderNodeSeparateXYZ": _separate,
+    "ShaderNodeSeparateColor": _separate,
+    "ShaderNodeCombineXYZ": _combine,
+    "ShaderNodeCombineColor": _combine,
+    "ShaderNodeRGBToBW": _rgb_to_bw,
+    "ShaderNodeGamma": _gamma,
+    "ShaderNodeInvert": _invert,
+    "ShaderNodeBrightContrast": _bright_contrast,
+    "ShaderNodeAttribute": _attribute,
+    "ShaderNodeVolumeInfo": _volume_info,
+    "ShaderNodeTexCoord": _texture_coordinate,
+    "ShaderNodeNewGeometry": _geometry,
+    "ShaderNodeLightPath": _light_path,
+    "ShaderNodeMapping": _mapping,
+    "ShaderNodeTexNoise": _noise_texture,
+    "ShaderNodeTexGradient": _gradient_texture,
+    "ShaderNodeTexEnvironment": _environment_texture,
 }

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volume materials: scattering, absorption and emission at points, with Cycles' meaning of each shader."""
 
 from dataclasses import dataclass, field
@@ -12,22 +13,25 @@ from .phase_functions import phase_function
 from .snapshot import snapshot
 from .sockets import Unsupported, active_output, input_of, source_of
 
-SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD'}
+SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
 
 
 @dataclass
 class Closure:
     """One volume shader at n points.
 
-    weight: float64 (n, 1) or (1, 1), scales both coefficients. scatter, absorb: (n, 3) or (1, 3), per world unit.
-    phase: phase function. grid: name of the grid whose values are `weight`, or "". emission: (n, 3) or (1, 3), radiance
-    per world unit, not scaled by the weight. hot: whether a grid drives a blackbody's temperature.
+    weight: float64 (n, 1) or (1, 1), scales both coefficients.
+    scatter, absorb: (n, 3) or (1, 3), per world unit.
+    phase: phase function.
+    grid: name of the grid whose values are `weight`, or "".
+    emission: (n, 3) or (1, 3), radiance per world unit, not scaled by the weight.
+    hot: whether a grid drives a blackbody's temperature.
     """
 
     weight: np.ndarray
     scatter: np.ndarray
     absorb: np.ndarray
-    phase: PhaseFunction = phase_function('HENYEY_GREENSTEIN', 0.0)
+    phase: PhaseFunction = phase_function("HENYEY_GREENSTEIN", 0.0)
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     hot: bool = False
@@ -60,16 +64,16 @@ class VolumeMaterial:
     """
 
     def __init__(self, material, where: str):
-        self.where = where if material is None else f"{where}, material \"{material.name}\""
+        self.where = where if material is None else f'{where}, material "{material.name}"'
         self.output = None
         if material is None:
             return
         self.output = active_output(material)
         if self.output is None:
             self.refuse("it has no nodes, so the volume is invisible; add a Principled Volume node")
-        if not self.output.inputs['Volume'].is_linked:
+        if not self.output.inputs["Volume"].is_linked:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
-        if self.output.inputs['Displacement'].is_linked:
+        if self.output.inputs["Displacement"].is_linked:
             self.refuse("displacement of volumes is not supported; unlink it")
         self.output = snapshot(material.node_tree, self.output)
 
@@ -107,7 +111,7 @@ def is_animated(material) -> bool:
         found = tree.animation_data
         if found is not None and (found.action is not None or len(found.drivers) or len(found.nla_tracks)):
             return True
-        trees += [node.node_tree for node in tree.nodes if node.type == 'GROUP' and node.node_tree not in trees]
+        trees += [node.node_tree for node in tree.nodes if node.type == "GROUP" and node.node_tree not in trees]
     return False
 
 
@@ -115,24 +119,25 @@ def shows_volume(shown) -> bool:
     """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
     surface.
     """
-    if shown.type == 'VOLUME':
+    if shown.type == "VOLUME":
         return True
     if shown.type not in SURFACES:
         return False
     outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]
     return bool(outputs) and all(
-        output is not None and output.inputs['Volume'].is_linked and not output.inputs['Surface'].is_linked
-        for output in outputs)
+        output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked
+        for output in outputs
+    )
 
 
 def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
     node, groups = source.node, source.groups
     if node is None:
         return
-    if node.bl_idname == 'ShaderNodeAddShader':
+    if node.bl_idname == "ShaderNodeAddShader":
         for socket in node.inputs:
             _add(shading, values, source_of(socket, groups), weight)
-    elif node.bl_idname == 'ShaderNodeMixShader':
+    elif node.bl_idname == "ShaderNodeMixShader":
         factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
         for identifier, share in (("Shader", 1.0 - factor), ("Shader_001", factor)):
             _add(shading, values, source_of(input_of(node, identifier), groups), weight * share)
@@ -146,8 +151,10 @@ def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
             closure.weight = closure.weight * weight
             shading.closures.append(closure)
     else:
-        raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) is not supported; use Principled Volume, "
-                          "Volume Scatter, Volume Absorption, Add Shader or Mix Shader")
+        raise Unsupported(
+            f'node "{node.name}" ({node.bl_label}) is not supported; use Principled Volume, '
+            "Volume Scatter, Volume Absorption, Add Shader or Mix Shader"
+        )
 
 
 def _principled(shading, values, node, groups):
@@ -190,7 +197,7 @@ def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
 def _text(node, identifier, groups) -> str:
     source = source_of(input_of(node, identifier), groups)
     if source.node is not None:
-        raise Unsupported(f"node \"{source.node.name}\" linked to {identifier} of \"{node.name}\" is not supported")
+        raise Unsupported(f'node "{source.node.name}" linked to {identifier} of "{node.name}" is not supported')
     return source.socket.default_value
 
 
@@ -201,8 +208,7 @@ def _density(values, node, groups):
 def _scatter(shading, values, node, groups):
     # Volume Scatter does not absorb.
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
-    return Closure(_density(values, node, groups), colour, np.zeros((1, 3)),
-                   _phase(shading, values, node, groups))
+    return Closure(_density(values, node, groups), colour, np.zeros((1, 3)), _phase(shading, values, node, groups))
 
 
 def _absorption(shading, values, node, groups):
@@ -211,8 +217,10 @@ def _absorption(shading, values, node, groups):
 
 
 def _coefficients(shading, values, node, groups):
-    scatter, absorb, emission = (np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
-                                 for kind in ("Scatter", "Absorption", "Emission"))
+    scatter, absorb, emission = (
+        np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
+        for kind in ("Scatter", "Absorption", "Emission")
+    )
     return Closure(np.ones((1, 1)), scatter, absorb, _phase(shading, values, node, groups), emission=emission)
 
 
@@ -222,25 +230,31 @@ def _emission(shading, values, node, groups):
 
 
 CLOSURES = {
-    'ShaderNodeVolumePrincipled': _principled,
-    'ShaderNodeVolumeScatter': _scatter,
-    'ShaderNodeVolumeAbsorption': _absorption,
-    'ShaderNodeVolumeCoefficients': _coefficients,
-    'ShaderNodeEmission': _emission,
+    "ShaderNodeVolumePrincipled": _principled,
+    "ShaderNodeVolumeScatter": _scatter,
+    "ShaderNodeVolumeAbsorption": _absorption,
+    "ShaderNodeVolumeCoefficients": _coefficients,
+    "ShaderNodeEmission": _emission,
 }
 
 
 def _phase(shading, values, node, groups) -> PhaseFunction:
     """The node's phase function; adds a note where it is not Henyey-Greenstein."""
-    kind = getattr(node, 'phase', 'HENYEY_GREENSTEIN')
-    sockets = {'HENYEY_GREENSTEIN': ("Anisotropy",), 'DRAINE': ("Anisotropy", "Alpha"), 'RAYLEIGH': (),
-               'MIE': ("Diameter",), 'FOURNIER_FORAND': ("IOR", "Backscatter")}[kind]
+    kind = getattr(node, "phase", "HENYEY_GREENSTEIN")
+    sockets = {
+        "HENYEY_GREENSTEIN": ("Anisotropy",),
+        "DRAINE": ("Anisotropy", "Alpha"),
+        "RAYLEIGH": (),
+        "MIE": ("Diameter",),
+        "FOURNIER_FORAND": ("IOR", "Backscatter"),
+    }[kind]
     found = [values.number(node, name, groups) for name in sockets]
     if any(len(value) > 1 for value in found):
-        raise Unsupported(f"the phase function of node \"{node.name}\" varies in space, which is not supported")
+        raise Unsupported(f'the phase function of node "{node.name}" varies in space, which is not supported')
     phase = phase_function(kind, *(float(value[0, 0]) for value in found))
-    if kind != 'HENYEY_GREENSTEIN':
+    if kind != "HENYEY_GREENSTEIN":
         shading.notes.append(
-            f"node \"{node.name}\" has phase function {kind.replace('_', '-').title()}; multiple scattering uses "
-            f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}")
+            f'node "{node.name}" has phase function {kind.replace("_", "-").title()}; multiple scattering uses '
+            f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}"
+        )
     return phase

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Plain copies of shader nodes, read once, for threads that must not call bpy.
 
 Nodes and sockets keep their property names, so the same code evaluates Blender's nodes and copies. Copies include
@@ -11,9 +12,9 @@ import numpy as np
 
 from .functions import CURVE_CELLS, RAMP_CELLS
 
-PLAIN = {'BOOLEAN', 'INT', 'FLOAT', 'STRING', 'ENUM'}
+PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
 # Sockets with a value.
-VALUED = {'VALUE', 'INT', 'BOOLEAN', 'VECTOR', 'RGBA', 'ROTATION', 'STRING'}
+VALUED = {"VALUE", "INT", "BOOLEAN", "VECTOR", "RGBA", "ROTATION", "STRING"}
 
 
 class Copy(types.SimpleNamespace):
@@ -72,8 +73,11 @@ def _tree(tree, groups):
 def _plain(node):
     """Numbers, strings and choices that are specific to this type of node."""
     common = bpy.types.Node.bl_rna.properties
-    return {p.identifier: _value(getattr(node, p.identifier)) for p in node.bl_rna.properties
-            if p.type in PLAIN and p.identifier not in common and not getattr(p, "is_enum_flag", False)}
+    return {
+        p.identifier: _value(getattr(node, p.identifier))
+        for p in node.bl_rna.properties
+        if p.type in PLAIN and p.identifier not in common and not getattr(p, "is_enum_flag", False)
+    }
 
 
 def _value(value):
@@ -82,7 +86,7 @@ def _value(value):
 
 def _socket(socket, node) -> Copy:
     copy = Copy(node=node, name=socket.name, identifier=socket.identifier, type=socket.type, links=[])
-    if socket.type in VALUED and hasattr(socket, 'default_value'):
+    if socket.type in VALUED and hasattr(socket, "default_value"):
         copy.default_value = _value(socket.default_value)
     return copy
 
@@ -96,9 +100,11 @@ def _copy_references(copy, node, groups):
     """Copy what a node refers to."""
     if hasattr(node, "color_ramp"):
         ramp = node.color_ramp
-        copy.color_ramp = Ramp(interpolation=ramp.interpolation, table=[
-            tuple(ramp.evaluate(n / (RAMP_CELLS - 1))) for n in range(RAMP_CELLS)])
-    if node.bl_idname == 'ShaderNodeFloatCurve':
+        copy.color_ramp = Ramp(
+            interpolation=ramp.interpolation,
+            table=[tuple(ramp.evaluate(n / (RAMP_CELLS - 1))) for n in range(RAMP_CELLS)],
+        )
+    if node.bl_idname == "ShaderNodeFloatCurve":
         copy.mapping = _curve(node.mapping)
     if hasattr(node, "object"):
         copy.object = node.object and Copy(matrix_world=np.array(node.object.matrix_world))
@@ -114,5 +120,8 @@ def _curve(mapping) -> Curve:
     curve = mapping.curves[0]
     points = [Copy(location=tuple(point.location)) for point in curve.points]
     low, high = points[0].location[0], points[-1].location[0]
-    return Curve(extend=mapping.extend, curves=[Copy(points=points)], table=[
-        mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS) for n in range(CURVE_CELLS + 1)])
+    return Curve(
+        extend=mapping.extend,
+        curves=[Copy(points=points)],
+        table=[mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS) for n in range(CURVE_CELLS + 1)],
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Follows the links of node sockets through reroutes, groups and muted nodes."""
 
 from dataclasses import dataclass
@@ -13,8 +14,9 @@ class Unsupported(Exception):
 class Source:
     """What drives a socket.
 
-    node, output: the node and its output socket; both None where nothing is linked. socket: the input that holds the
-    value where nothing is linked. groups: the enclosing group nodes, outermost first.
+    node, output: the node and its output socket; both None where nothing is linked.
+    socket: the input that holds the value where nothing is linked.
+    groups: the enclosing group nodes, outermost first.
     """
 
     # Quoted: see `objects.visibility.VisibleObject`.
@@ -36,7 +38,7 @@ def has_nodes(block) -> bool:
 
 def active_output(block):
     """The output node that Cycles uses for a material, World or light; None without nodes."""
-    return block.node_tree.get_output_node('CYCLES') if has_nodes(block) else None
+    return block.node_tree.get_output_node("CYCLES") if has_nodes(block) else None
 
 
 def source_of(socket, groups=()) -> Source:
@@ -51,13 +53,13 @@ def source_of(socket, groups=()) -> Source:
             if through is None:
                 break
             socket = through
-        elif node.bl_idname == 'NodeReroute':
+        elif node.bl_idname == "NodeReroute":
             if not node.inputs[0].is_linked:
                 break
             socket = node.inputs[0]
-        elif node.bl_idname == 'NodeGroupInput' and groups:
+        elif node.bl_idname == "NodeGroupInput" and groups:
             socket, groups = _same(groups[-1].inputs, output), groups[:-1]
-        elif node.bl_idname == 'ShaderNodeGroup':
+        elif node.bl_idname == "ShaderNodeGroup":
             socket, groups = _same(_group_output(node).inputs, output), (*groups, node)
         else:
             return Source(node, output, socket, groups)
@@ -71,9 +73,9 @@ def _same(sockets, wanted):
 def _group_output(group):
     nodes = group.node_tree.nodes if group.node_tree else ()
     for node in nodes:
-        if node.bl_idname == 'NodeGroupOutput' and node.is_active_output:
+        if node.bl_idname == "NodeGroupOutput" and node.is_active_output:
             return node
-    raise Unsupported(f"group \"{group.name}\" has no output")
+    raise Unsupported(f'group "{group.name}" has no output')
 
 
 def linked_node(socket):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The Noise and Gradient Textures in NumPy.
 
 The noise is Perlin's improved gradient noise (SIGGRAPH 2002) with lattice gradients chosen by Bob Jenkins' lookup3
@@ -19,7 +20,8 @@ def noise(points, detail: float, roughness: float, lacunarity: float, distortion
     points = np.asarray(points, np.float64)
     if distortion != 0.0:
         points = points + distortion * np.concatenate(
-            [gradient_noise(points + _offset(seed)) for seed in range(3)], axis=1)
+            [gradient_noise(points + _offset(seed)) for seed in range(3)], axis=1
+        )
     detail = min(max(detail, 0.0), MAX_DETAIL)
     total, span, amplitude, frequency = np.zeros((len(points), 1)), 0.0, 1.0, 1.0
 
@@ -97,12 +99,12 @@ def gradient(points, kind: str) -> np.ndarray:
     inside = np.maximum(0.999999 - np.linalg.norm(points, axis=1, keepdims=True), 0.0)
     eased = np.clip(x, 0.0, 1.0)
     value = {
-        'LINEAR': lambda: x,
-        'QUADRATIC': lambda: np.maximum(x, 0.0) ** 2,
-        'EASING': lambda: 3.0 * eased**2 - 2.0 * eased**3,
-        'DIAGONAL': lambda: (x + y) * 0.5,
-        'RADIAL': lambda: np.arctan2(y, x) / (2.0 * np.pi) + 0.5,
-        'SPHERICAL': lambda: inside,
-        'QUADRATIC_SPHERE': lambda: inside**2,
+        "LINEAR": lambda: x,
+        "QUADRATIC": lambda: np.maximum(x, 0.0) ** 2,
+        "EASING": lambda: 3.0 * eased**2 - 2.0 * eased**3,
+        "DIAGONAL": lambda: (x + y) * 0.5,
+        "RADIAL": lambda: np.arctan2(y, x) / (2.0 * np.pi) + 0.5,
+        "SPHERICAL": lambda: inside,
+        "QUADRATIC_SPHERE": lambda: inside**2,
     }[kind]()
     return np.clip(value, 0.0, 1.0)

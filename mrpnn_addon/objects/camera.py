@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The active camera as a `Camera`."""
 
 import math
@@ -7,7 +8,7 @@ import numpy as np
 from ...inference.scene import Camera, SceneError
 from .placement import placement_problem
 
-PROJECTIONS = {'PERSP': "perspective", 'ORTHO': "orthographic", 'PANO': "equirectangular"}
+PROJECTIONS = {"PERSP": "perspective", "ORTHO": "orthographic", "PANO": "equirectangular"}
 
 
 def read_camera(depsgraph) -> tuple[Camera, list[str]]:
@@ -22,11 +23,13 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
     if scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
     camera = scene.camera.evaluated_get(depsgraph)
-    where, lens = f"camera \"{camera.name}\"", camera.data
-    panorama = _panorama(lens) if lens.type == 'PANO' else None
-    if lens.type not in PROJECTIONS or panorama not in (None, 'EQUIRECTANGULAR'):
-        raise SceneError(f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
-                         "equirectangular are supported")
+    where, lens = f'camera "{camera.name}"', camera.data
+    panorama = _panorama(lens) if lens.type == "PANO" else None
+    if lens.type not in PROJECTIONS or panorama not in (None, "EQUIRECTANGULAR"):
+        raise SceneError(
+            f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
+            "equirectangular are supported"
+        )
     matrix = np.array(camera.matrix_world, dtype=np.float64)
     problem = placement_problem(matrix)
     if problem:
@@ -35,20 +38,26 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
         raise SceneError(f"{where}: it has scale 0; set it to 1")
     render = scene.render
     if render.pixel_aspect_x != render.pixel_aspect_y:
-        raise SceneError(f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
-                         "supported; set both to 1 in the output properties")
+        raise SceneError(
+            f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
+            "supported; set both to 1 in the output properties"
+        )
     width, height = (size * render.resolution_percentage // 100 for size in (render.resolution_x, render.resolution_y))
     if width < 1 or height < 1:
         raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
 
     if panorama:
         return Camera(
-            _orthonormal(matrix), projection="equirectangular", resolution=(width, height),
-            longitude=_ends(lens, "longitude"), latitude=_ends(lens, "latitude"),
-            clip=(lens.clip_start, lens.clip_end), region=_region(render, width, height),
+            _orthonormal(matrix),
+            projection="equirectangular",
+            resolution=(width, height),
+            longitude=_ends(lens, "longitude"),
+            latitude=_ends(lens, "latitude"),
+            clip=(lens.clip_start, lens.clip_end),
+            region=_region(render, width, height),
         ), _warnings(where, lens, render)
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
-    perspective = lens.type == 'PERSP'
+    perspective = lens.type == "PERSP"
     # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
     half_width = 1.0 / window[0, 0]
     centre = window[:2, 2] if perspective else -window[:2, 3]
@@ -67,11 +76,11 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
 def panorama_settings(lens):
     """The data that holds a lens' panorama type; None where Cycles is disabled and keeps it."""
     # Before 4.3, panoramas are Cycles' own property.
-    return lens if hasattr(lens, 'panorama_type') else getattr(lens, 'cycles', None)
+    return lens if hasattr(lens, "panorama_type") else getattr(lens, "cycles", None)
 
 
 def _panorama(lens) -> str:
-    return getattr(panorama_settings(lens), 'panorama_type', lens.type)
+    return getattr(panorama_settings(lens), "panorama_type", lens.type)
 
 
 def _ends(lens, name: str) -> tuple[float, float]:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Sun lamps as `Sun`s; a soft sun as several."""
 
 import math
@@ -26,17 +27,17 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
 
     Raises SceneError, naming the lamp, for nodes that cannot be evaluated and for an undefined direction.
     """
-    lamp, name = shown.object.data, f"sun \"{shown.name}\""
+    lamp, name = shown.object.data, f'sun "{shown.name}"'
     problem = placement_problem(shown.matrix)
     if problem:
         raise SceneError(f"{name}: {problem}")
     if not shown.matrix[:3, 2].any():
         raise SceneError(f"{name}: it has scale 0 and shines in no direction")
     irradiance = lamp.energy * np.array(lamp.color, dtype=np.float64)
-    irradiance *= 2.0 ** getattr(lamp, 'exposure', 0.0)
-    if getattr(lamp, 'use_temperature', False):
+    irradiance *= 2.0 ** getattr(lamp, "exposure", 0.0)
+    if getattr(lamp, "use_temperature", False):
         irradiance *= np.array(lamp.temperature_color)
-    if not getattr(lamp, 'normalize', True) and lamp.angle > 0.0:
+    if not getattr(lamp, "normalize", True) and lamp.angle > 0.0:
         # Strength is then radiance, over the projected solid angle of the disc.
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
     # A surface's irradiance is uniform radiance times pi sin^2 of half the angle; a volume's fluence, times the solid
@@ -44,8 +45,10 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, name)
 
-    suns = [Sun(direction, share * irradiance, name=name)
-            for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)]
+    suns = [
+        Sun(direction, share * irradiance, name=name)
+        for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)
+    ]
     return suns, _warnings(shown, name)
 
 
@@ -66,7 +69,7 @@ def disc_directions(frame: np.ndarray, angle: float) -> list[tuple[np.ndarray, f
         rings = [(0.0, 1, 1.0 / 19.0), (0.47, 6, 6.0 / 19.0), (0.8253, 12, 12.0 / 19.0)]
     lengths = np.linalg.norm(frame, axis=0)
     # An axis may have scale 0.
-    axes = frame / lengths if lengths.all() else np.array(Vector(frame[:, 2]).to_track_quat('Z', 'Y').to_matrix())
+    axes = frame / lengths if lengths.all() else np.array(Vector(frame[:, 2]).to_track_quat("Z", "Y").to_matrix())
     found = []
     for radius, count, share in rings:
         for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
@@ -81,8 +84,8 @@ def _warnings(shown: VisibleObject, name: str) -> list[str]:
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         warnings.append(f"{name} is linked to some objects only; it is rendered as lighting all volumes")
     # A property of Cycles, absent while Cycles is disabled.
-    settings = getattr(lamp, 'cycles', None)
-    if not getattr(settings, 'cast_shadow', lamp.use_shadow):
+    settings = getattr(lamp, "cycles", None)
+    if not getattr(settings, "cast_shadow", lamp.use_shadow):
         warnings.append(f"{name} casts no shadow; it is rendered with shadows")
     return warnings
 
@@ -93,11 +96,11 @@ def _node_factor(lamp, name: str) -> np.ndarray:
     if output is None:
         return np.ones(3)
     try:
-        node = linked_node(output.inputs['Surface'])
+        node = linked_node(output.inputs["Surface"])
         if node is None:
             return np.zeros(3)
-        if node.bl_idname != 'ShaderNodeEmission':
-            raise Unsupported(f"node \"{node.name}\" is not supported; use one Emission node")
-        return constant(node.inputs['Strength']) * constant(node.inputs['Color'])
+        if node.bl_idname != "ShaderNodeEmission":
+            raise Unsupported(f'node "{node.name}" is not supported; use one Emission node')
+        return constant(node.inputs["Strength"]) * constant(node.inputs["Color"])
     except Unsupported as problem:
         raise SceneError(f"{name}: {problem}") from None

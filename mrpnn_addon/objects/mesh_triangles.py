@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Triangles of a mesh: copied from Blender at once, processed on any thread."""
 
 import functools
@@ -54,8 +55,7 @@ class Mesh:
 def require_finite(mesh: Mesh, where: str) -> None:
     """Raises SceneError, prefixed with `where`, unless all vertices are finite and in range."""
     if not mesh.is_finite:
-        raise SceneError(f"{where}: some of its vertices are not finite or exceed {LARGEST:g}; check its "
-                         "modifiers")
+        raise SceneError(f"{where}: some of its vertices are not finite or exceed {LARGEST:g}; check its modifiers")
 
 
 def read_mesh(mesh_object) -> Mesh:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque surfaces that hide and shade volumes."""
 
 from dataclasses import dataclass
@@ -11,8 +12,8 @@ from .placement import placement_problem
 from .visibility import VisibleObject
 
 # Object types that Blender converts to meshes.
-MESHES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT'}
-SEE_THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction', 'ShaderNodeHoldout'}
+MESHES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeHoldout"}
 
 
 @dataclass
@@ -41,7 +42,7 @@ def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> 
 
     Raises SceneError, naming the object, where its transform or its vertices are not finite.
     """
-    where = f"{shown.object.type.lower()} object \"{shown.name}\""
+    where = f'{shown.object.type.lower()} object "{shown.name}"'
     if shown.object.type not in MESHES:
         return None, [f"{where} is a surface and not rendered"]
     covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
@@ -66,11 +67,15 @@ def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
     if len(surfaces) == 1:
-        found.append(f"{_names(surfaces)} only hides and shades volumes, as if it were black; Composite over Cycles "
-                     "renders it, too")
+        found.append(
+            f"{_names(surfaces)} only hides and shades volumes, as if it were black; Composite over Cycles "
+            "renders it, too"
+        )
     elif surfaces:
-        found.append(f"{_names(surfaces)} only hide and shade volumes, as if they were black; Composite over Cycles "
-                     "renders them, too")
+        found.append(
+            f"{_names(surfaces)} only hide and shade volumes, as if they were black; Composite over Cycles "
+            "renders them, too"
+        )
     return found
 
 
@@ -84,7 +89,7 @@ def _is_transparent(material) -> bool:
     if output is None:
         return False
     try:
-        return _transmits(source_of(output.inputs['Surface']))
+        return _transmits(source_of(output.inputs["Surface"]))
     except Unsupported:
         return False
 
@@ -94,10 +99,13 @@ def _transmits(source) -> bool:
     node, groups = source.node, source.groups
     if node is None or node.bl_idname in SEE_THROUGH:
         return True
-    if node.bl_idname in ('ShaderNodeMixShader', 'ShaderNodeAddShader'):
-        return any(_transmits(source_of(socket, groups)) for socket in node.inputs if socket.type == 'SHADER')
-    if node.bl_idname == 'ShaderNodeBsdfPrincipled':
+    if node.bl_idname in ("ShaderNodeMixShader", "ShaderNodeAddShader"):
+        return any(_transmits(source_of(socket, groups)) for socket in node.inputs if socket.type == "SHADER")
+    if node.bl_idname == "ShaderNodeBsdfPrincipled":
         alpha, through = (input_of(node, name) for name in ("Alpha", "Transmission Weight"))
-        return any(socket.is_linked for socket in (alpha, through)) or alpha.default_value < 1.0 or \
-            through.default_value > 0.0
+        return (
+            any(socket.is_linked for socket in (alpha, through))
+            or alpha.default_value < 1.0
+            or through.default_value > 0.0
+        )
     return False

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The objects and instances that a render or a viewport shows."""
 
 from collections.abc import Iterator
@@ -13,8 +14,10 @@ from ..nodes.material import shows_volume
 class VisibleObject:
     """One visible object or instance.
 
-    object: the evaluated object; valid only until the iterator advances. matrix: float64 (4, 4), object to world. name:
-    for messages. source: the original object, or the one that instances it.
+    object: the evaluated object; valid only until the iterator advances.
+    matrix: float64 (4, 4), object to world.
+    name: for messages.
+    source: the original object, or the one that instances it.
     """
 
     # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then
@@ -31,7 +34,7 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
     space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
     (eye icon, local view, collections, its filter of object types) and not the visibility in renders.
     """
-    in_render = None if space or depsgraph.mode == 'RENDER' else render_visible(depsgraph.view_layer)
+    in_render = None if space or depsgraph.mode == "RENDER" else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:
         instanced = instance.object
         # Instances have the visibility of their instancer.
@@ -44,7 +47,7 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
             name = f"{instanced.name} in {name}"
         if in_render is not None:
             # Geometry nodes and particles show instances of objects that are themselves hidden.
-            from_nodes = instance.is_instance and source.instance_type == 'NONE'
+            from_nodes = instance.is_instance and source.instance_type == "NONE"
             if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
         if instance.show_self and not _is_replaced(instanced):
@@ -53,8 +56,11 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
 
 def _is_replaced(shown_object) -> bool:
     """Whether geometry nodes leave nothing of a mesh; their instances are objects of their own."""
-    return shown_object.type == 'MESH' and not shown_object.data.polygons and any(
-        modifier.type == 'NODES' for modifier in shown_object.modifiers)
+    return (
+        shown_object.type == "MESH"
+        and not shown_object.data.polygons
+        and any(modifier.type == "NODES" for modifier in shown_object.modifiers)
+    )
 
 
 def visibility_state(depsgraph, space) -> tuple:
@@ -65,9 +71,14 @@ def visibility_state(depsgraph, space) -> tuple:
     """
     view_layer = depsgraph.view_layer
     return view_layer.name, frozenset(
-        (shown.name_full, shown.original.holdout_get(view_layer=view_layer),
-         shown.original.indirect_only_get(view_layer=view_layer))
-        for shown in depsgraph.objects if shown.visible_in_viewport_get(space))
+        (
+            shown.name_full,
+            shown.original.holdout_get(view_layer=view_layer),
+            shown.original.indirect_only_get(view_layer=view_layer),
+        )
+        for shown in depsgraph.objects
+        if shown.visible_in_viewport_get(space)
+    )
 
 
 def hidden_from_camera(shown: VisibleObject, view_layer) -> str:
@@ -117,13 +128,13 @@ def require_evaluated(depsgraph) -> None:
 
     Outside a render, Blender evaluates only what the viewport shows, so the image would lack it.
     """
-    if depsgraph.mode == 'RENDER':
+    if depsgraph.mode == "RENDER":
         return
     for candidate in render_visible(depsgraph.view_layer):
         kind = _rendered_kind(candidate)
         if kind and not candidate.visible_get(view_layer=depsgraph.view_layer):
             raise SceneError(
-                f"{kind} \"{candidate.name}\" is hidden in the viewport but not in renders; show it, "
+                f'{kind} "{candidate.name}" is hidden in the viewport but not in renders; show it, '
                 "or hide it in renders too"
             )
 
@@ -131,6 +142,6 @@ def require_evaluated(depsgraph) -> None:
 def _rendered_kind(candidate) -> str | None:
     if shows_volume(candidate):
         return "volume"
-    if candidate.type == 'LIGHT' and candidate.data.type == 'SUN':
+    if candidate.type == "LIGHT" and candidate.data.type == "SUN":
         return "sun"
     return None

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
 from dataclasses import dataclass
@@ -63,16 +64,24 @@ class Workload:
 def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
     """The work of a render; boxes may overlap."""
     covered = pixels_around(boxes, camera)
-    found = Workload(frozenset(box.name for box in boxes), int(covered.sum()), volumes=len(boxes), lights=lights,
-                 samples=samples, channels=channels)
+    found = Workload(
+        frozenset(box.name for box in boxes),
+        int(covered.sum()),
+        volumes=len(boxes),
+        lights=lights,
+        samples=samples,
+        channels=channels,
+    )
     if not found.window:
         return found
     x0, y0 = camera.window[:2]
     across, down = (np.flatnonzero(covered.any(axis=axis)) for axis in (0, 1))
     left, right, top, bottom = across[0] + x0, across[-1] + 1 + x0, down[0] + y0, down[-1] + 1 + y0
     columns, rows = min(right - left, RAYS), min(bottom - top, RAYS)
-    x, y = np.meshgrid(left + (np.arange(columns) + 0.5) * (right - left) / columns,
-                       top + (np.arange(rows) + 0.5) * (bottom - top) / rows)
+    x, y = np.meshgrid(
+        left + (np.arange(columns) + 0.5) * (right - left) / columns,
+        top + (np.arange(rows) + 0.5) * (bottom - top) / rows,
+    )
     origins, directions, cosine = image_rays(camera, x.ravel(), y.ravel())
     near, far, thickness = _intervals(boxes, origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine)
     hit = near < far
@@ -81,8 +90,10 @@ def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: in
     filled = [box.filled for box in boxes if box.filled is not None]
     found.filled = float(np.mean(filled)) if len(filled) == len(boxes) else None
     found.thickness = sum(box.thickness for box in boxes)
-    steps_per_voxel = max(float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
-                  STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
+    steps_per_voxel = max(
+        float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
+        STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0),
+    )
     found.stiff = found.thickness / steps_per_voxel > STIFF
     voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
     found.steps = float(np.ceil(voxels * steps_per_voxel).sum()) * share
@@ -97,7 +108,7 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
     covered = np.zeros((y1 - y0, x1 - x0), bool)
     for box in boxes:
         left, top, right, bottom = window_around(camera, _corners(box))
-        covered[top - y0:bottom - y0, left - x0:right - x0] = True
+        covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
 
 
@@ -108,8 +119,7 @@ def _corners(box: Box) -> np.ndarray:
 
 
 def _intervals(boxes, origins, directions, clip_near, clip_far):
-    """Distances (N,) where rays enter the first box and leave the last, and optical thicknesses (N,) at peak density.
-    """
+    """Distances (N,) where rays enter the first box and leave the last, and optical thickness (N,) at peak density."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     thickness = np.zeros(len(origins))
     for box in boxes:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Composites volumes, rendered with MRPNN in a second scene, over a scene rendered by Cycles.
 
 The first scene keeps its objects. Volumes are invisible to the camera only in its renders: a handler hides the
@@ -13,7 +14,7 @@ from bpy.props import BoolProperty, PointerProperty, StringProperty
 from ..nodes.material import shows_volume
 from .composite_nodes import build_nodes, compositor_problems, remove_nodes
 
-ENGINE = 'MRPNN'
+ENGINE = "MRPNN"
 # Properties that differ between the two scenes by design.
 _OWN_RENDER_PROPERTIES = {"rna_type", "engine", "film_transparent", "use_compositing", "use_sequencer", "filepath"}
 _OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
@@ -21,20 +22,27 @@ _OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
 _FORMAT = ("media_type", "file_format", "color_mode")
 _SCENE_PROPERTIES = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
 _LAYER_COLLECTION_PROPERTIES = ("exclude", "holdout", "indirect_only", "hide_viewport")
-_RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
-         "visible_shadow")
+_RAYS = (
+    "visible_camera",
+    "visible_diffuse",
+    "visible_glossy",
+    "visible_transmission",
+    "visible_volume_scatter",
+    "visible_shadow",
+)
 
 
 class MRPNN_PG_composite(bpy.types.PropertyGroup):
-    """Of a composited scene: its volumes' scene, and what *Remove Composite* restores. Of a volumes' scene: surfaces.
-    """
+    """A composited scene's volume scene, and what *Remove Composite* restores; of a volume scene, its surfaces."""
 
     active: BoolProperty(name="Composited", description="Whether the volumes are composited over this scene")
     volumes: PointerProperty(name="Scene of the Volumes", type=bpy.types.Scene)
     surfaces: PointerProperty(name="Scene of the Surfaces", type=bpy.types.Scene)
     shadows: BoolProperty(
-        name="Shadows on Surfaces", default=True,
-        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces")
+        name="Shadows on Surfaces",
+        default=True,
+        description="Keep the volumes in Cycles, invisible to the camera, so that they cast shadows on surfaces",
+    )
     engine: StringProperty(name="Render Engine Before")
     compositing: BoolProperty(name="Compositing Before")
     made_tree: BoolProperty(name="Compositor Made")
@@ -49,13 +57,13 @@ def composite(scene, shadows: bool) -> None:
     if volume_scene(scene) is None:
         name = f"{scene.name} MRPNN"
         if name in bpy.data.scenes:
-            raise ValueError(f"there is a scene \"{name}\" already; delete or rename it")
+            raise ValueError(f'there is a scene "{name}" already; delete or rename it')
         volumes = _volume_scene(scene, name)
         state.volumes, volumes.mrpnn_composite.surfaces = volumes, scene
     if not state.active:
         state.engine, state.compositing = scene.render.engine, scene.render.use_compositing
     state.shadows = shadows
-    scene.render.engine, scene.render.use_compositing = 'CYCLES', True
+    scene.render.engine, scene.render.use_compositing = "CYCLES", True
     state.made_tree = build_nodes(scene, state.volumes) or (state.active and state.made_tree)
     state.active = True
     synchronize(scene)
@@ -89,9 +97,12 @@ def out_of_date(scene) -> list[str]:
     volumes, found = volume_scene(scene), []
     if volumes is None:
         other = scene.mrpnn_composite.volumes
-        found.append("The scene of the volumes was deleted" if other is None else
-                     f"The volumes are those of another scene, in \"{other.name}\"")
-    if scene.render.engine != 'CYCLES':
+        found.append(
+            "The scene of the volumes was deleted"
+            if other is None
+            else f'The volumes are those of another scene, in "{other.name}"'
+        )
+    if scene.render.engine != "CYCLES":
         found.append("The render engine is not Cycles")
     if not scene.render.use_compositing:
         found.append("Output > Post Processing > Compositing is off")
@@ -152,7 +163,7 @@ def _set(owner, name: str, value) -> None:
 def _copy_values(source, target, own) -> None:
     """Copy all plain properties of `source` to `target` but those named in `own`."""
     for prop in source.bl_rna.properties:
-        if prop.identifier in own or prop.is_readonly or prop.type in ('POINTER', 'COLLECTION'):
+        if prop.identifier in own or prop.is_readonly or prop.type in ("POINTER", "COLLECTION"):
             continue
         value, known = getattr(source, prop.identifier), getattr(target, prop.identifier)
         if getattr(prop, "is_array", False):
@@ -180,6 +191,7 @@ def _beside(path: str) -> str:
 
 def _copy_markers(scene, volumes) -> None:
     """Copy markers, which bind cameras to frames."""
+
     def described(markers):
         return [(marker.name, marker.frame, marker.camera) for marker in markers]
 
@@ -225,7 +237,7 @@ def _synchronize_all() -> None:
 @bpy.app.handlers.persistent
 def _after_change(*_):
     # During a render, Blender's render thread reads both scenes.
-    if _in_main_thread() and not bpy.app.is_job_running('RENDER'):
+    if _in_main_thread() and not bpy.app.is_job_running("RENDER"):
         _synchronize_all()
 
 
@@ -239,7 +251,7 @@ def _before_render(scene, *_):
 @bpy.app.handlers.persistent
 def _hide_volumes(scene, depsgraph=None):
     """Hide volumes from the camera, or from all rays if wanted, in a render of a composited scene."""
-    if depsgraph is None or depsgraph.mode != 'RENDER' or not scene.mrpnn_composite.active:
+    if depsgraph is None or depsgraph.mode != "RENDER" or not scene.mrpnn_composite.active:
         return
     if volume_scene(scene) is None or scene.render.engine == ENGINE:
         return
@@ -250,8 +262,13 @@ def _hide_volumes(scene, depsgraph=None):
             setattr(evaluated, name, False)
 
 
-_HANDLERS = {"depsgraph_update_post": _after_change, "save_pre": _after_change, "load_post": _after_change,
-             "render_init": _before_render, "frame_change_post": _hide_volumes}
+_HANDLERS = {
+    "depsgraph_update_post": _after_change,
+    "save_pre": _after_change,
+    "load_post": _after_change,
+    "render_init": _before_render,
+    "frame_change_post": _hide_volumes,
+}
 
 
 def register():

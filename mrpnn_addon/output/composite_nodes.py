@@ -1,19 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The compositor nodes that lay the volumes' scene over a scene."""
-
 
 import bpy
 
 FIVE = bpy.app.version >= (5, 0, 0)
-MATH = 'ShaderNodeMath' if FIVE else 'CompositorNodeMath'
+MATH = "ShaderNodeMath" if FIVE else "CompositorNodeMath"
 BACKGROUND, FOREGROUND = ("Background", "Foreground") if FIVE else ("Image", "Image_001")
 # Nodes of a compositor that shows the scene unchanged; before 5.0 Blender creates one by default.
-BARE = {'NodeGroupOutput'} if FIVE else {
-    'CompositorNodeComposite', 'CompositorNodeRLayers', 'CompositorNodeViewer', 'NodeReroute'}
+BARE = (
+    {"NodeGroupOutput"}
+    if FIVE
+    else {"CompositorNodeComposite", "CompositorNodeRLayers", "CompositorNodeViewer", "NodeReroute"}
+)
 # Custom property with the role of each of these nodes.
 MARK = "mrpnn_composite"
 LOCATIONS = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
-TITLES = {"surfaces": "Surfaces by Cycles", "volumes": "Volumes by MRPNN", "over": "Volumes over Surfaces",
-          "nearer": "Volume before surface"}
+TITLES = {
+    "surfaces": "Surfaces by Cycles",
+    "volumes": "Volumes by MRPNN",
+    "over": "Volumes over Surfaces",
+    "nearer": "Volume before surface",
+}
 
 
 def build_nodes(scene, volumes) -> bool:
@@ -23,8 +30,8 @@ def build_nodes(scene, volumes) -> bool:
     """
     made = _tree(scene) is None
     tree, result = _compositor(scene)
-    layer = _node(tree, "volumes", 'CompositorNodeRLayers')
-    over = _node(tree, "over", 'CompositorNodeAlphaOver')
+    layer = _node(tree, "volumes", "CompositorNodeRLayers")
+    over = _node(tree, "over", "CompositorNodeAlphaOver")
     layer.scene, layer.layer = volumes, volumes.view_layers[0].name
     layer.mute = over.mute = False
     sockets = _sockets(over)
@@ -80,7 +87,7 @@ def compositor_problems(scene, volumes) -> list[str]:
     if not sockets[BACKGROUND].is_linked:
         found.append("The compositor's output does not show the surfaces")
     if volumes is not None and layer.scene != volumes:
-        found.append(f"The compositor shows the volumes of another scene than \"{volumes.name}\"")
+        found.append(f'The compositor shows the volumes of another scene than "{volumes.name}"')
     if (_found(tree, "nearer") is None) == _panorama(scene):
         found.append("The camera is a panorama now" if _panorama(scene) else "The camera is no longer a panorama")
     return found
@@ -88,21 +95,21 @@ def compositor_problems(scene, volumes) -> list[str]:
 
 def _panorama(scene) -> bool:
     """Whether the camera is a panorama, in which surfaces do not hide volumes."""
-    return scene.camera is not None and scene.camera.type == 'CAMERA' and scene.camera.data.type == 'PANO'
+    return scene.camera is not None and scene.camera.type == "CAMERA" and scene.camera.data.type == "PANO"
 
 
 def _compare_depths(tree, surfaces, volumes, factor) -> None:
     """Show volumes only where they are in front of surfaces."""
     surfaces.scene.view_layers[surfaces.layer].use_pass_z = True
     nearer = _node(tree, "nearer", MATH)
-    nearer.operation = 'LESS_THAN'
+    nearer.operation = "LESS_THAN"
     tree.links.new(volumes.outputs["Depth"], nearer.inputs[0])
     tree.links.new(surfaces.outputs["Depth"], nearer.inputs[1])
     tree.links.new(nearer.outputs[0], factor)
 
 
 def _surfaces(tree, scene):
-    node = _node(tree, "surfaces", 'CompositorNodeRLayers')
+    node = _node(tree, "surfaces", "CompositorNodeRLayers")
     if node.scene != scene:
         node.scene = scene
     return node
@@ -154,8 +161,8 @@ def _tree(scene):
 
 def _output(tree):
     if not FIVE:
-        return next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeComposite'), None)
-    outputs = [node for node in tree.nodes if node.bl_idname == 'NodeGroupOutput']
+        return next((node for node in tree.nodes if node.bl_idname == "CompositorNodeComposite"), None)
+    outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), None)
 
 
@@ -164,11 +171,11 @@ def _compositor(scene):
     if not FIVE:
         scene.use_nodes = True
         tree = scene.node_tree
-        output = _output(tree) or tree.nodes.new('CompositorNodeComposite')
+        output = _output(tree) or tree.nodes.new("CompositorNodeComposite")
         return tree, output.inputs["Image"]
     tree = scene.compositing_node_group
     if tree is None:
-        tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositor", 'CompositorNodeTree')
-        tree.interface.new_socket("Image", in_out='OUTPUT', socket_type='NodeSocketColor')
-    output = _output(tree) or tree.nodes.new('NodeGroupOutput')
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    output = _output(tree) or tree.nodes.new("NodeGroupOutput")
     return tree, output.inputs[0]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Writes OpenEXR files: one part, float channels, ZIP-compressed scanlines.
 
 Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Implemented with NumPy and zlib: not every Blender has an
@@ -22,8 +23,9 @@ LINES_PER_BLOCK = 16
 MAX_NAME_BYTES = 255
 
 
-def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float],
-              check=lambda: None) -> None:
+def write_exr(
+    path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float], check=lambda: None
+) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 
     attributes: written to the header as string, int and float attributes. check: called often; an exception that it
@@ -38,7 +40,7 @@ def write_exr(path: str, channels: dict[str, np.ndarray], attributes: dict[str, 
     def block(y):
         check()
         # Scanlines store one channel after another, in the order of their names: (lines, C, W).
-        rows = [np.asarray(channels[name][y:y + LINES_PER_BLOCK], dtype="<f4") for name in names]
+        rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype="<f4") for name in names]
         return _block(np.stack(rows, axis=1))
 
     with ThreadPoolExecutor() as pool:

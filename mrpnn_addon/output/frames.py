@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Lists of frames, and the path of each frame's file."""
 
 import os
@@ -42,8 +43,9 @@ def frame_path(pattern: str, frame: int, many: bool) -> str:
     Raises SceneError where that folder is unknown.
     """
     if pattern.startswith("//") and not bpy.data.filepath:
-        raise SceneError(f"{pattern} is relative to the .blend file, which is not saved yet; save it, or enter a full "
-                         "path")
+        raise SceneError(
+            f"{pattern} is relative to the .blend file, which is not saved yet; save it, or enter a full path"
+        )
     path = os.path.abspath(bpy.path.abspath(pattern))
     folder, name = os.path.split(path)
     runs = list(re.finditer("#+", name))

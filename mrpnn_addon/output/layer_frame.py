@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A layer in the frame of Blender's images."""
 
 from dataclasses import replace
@@ -24,9 +25,14 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
         return full
 
     return replace(
-        layer, rgb=placed(layer.rgb, 0.0), alpha=placed(layer.alpha, 0.0), depth=placed(layer.depth, np.inf),
-        single=placed(layer.single, 0.0), multiple=placed(layer.multiple, 0.0),
-        uncertainty=placed(layer.uncertainty, 0.0), emission=placed(layer.emission, 0.0),
+        layer,
+        rgb=placed(layer.rgb, 0.0),
+        alpha=placed(layer.alpha, 0.0),
+        depth=placed(layer.depth, np.inf),
+        single=placed(layer.single, 0.0),
+        multiple=placed(layer.multiple, 0.0),
+        uncertainty=placed(layer.uncertainty, 0.0),
+        emission=placed(layer.emission, 0.0),
     )
 
 

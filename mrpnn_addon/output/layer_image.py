@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A layer as an Image data-block, and as a display-ready file."""
 
 import os
@@ -24,14 +25,14 @@ def show_image(values: np.ndarray, name: str) -> bpy.types.Image:
     """
     height, width = values.shape[:2]
     image = bpy.data.images.get(name)
-    if image is not None and not (image.source == 'GENERATED' and image.is_float):
+    if image is not None and not (image.source == "GENERATED" and image.is_float):
         # A packed or reloaded image cannot be written to: replace it.
         image = _replaced(image, width, height)
     if image is None:
         image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True)
     if tuple(image.size) != (width, height):
         image.scale(width, height)
-    image.alpha_mode = 'PREMUL'
+    image.alpha_mode = "PREMUL"
     image.pixels.foreach_set(np.ascontiguousarray(values[::-1], np.float32).ravel())
     image.update()
     return image
@@ -55,10 +56,10 @@ def save_view_transformed(image: bpy.types.Image, path: str, scene) -> None:
     if not os.path.isdir(folder):
         raise FileNotFoundError(f"folder not found: {folder}")
     settings = scene.render.image_settings
-    wanted = {'file_format': 'PNG', 'color_mode': 'RGBA', 'color_depth': '8'}
+    wanted = {"file_format": "PNG", "color_mode": "RGBA", "color_depth": "8"}
     # media_type, new in 5.0, restricts file formats.
-    if hasattr(settings, 'media_type'):
-        wanted = {'media_type': 'IMAGE', **wanted}
+    if hasattr(settings, "media_type"):
+        wanted = {"media_type": "IMAGE", **wanted}
     before = {name: getattr(settings, name) for name in wanted}
     with tempfile.TemporaryDirectory(prefix=".mrpnn-", dir=folder) as unfinished:
         part = os.path.join(unfinished, "image.png")

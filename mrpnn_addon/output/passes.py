@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Render passes of a view layer, by Cycles' names."""
 
 from collections.abc import Callable
@@ -11,8 +12,10 @@ from .layer_frame import finite_depth
 
 # Cycles abbreviates pass names before 5.0.
 DIRECT, INDIRECT, EMISSION = (
-    ("Volume Direct", "Volume Indirect", "Emission") if bpy.app.version >= (5, 0, 0) else
-    ("VolumeDir", "VolumeInd", "Emit"))
+    ("Volume Direct", "Volume Indirect", "Emission")
+    if bpy.app.version >= (5, 0, 0)
+    else ("VolumeDir", "VolumeInd", "Emit")
+)
 
 
 @dataclass
@@ -31,10 +34,10 @@ def extra_passes(view_layer) -> list[RenderPass]:
     """Passes that a view layer requests besides Combined."""
     switches = view_layer.mrpnn
     passes = [
-        (view_layer.use_pass_z, RenderPass("Depth", "Z", 'VALUE', finite_depth)),
-        (switches.use_pass_volume_direct, RenderPass(DIRECT, "RGB", 'COLOR', lambda layer: layer.single)),
-        (switches.use_pass_volume_indirect, RenderPass(INDIRECT, "RGB", 'COLOR', lambda layer: layer.multiple)),
-        (switches.use_pass_emission, RenderPass(EMISSION, "RGB", 'COLOR', lambda layer: layer.emission)),
-        (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", 'VALUE', lambda layer: layer.uncertainty)),
+        (view_layer.use_pass_z, RenderPass("Depth", "Z", "VALUE", finite_depth)),
+        (switches.use_pass_volume_direct, RenderPass(DIRECT, "RGB", "COLOR", lambda layer: layer.single)),
+        (switches.use_pass_volume_indirect, RenderPass(INDIRECT, "RGB", "COLOR", lambda layer: layer.multiple)),
+        (switches.use_pass_emission, RenderPass(EMISSION, "RGB", "COLOR", lambda layer: layer.emission)),
+        (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", "VALUE", lambda layer: layer.uncertainty)),
     ]
     return [wanted for on, wanted in passes if on]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Background threads that Blender's main thread polls; imports no bpy."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Scripts that run in separate Blender processes."""
 
 import sys
@@ -11,5 +12,15 @@ def blender_command(script: Path, arguments) -> list:
     if not bpy.app.binary_path:
         # Running as the bpy module: there is no Blender program.
         return [sys.executable, str(script), *arguments]
-    return [bpy.app.binary_path, "--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "1",
-            "--python", str(script), "--", *arguments]
+    return [
+        bpy.app.binary_path,
+        "--background",
+        "--factory-startup",
+        "--disable-autoexec",
+        "--python-exit-code",
+        "1",
+        "--python",
+        str(script),
+        "--",
+        *arguments,
+    ]

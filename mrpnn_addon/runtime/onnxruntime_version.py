@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The onnxruntime that Blender would import, found without importing it."""
 
 import importlib.metadata
@@ -39,15 +40,21 @@ def check_runtime() -> list:
     """
     version, folder = runtime_version(), runtime_folder()
     if not folder:
-        raise SceneError("the package onnxruntime, which the extension ships, is missing; disable and enable the "
-                         "extension, or install it again")
+        raise SceneError(
+            "the package onnxruntime, which the extension ships, is missing; disable and enable the "
+            "extension, or install it again"
+        )
     if version is None or version == SHIPPED:
         return []
     if tuple(int(number) for number in version.split(".")[:2]) < OLDEST:
-        raise SceneError(f"onnxruntime {version} in {folder} is too old, {OLDEST[0]}.{OLDEST[1]} or later is needed; "
-                         "another extension or Python's user packages brought it: remove it there")
-    return [f"onnxruntime {version} in {folder} is used, which another extension brought; "
-            f"{SHIPPED} is what this one was tested with"]
+        raise SceneError(
+            f"onnxruntime {version} in {folder} is too old, {OLDEST[0]}.{OLDEST[1]} or later is needed; "
+            "another extension or Python's user packages brought it: remove it there"
+        )
+    return [
+        f"onnxruntime {version} in {folder} is used, which another extension brought; "
+        f"{SHIPPED} is what this one was tested with"
+    ]
 
 
 def missing_provider(provider: str) -> list:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Counts scene changes, so that panels recompute only after one."""
 
 import bpy
@@ -10,10 +11,21 @@ def scene_state(scene) -> tuple:
     """A value that differs where a render of the scene may differ. Selection does not change it."""
     render = scene.render
     return (
-        _changes, scene.name, scene.frame_current, scene.camera and scene.camera.name, scene.mrpnn.settings(),
-        scene.world and scene.world.name_full, scene.mrpnn.world_directions,
-        render.resolution_x, render.resolution_y, render.resolution_percentage, render.use_border,
-        render.border_min_x, render.border_min_y, render.border_max_x, render.border_max_y,
+        _changes,
+        scene.name,
+        scene.frame_current,
+        scene.camera and scene.camera.name,
+        scene.mrpnn.settings(),
+        scene.world and scene.world.name_full,
+        scene.mrpnn.world_directions,
+        render.resolution_x,
+        render.resolution_y,
+        render.resolution_percentage,
+        render.use_border,
+        render.border_min_x,
+        render.border_min_y,
+        render.border_max_x,
+        render.border_max_y,
     )
 
 

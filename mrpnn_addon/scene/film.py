@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The background of a render whose film is not transparent."""
 
 from dataclasses import dataclass, field
@@ -50,9 +51,14 @@ def read_background(depsgraph, camera: Camera, check=lambda: None) -> Background
     try:
         return Background(camera, found.view(camera, SAMPLES, pixel_filter(depsgraph.scene), check))
     except PictureFailed as failure:
-        return Background(camera, np.zeros(3, np.float32), [
-            f"World \"{depsgraph.scene.world.name}\": {failure}, so the background is black; "
-            "turn on Film > Transparent to composite the layer over another"])
+        return Background(
+            camera,
+            np.zeros(3, np.float32),
+            [
+                f'World "{depsgraph.scene.world.name}": {failure}, so the background is black; '
+                "turn on Film > Transparent to composite the layer over another"
+            ],
+        )
 
 
 def world_behind(depsgraph) -> np.ndarray | WorldSource:
@@ -69,12 +75,12 @@ def world_behind(depsgraph) -> np.ndarray | WorldSource:
 def pixel_filter(scene) -> tuple[str, float]:
     """Cycles' filter type and its width in pixels."""
     # Properties of Cycles, absent while Cycles is disabled.
-    settings = getattr(scene, 'cycles', None)
-    return (settings.pixel_filter_type, settings.filter_width) if settings else ('BLACKMAN_HARRIS', 1.5)
+    settings = getattr(scene, "cycles", None)
+    return (settings.pixel_filter_type, settings.filter_width) if settings else ("BLACKMAN_HARRIS", 1.5)
 
 
 def _visible_to_camera(world) -> bool:
-    visibility = getattr(world, 'cycles_visibility', None)
+    visibility = getattr(world, "cycles_visibility", None)
     return visibility is None or visibility.camera
 
 

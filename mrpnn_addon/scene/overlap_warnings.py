@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Warnings about approximations where volumes overlap or light each other."""
-
 
 import numpy as np
 
@@ -20,12 +20,16 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
         media = [pairs[v][1] for v in group]
         spread = np.ptp([medium.albedo for medium in media], axis=0).max()
         if spread > ALBEDO or np.ptp([medium.anisotropy for medium in media]) > COSINE:
-            found.append(f"volumes {_names(pairs, group)} overlap; multiple scattering is predicted in one medium "
-                         "with their mean colour and mean anisotropy")
+            found.append(
+                f"volumes {_names(pairs, group)} overlap; multiple scattering is predicted in one medium "
+                "with their mean colour and mean anisotropy"
+            )
     if apart:
         more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""
-        found.append(f"volumes {_names(pairs, apart[0])} overlap and are of very different size{more}; multiple "
-                     "scattering is predicted as if each were alone")
+        found.append(
+            f"volumes {_names(pairs, apart[0])} overlap and are of very different size{more}; multiple "
+            "scattering is predicted as if each were alone"
+        )
     return found + _unlit(pairs, groups)
 
 
@@ -35,11 +39,13 @@ def _unlit(pairs, groups) -> list[str]:
         emitting = [v for v in group if pairs[v][0].emission is not None]
         others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.albedo.any()]
         if emitting and others:
-            return [f"light that volume \"{pairs[emitting[0]][0].name}\" emits does not light volume "
-                    f"\"{pairs[others[0]][0].name}\", whose grid does not overlap its own"]
+            return [
+                f'light that volume "{pairs[emitting[0]][0].name}" emits does not light volume '
+                f'"{pairs[others[0]][0].name}", whose grid does not overlap its own'
+            ]
     return []
 
 
 def _names(pairs, numbers) -> str:
-    first, second, *others = (f"\"{pairs[v][0].name}\"" for v in numbers)
+    first, second, *others = (f'"{pairs[v][0].name}"' for v in numbers)
     return f"{first} and {second}" + (f" and {len(others)} more" if others else "")

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The evaluated scene as plain descriptions for `inference.render`."""
 
 import functools
@@ -22,13 +23,16 @@ NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add
 class SceneDescription:
     """What a render needs of a scene.
 
-    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces. crop: whether the
-    image has the region's size instead of the full frame's. view_layer: its name. frame: its number. environment:
-    whether `suns` include the World's light. warnings: what is left out or approximated, naming each object. left_out:
-    names of visible volumes and lights that are not in the description. unseen: which volumes are invisible, and why.
-    empty: those among them that are empty in this frame; a scene of only such volumes has a description without
-    volumes. refused: user errors of objects or the World, which are left out, naming each. boxes: around the volumes,
-    each with the number of colour channels that differ; for `workload`.
+    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces.
+    crop: whether the image has the region's size instead of the full frame's.
+    view_layer: its name. frame: its number.
+    environment: whether `suns` include the World's light.
+    warnings: what is left out or approximated, naming each object.
+    left_out: names of visible volumes and lights that are not in the description.
+    unseen: which volumes are invisible, and why. empty: those among them that are empty in this frame; a scene of only
+        such volumes has a description without volumes.
+    refused: user errors of objects or the World, which are left out, naming each.
+    boxes: around the volumes, each with the number of colour channels that differ; for `workload`.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -77,8 +81,10 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
         return description
     require_volumes(description)
     if not description.volumes:
-        raise SceneError("the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
-                         "closed mesh a material with a volume and no surface")
+        raise SceneError(
+            "the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
+            "closed mesh a material with a volume and no surface"
+        )
     if not _has_light(description):
         raise SceneError("; ".join([NO_LIGHT, *description.refused]))
     return description
@@ -100,8 +106,11 @@ def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription
 def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
     scene = depsgraph.scene
     description = SceneDescription(
-        crop=scene.render.use_crop_to_border, view_layer=depsgraph.view_layer.name, frame=scene.frame_current,
-        warnings=_view_layer_warnings(depsgraph.view_layer))
+        crop=scene.render.use_crop_to_border,
+        view_layer=depsgraph.view_layer.name,
+        frame=scene.frame_current,
+        warnings=_view_layer_warnings(depsgraph.view_layer),
+    )
     reader = reader or VolumeReader()
     for shown in visible_objects(depsgraph, space):
         check()
@@ -156,18 +165,17 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
     kind = shown.object.type
     if shows_volume(shown.object):
         _add_volume(description, shown, reader, view_layer)
-    elif kind == 'LIGHT' and shown.object.data.type == 'SUN':
+    elif kind == "LIGHT" and shown.object.data.type == "SUN":
         # Cycles' ray visibility of a lamp: otherwise the sun lights surfaces only.
         if not shown.object.visible_volume_scatter:
-            description.warnings.append(f"sun \"{shown.name}\" is hidden from volume scattering and left out")
+            description.warnings.append(f'sun "{shown.name}" is hidden from volume scattering and left out')
             return
         suns, warnings = read_suns(shown)
         description.suns += suns
         description.warnings += warnings
-    elif kind == 'LIGHT':
+    elif kind == "LIGHT":
         lamp = shown.object.data.type.lower()
-        description.warnings.append(
-            f"light \"{shown.name}\" ({lamp}) is left out; only suns and the World light volumes")
+        description.warnings.append(f'light "{shown.name}" ({lamp}) is left out; only suns and the World light volumes')
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
         description.opaque += [surface] if surface else []
@@ -175,7 +183,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
 
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
-    where, unseen = f"volume \"{shown.name}\"", hidden_from_camera(shown, view_layer)
+    where, unseen = f'volume "{shown.name}"', hidden_from_camera(shown, view_layer)
     if not unseen:
         try:
             volume, medium, warnings = reader.read(shown)
@@ -194,7 +202,7 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
 
 def _view_layer_warnings(view_layer) -> list[str]:
     """Warnings about settings of a view layer that have no effect."""
-    where, found = f"view layer \"{view_layer.name}\"", []
+    where, found = f'view layer "{view_layer.name}"', []
     if view_layer.material_override is not None:
         found.append(f"{where} overrides materials; volumes keep their own")
     # Not in Blender 4.2.

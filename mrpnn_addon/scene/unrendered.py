@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Objects that a scene shows and this engine does not render, for the panel and the viewport."""
 
 from dataclasses import dataclass, field
@@ -5,7 +6,7 @@ from dataclasses import dataclass, field
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.visibility import visible_objects
 
-RENDERED_LIGHTS = {'SUN'}
+RENDERED_LIGHTS = {"SUN"}
 
 
 @dataclass
@@ -40,7 +41,7 @@ class Unrendered:
 
     def names(self, text: str) -> bool:
         """Whether a text mentions one of them."""
-        return any(f"\"{name}\"" in text for name in (*self.lights, *self.surfaces))
+        return any(f'"{name}"' in text for name in (*self.lights, *self.surfaces))
 
 
 def composited(scene) -> bool:
@@ -53,7 +54,7 @@ def unrendered(depsgraph) -> Unrendered:
     found = Unrendered()
     for shown in visible_objects(depsgraph):
         kind = shown.object.type
-        if kind == 'LIGHT' and shown.object.data.type not in RENDERED_LIGHTS:
+        if kind == "LIGHT" and shown.object.data.type not in RENDERED_LIGHTS:
             found.lights.append(shown.name)
         elif kind in SURFACES and not shows_volume(shown.object):
             found.surfaces.append(shown.name)
@@ -62,4 +63,4 @@ def unrendered(depsgraph) -> Unrendered:
 
 def _names(names: list[str], noun: str) -> str:
     """light "Lamp", or 3 lights."""
-    return f"{noun} \"{names[0]}\"" if len(names) == 1 else f"{len(names)} {noun}s"
+    return f'{noun} "{names[0]}"' if len(names) == 1 else f"{len(names)} {noun}s"

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The available networks as items of Blender's menus."""
 
 import zlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's preferences: settings of this machine, whatever scene is open."""
 
 from dataclasses import dataclass
@@ -16,11 +17,11 @@ DEFAULT_THREADS, DEFAULT_MEMORY = 0, 8
 # Names and descriptions of `inference.network.provider.PROVIDERS`. Files store the numbers: append new ones.
 _OTHER = "; needs an onnxruntime built for it. Without one the network runs on the processor, with a warning"
 _PROVIDER_ITEMS = [
-    ('CPU', "Processor", "Always available", 0),
-    ('CUDA', "CUDA", f"NVIDIA GPUs{_OTHER}", 1),
-    ('DIRECTML', "DirectML", f"GPUs on Windows{_OTHER}", 2),
-    ('COREML', "CoreML", f"macOS{_OTHER}", 3),
-    ('OPENVINO', "OpenVINO", f"Intel processors and GPUs{_OTHER}", 4),
+    ("CPU", "Processor", "Always available", 0),
+    ("CUDA", "CUDA", f"NVIDIA GPUs{_OTHER}", 1),
+    ("DIRECTML", "DirectML", f"GPUs on Windows{_OTHER}", 2),
+    ("COREML", "CoreML", f"macOS{_OTHER}", 3),
+    ("OPENVINO", "OpenVINO", f"Intel processors and GPUs{_OTHER}", 4),
 ]
 
 
@@ -28,18 +29,32 @@ class PreferenceProperties:
     """Properties of the preferences, without the panel that draws them."""
 
     threads: IntProperty(
-        name="Threads", default=DEFAULT_THREADS, min=0, max=1024,
-        description="Number of render threads, for scenes that set none; 0 uses one per core")
+        name="Threads",
+        default=DEFAULT_THREADS,
+        min=0,
+        max=1024,
+        description="Number of render threads, for scenes that set none; 0 uses one per core",
+    )
     memory_limit: IntProperty(
-        name="Memory Limit (GiB)", default=DEFAULT_MEMORY, min=1, max=1024,
+        name="Memory Limit (GiB)",
+        default=DEFAULT_MEMORY,
+        min=1,
+        max=1024,
         description="Memory that a render may use, in GiB, for scenes that set no limit. A render that needs more "
-        "is refused before it starts")
+        "is refused before it starts",
+    )
     model: EnumProperty(
-        name="Network", items=model_items, default=model_number(Settings.model),
-        description="Network that predicts multiple scattering, for scenes that do not choose one")
+        name="Network",
+        items=model_items,
+        default=model_number(Settings.model),
+        description="Network that predicts multiple scattering, for scenes that do not choose one",
+    )
     provider: EnumProperty(
-        name="Provider", items=_PROVIDER_ITEMS, default='CPU',
-        description="Hardware on which onnxruntime runs the network")
+        name="Provider",
+        items=_PROVIDER_ITEMS,
+        default="CPU",
+        description="Hardware on which onnxruntime runs the network",
+    )
 
 
 @dataclass
@@ -51,7 +66,7 @@ class Machine:
     threads: int = DEFAULT_THREADS
     memory_limit: int = DEFAULT_MEMORY
     model: str = Settings.model
-    provider: str = 'CPU'
+    provider: str = "CPU"
 
 
 def machine() -> Machine:

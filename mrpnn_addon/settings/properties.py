@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Render settings of a scene: `scene.mrpnn`."""
 
 import bpy
@@ -12,23 +13,24 @@ from .preferences import machine
 VERSION = 1
 
 # Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
-RELATIVE_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
+RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
 # Depth samples of each preset.
-PRESETS = {'PREVIEW': 1, 'DRAFT': 4, 'FINAL': 16}
+PRESETS = {"PREVIEW": 1, "DRAFT": 4, "FINAL": 16}
 _PRESET_ITEMS = [
-    ('PREVIEW', "Preview", "1 depth sample: fastest; shape and single scattering are final"),
-    ('DRAFT', "Draft", "4 depth samples: little sampling error"),
-    ('FINAL', "Final", "16 depth samples: no visible sampling error but in the densest clouds"),
-    ('CUSTOM', "Custom", "Another number of depth samples"),
+    ("PREVIEW", "Preview", "1 depth sample: fastest; shape and single scattering are final"),
+    ("DRAFT", "Draft", "4 depth samples: little sampling error"),
+    ("FINAL", "Final", "16 depth samples: no visible sampling error but in the densest clouds"),
+    ("CUSTOM", "Custom", "Another number of depth samples"),
 ]
 
 _OPTIMIZATION_ITEMS = [
-    (name, optimization.title, optimization.what, 'NONE', 1 << number)
-    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())]
+    (name, optimization.title, optimization.what, "NONE", 1 << number)
+    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())
+]
 
 # The scene's choice to follow the preferences.
-AS_PREFERRED = ('PREFERENCES', "From Preferences", "The network chosen in the preferences", 'NONE', 0)
+AS_PREFERRED = ("PREFERENCES", "From Preferences", "The network chosen in the preferences", "NONE", 0)
 _model_items = []
 
 
@@ -49,39 +51,74 @@ def _choose_preset(settings, number):
 
 
 class MRPNN_PG_scene(bpy.types.PropertyGroup):
-    version: IntProperty(options={'HIDDEN'})
+    version: IntProperty(options={"HIDDEN"})
     preset: EnumProperty(
-        name="Preset", items=_PRESET_ITEMS, get=_preset, set=_choose_preset, options={'SKIP_SAVE'},
-        description="Number of depth samples")
+        name="Preset",
+        items=_PRESET_ITEMS,
+        get=_preset,
+        set=_choose_preset,
+        options={"SKIP_SAVE"},
+        description="Number of depth samples",
+    )
     depth_samples: IntProperty(
-        name="Depth Samples", default=PRESETS['DRAFT'], min=1, max=256, soft_max=64,
+        name="Depth Samples",
+        default=PRESETS["DRAFT"],
+        min=1,
+        max=256,
+        soft_max=64,
         description="Points along each camera ray at which the network predicts multiple scattering",
     )
     model: EnumProperty(
-        name="Network", items=_scene_models, default=AS_PREFERRED[-1],
-        description="Network that predicts multiple scattering")
+        name="Network",
+        items=_scene_models,
+        default=AS_PREFERRED[-1],
+        description="Network that predicts multiple scattering",
+    )
     seed: IntProperty(
-        name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image")
+        name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image"
+    )
     leave_out: EnumProperty(
-        name="Optimizations", items=_OPTIMIZATION_ITEMS, default=set(ALL), options={'ENUM_FLAG'},
-        description="Shortcuts that save time without changing the picture. Turn one off to check")
+        name="Optimizations",
+        items=_OPTIMIZATION_ITEMS,
+        default=set(ALL),
+        options={"ENUM_FLAG"},
+        description="Shortcuts that save time without changing the picture. Turn one off to check",
+    )
     threads: IntProperty(
-        name="Threads", default=0, min=0, max=1024,
-        description="Number of render threads. 0 uses the number in the preferences")
+        name="Threads",
+        default=0,
+        min=0,
+        max=1024,
+        description="Number of render threads. 0 uses the number in the preferences",
+    )
     memory_limit: IntProperty(
-        name="Memory (GiB)", default=0, min=0, max=1024,
+        name="Memory (GiB)",
+        default=0,
+        min=0,
+        max=1024,
         description="Memory that a render may use, in GiB. A render that needs more is refused before it starts. "
-        "0 uses the limit in the preferences")
+        "0 uses the limit in the preferences",
+    )
     world_directions: IntProperty(
-        name="World Directions", default=12, min=0, max=256,
+        name="World Directions",
+        default=12,
+        min=0,
+        max=256,
         description="Directions from which the World lights the volumes, halved where suns are bright. Each takes as "
-                    "long as a sun. 0 ignores the World")
+        "long as a sun. 0 ignores the World",
+    )
     use_exr: BoolProperty(
-        name="Write EXR", default=False, description="Write a multi-layer OpenEXR file after each "
-        "Render Volumes. F12 follows the output properties")
+        name="Write EXR",
+        default=False,
+        description="Write a multi-layer OpenEXR file after each Render Volumes. F12 follows the output properties",
+    )
     exr_path: StringProperty(
-        name="EXR File", default="//mrpnn.exr", subtype='FILE_PATH', options=RELATIVE_PATH,
-        description="Multi-layer OpenEXR file to write")
+        name="EXR File",
+        default="//mrpnn.exr",
+        subtype="FILE_PATH",
+        options=RELATIVE_PATH,
+        description="Multi-layer OpenEXR file to write",
+    )
 
     def settings(self) -> Settings:
         """The settings of `inference.render`."""
@@ -89,9 +126,14 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         # A number of no available network, written by another version, reads as "".
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
-            depth_samples=self.depth_samples, model=model, seed=self.seed, leave_out=self.leave_out,
-            threads=self.threads or preferred.threads, provider=preferred.provider,
-            memory_limit=(self.memory_limit or preferred.memory_limit) << 30)
+            depth_samples=self.depth_samples,
+            model=model,
+            seed=self.seed,
+            leave_out=self.leave_out,
+            threads=self.threads or preferred.threads,
+            provider=preferred.provider,
+            memory_limit=(self.memory_limit or preferred.memory_limit) << 30,
+        )
 
 
 def migrate(scene) -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Render passes of a view layer: `view_layer.mrpnn`."""
 
 import bpy
@@ -6,15 +7,20 @@ from bpy.props import BoolProperty, PointerProperty
 
 class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     use_pass_volume_direct: BoolProperty(
-        name="Volume Direct", description="Single scattering. Combined is the sum of Volume Direct, Volume Indirect "
-        "and Emission")
+        name="Volume Direct",
+        description="Single scattering. Combined is the sum of Volume Direct, Volume Indirect and Emission",
+    )
     use_pass_volume_indirect: BoolProperty(
-        name="Volume Indirect", description="Multiple scattering, predicted by the network, and scattered emission")
+        name="Volume Indirect", description="Multiple scattering, predicted by the network, and scattered emission"
+    )
     use_pass_emission: BoolProperty(
-        name="Emission", description="Light that volumes emit, attenuated but not scattered on its way to the camera")
+        name="Emission", description="Light that volumes emit, attenuated but not scattered on its way to the camera"
+    )
     use_pass_uncertainty: BoolProperty(
-        name="Uncertainty", description="Standard error of Volume Indirect from the choice of depths along each ray; "
-        "more depth samples lower it. It does not include the network's own error")
+        name="Uncertainty",
+        description="Standard error of Volume Indirect from the choice of depths along each ray; "
+        "more depth samples lower it. It does not include the network's own error",
+    )
 
 
 def register():

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Calibrates the cost model by renders, of this session and of earlier ones on this machine."""
 
 import json
@@ -36,7 +37,8 @@ def calibrate_by(workload: Workload | None, layer) -> None:
     calibrate(known, workload, layer.report, layer.alpha)
     rates, threads = before
     if threads != known.threads or any(
-            abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
+        abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()
+    ):
         _write(known)
 
 
@@ -63,7 +65,7 @@ def unregister():
 
 def _path() -> str:
     """File in Blender's configuration folder; "" without one."""
-    folder = bpy.utils.user_resource('CONFIG')
+    folder = bpy.utils.user_resource("CONFIG")
     return os.path.join(folder, FILE) if folder and os.path.isdir(folder) else ""
 
 

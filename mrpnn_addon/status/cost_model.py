@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates render time from a render's work and from earlier renders; imports no bpy.
 
 A render marches camera rays, evaluates the network at points along them, and prepares fields of each volume and light.
@@ -80,7 +81,8 @@ def calibrate(known: Calibration, workload: Workload, report, alpha: np.ndarray)
     shares = Shares(
         evaluated=min(evaluated / (workload.steps * channels), 1.0),
         visible=count("rays that meet density", 0) / channels / max(workload.pixels, 1.0),
-        opacity=float(np.sqrt(opaque).mean()) if opaque.size else None)
+        opacity=float(np.sqrt(opaque).mean()) if opaque.size else None,
+    )
     pixels, points = _points(workload, shares)
     if count("network points", 0) and points:
         shares.queried = count("network points", 0) / (points * lights)
@@ -104,8 +106,9 @@ def _shares(workload: Workload, known: Calibration) -> Shares:
     if workload.names in known.shares:
         return known.shares[workload.names]
     all_known = [Shares(), *known.shares.values()]
-    evaluated, visible = (float(np.mean([getattr(one, name) for one in all_known]))
-                          for name in ("evaluated", "visible"))
+    evaluated, visible = (
+        float(np.mean([getattr(one, name) for one in all_known])) for name in ("evaluated", "visible")
+    )
     return Shares(evaluated if workload.filled is None else workload.filled, visible)
 
 
@@ -120,7 +123,7 @@ def _points(workload: Workload, shares: Shares):
     opacity = workload.opacity if shares.opacity is None else shares.opacity
     # Transparent rays have fewer samples, rounded up, but at least two.
     points = pixels * min(max(workload.samples * opacity + 0.5, 2.0), workload.samples)
-    share = QUERIED * max(pixels / QUERIED_PIXELS, 1e-3) ** QUERIED_BY_PIXELS * workload.samples ** QUERIED_BY_SAMPLES
+    share = QUERIED * max(pixels / QUERIED_PIXELS, 1e-3) ** QUERIED_BY_PIXELS * workload.samples**QUERIED_BY_SAMPLES
     return pixels, points * min(share, 1.0) * shares.queried
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Forgets checks, renders and comparisons of a file when another one is loaded."""
 
 import bpy

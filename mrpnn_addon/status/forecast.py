@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The cost of a render, estimated without reading volumes: fast enough for a panel that is redrawn often."""
 
 import os
@@ -47,12 +48,15 @@ def forecast(depsgraph) -> Forecast:
         boxes, channels, lamps, lights = [], 1, 0, []
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
-                if not (hidden_from_camera(shown, depsgraph.view_layer) or placement_problem(shown.matrix)
-                        or has_zero_scale(shown.matrix)):
+                if not (
+                    hidden_from_camera(shown, depsgraph.view_layer)
+                    or placement_problem(shown.matrix)
+                    or has_zero_scale(shown.matrix)
+                ):
                     box, different = box_around(shown)
                     boxes.append(box)
                     channels = max(channels, different)
-            elif shown.object.type == 'LIGHT' and shown.object.data.type == 'SUN':
+            elif shown.object.type == "LIGHT" and shown.object.data.type == "SUN":
                 try:
                     suns, noted = read_suns(shown)
                 except SceneError as problem:
@@ -69,5 +73,14 @@ def forecast(depsgraph) -> Forecast:
     workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = workload.window * settings.depth_samples * suns
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
-    return Forecast(len(boxes), suns, workload.window, points, seconds, warnings, lamps=lamps, world=world > 0,
-                    rough=is_rough(workload, calibration()))
+    return Forecast(
+        len(boxes),
+        suns,
+        workload.window,
+        points,
+        seconds,
+        warnings,
+        lamps=lamps,
+        world=world > 0,
+        rough=is_rough(workload, calibration()),
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The last comparison of the open file, for the panel."""
 
 _last = None

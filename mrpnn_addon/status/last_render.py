@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The last render of the open file, for the panel."""
 
 from dataclasses import dataclass, field
@@ -31,8 +32,15 @@ def remember(last: LastRender) -> None:
 def remember_finished(finished) -> None:
     """Store the result of an `engine.render_job.Finished`."""
     report = finished.layer.report
-    remember(LastRender(finished.seconds, finished.warnings, points=report.counts.get("network points", 0),
-                        network_seconds=report.seconds.get("network", 0.0), saved=sum(report.saved.values())))
+    remember(
+        LastRender(
+            finished.seconds,
+            finished.warnings,
+            points=report.counts.get("network points", 0),
+            network_seconds=report.seconds.get("network", 0.0),
+            saved=sum(report.saved.values()),
+        )
+    )
     calibrate_by(finished.workload, finished.layer)
 
 

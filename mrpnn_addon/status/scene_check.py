@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The plan of a scene's render, found by reading the scene: for the panel, before rendering."""
 
 from dataclasses import dataclass, field
@@ -43,8 +44,14 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
         require_volumes(scene)
         plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
-        _last = SceneCheck(state, warnings=[*scene.warnings, *warnings], planned=plan.planned, left_out=plan.left_out,
-                           memory=plan.memory, voxels=voxels)
+        _last = SceneCheck(
+            state,
+            warnings=[*scene.warnings, *warnings],
+            planned=plan.planned,
+            left_out=plan.left_out,
+            memory=plan.memory,
+            voxels=voxels,
+        )
     except SceneError as error:
         _last = SceneCheck(state, str(error))
     return _last

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Aligned grids of one file, in the blocks in which any of them is not 0."""
-
 
 import numpy as np
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """One density grid of one .vdb file. Any thread may read it: bpy is only imported."""
 
 import os
@@ -34,9 +35,12 @@ class EmptyGrid(SceneError):
 
 @dataclass
 class DensityGrid:
-    """density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only. low: int
-    (3,), the file's index of its first voxel. object_from_index: float64 (4, 4), from index of `density` to object
-    space. warnings: changes made to the data, naming the object.
+    """A grid of density in object space.
+
+    density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only.
+    low: int (3,), the file's index of its first voxel.
+    object_from_index: float64 (4, 4), from index of `density` to object space.
+    warnings: changes made to the data, naming the object.
     """
 
     density: np.ndarray | SparseGrid
@@ -60,7 +64,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a scalar fog
     volume, or one too large; EmptyGrid for one without a positive voxel.
     """
-    where = f"Volume object \"{owner}\""
+    where = f'Volume object "{owner}"'
     known = density_grid_in_use(path, grid_name, owner)
     if known is not None:
         return known
@@ -72,7 +76,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     # The background is known only once the tree is read.
     if facts["background"] != 0.0:
         raise SceneError(
-            f"{where}: grid \"{grid_name}\" has background {facts['background']:g}, endless fog "
+            f'{where}: grid "{grid_name}" has background {facts["background"]:g}, endless fog '
             "outside its voxels; save it with background 0"
         )
     _require_box(facts["shape"], grid_name, where)
@@ -81,7 +85,7 @@ def read_density_grid(path: str, grid_name: str, owner: str, started=lambda proc
     if not values.any():
         raise _nothing(key, grid_name, where)
     if facts["matrix"] is None:
-        raise SceneError(f"{where}: grid \"{grid_name}\" has a frustum transform; resample it to a box")
+        raise SceneError(f'{where}: grid "{grid_name}" has a frustum transform; resample it to a box')
     matrix = np.array(facts["matrix"])
     # Index 0 of the array is the box's lower voxel.
     matrix[:3, 3] += matrix[:3, :3] @ (np.array(facts["low"]) + VOXEL_CENTRE)
@@ -100,12 +104,12 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | 
     values = density()
     if values is None:
         return None
-    return DensityGrid(values, matrix.copy(), low, [f"Volume object \"{owner}\": {note}" for note in notes])
+    return DensityGrid(values, matrix.copy(), low, [f'Volume object "{owner}": {note}' for note in notes])
 
 
 def _nothing(key, grid_name, where) -> EmptyGrid:
     _empty.add(key)
-    return EmptyGrid(f"{where}: grid \"{grid_name}\" is empty (no voxel above 0)")
+    return EmptyGrid(f'{where}: grid "{grid_name}" is empty (no voxel above 0)')
 
 
 def _key(path: str, grid_name: str):
@@ -131,20 +135,19 @@ def _require_density(grids, path, grid_name, where) -> list[str]:
     """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
     if not found:
-        names = ", ".join(f"\"{name}\"" for name, *_ in grids) or "none"
+        names = ", ".join(f'"{name}"' for name, *_ in grids) or "none"
         raise SceneError(
-            f"{where}: {os.path.basename(path)} has no grid \"{grid_name}\" (grids: {names}); "
+            f'{where}: {os.path.basename(path)} has no grid "{grid_name}" (grids: {names}); '
             "set the density attribute in the volume's material to one of them"
         )
     kind, use = found[0]
     if kind not in SCALAR_GRIDS:
-        raise SceneError(f"{where}: grid \"{grid_name}\" is a {kind}, not a float density")
+        raise SceneError(f'{where}: grid "{grid_name}" is a {kind}, not a float density')
     if use == "level set":
         raise SceneError(
-            f"{where}: grid \"{grid_name}\" is a level set, a distance and not a density; "
-            "convert it to a fog volume"
+            f'{where}: grid "{grid_name}" is a level set, a distance and not a density; convert it to a fog volume'
         )
-    several = f"{len(found)} grids are named \"{grid_name}\"; the first is rendered, as in Cycles"
+    several = f'{len(found)} grids are named "{grid_name}"; the first is rendered, as in Cycles'
     return [several] if len(found) > 1 else []
 
 
@@ -152,6 +155,7 @@ def _read(path, grid_name, where, key, started):
     """(facts, leaves) of `read_grid` and `_collect`: from another process, or from this one where no process can be
     started or the file is small and verified.
     """
+
     def collect(pieces):
         return _collect(pieces, grid_name, where)
 
@@ -181,14 +185,16 @@ def _collect(pieces, grid_name, where):
         parts.append(part)
         count += len(part[0])
         if count * LEAF**3 > MAX_VOXELS:
-            raise SceneError(f"{where}: grid \"{grid_name}\" holds more than the {MAX_VOXELS} voxels that can be "
-                             "rendered; crop or resample it")
+            raise SceneError(
+                f'{where}: grid "{grid_name}" holds more than the {MAX_VOXELS} voxels that can be '
+                "rendered; crop or resample it"
+            )
     numbers = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in parts)])
     values = np.zeros((1 + count, LEAF, LEAF, LEAF), np.float32)
     # Pieces are freed once they are copied, so that memory holds the values once.
     while parts:
         part = parts.pop()[1]
-        values[1 + count - len(part):1 + count] = part
+        values[1 + count - len(part) : 1 + count] = part
         count -= len(part)
     return numbers, values
 
@@ -214,7 +220,7 @@ def _require_box(shape, grid_name, where) -> None:
     count = shape[0] * shape[1] * shape[2]
     if count > MAX_SPAN:
         raise SceneError(
-            f"{where}: grid \"{grid_name}\" spans {shape[0]} x {shape[1]} x {shape[2]} = {count} voxels, "
+            f'{where}: grid "{grid_name}" spans {shape[0]} x {shape[1]} x {shape[2]} = {count} voxels, '
             f"more than the {MAX_SPAN} that can be rendered; crop or resample it"
         )
 
@@ -226,5 +232,7 @@ def _clean(values, grid_name) -> list[str]:
         return []
     invalid, negative = ~np.isfinite(values), values < 0.0
     values[invalid | negative] = 0.0
-    return [f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
-            f"of grid \"{grid_name}\" were set to 0"]
+    return [
+        f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
+        f'of grid "{grid_name}" were set to 0'
+    ]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The boxes around voxels in which Cycles evaluates the shader of a Volume object.
 
 A shader that emits where every grid is 0 fills them visibly. Measured in Cycles 4.5: they are the leaves of 8 x 8 x 8
@@ -46,7 +47,7 @@ def _one_box(filled) -> np.ndarray:
         along = np.zeros(filled.shape[axis], np.float32)
         if len(found):
             # A box ends at the centres of its outer voxels, which count half.
-            along[found[0] - 1:found[-1] + 3] = 0.5
-            along[found[0]:found[-1] + 2] = 1.0
+            along[found[0] - 1 : found[-1] + 3] = 0.5
+            along[found[0] : found[-1] + 2] = 1.0
         share = share[..., None] * along
     return share[0]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Loads the OpenVDB Python module that ships with Blender."""
 
 import importlib
@@ -43,7 +44,7 @@ def load_openvdb():
 
 def bundled_folders() -> list:
     """Folders of the module where Blender's search path lacks it."""
-    library = Path(bpy.utils.system_resource('PYTHON') or "") / "lib"
+    library = Path(bpy.utils.system_resource("PYTHON") or "") / "lib"
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     return [str(library / version / "site-packages"), str(library / "site-packages")]
 

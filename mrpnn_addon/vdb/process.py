@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Grids of .vdb files, read by another process.
 
 Damaged files can crash OpenVDB or keep it busy forever, and no other Python thread runs while it reads.
@@ -45,8 +46,14 @@ def read_in_process(path: str, grid_name: str, most_voxels: int, where: str, col
     seconds = int(SECONDS + SECONDS_PER_BYTE * os.path.getsize(path))
     command = [INTERPRETER, "-I", str(PROGRAM), path, grid_name, str(most_voxels), str(seconds), str(MEMORY), *FOLDERS]
     try:
-        process = subprocess.Popen(command, bufsize=0, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                                   stderr=subprocess.DEVNULL, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0))
+        process = subprocess.Popen(
+            command,
+            bufsize=0,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
     except OSError:
         return None  # Python cannot be started.
     with process:
@@ -62,8 +69,10 @@ def read_in_process(path: str, grid_name: str, most_voxels: int, where: str, col
     if status == 0 and found is not None:
         return found
     if late or _died(status):
-        raise SceneError(f"{where}: grid \"{grid_name}\" of {path} is damaged: a process that read it "
-                         f"{_ending(status)}; write the file again")
+        raise SceneError(
+            f'{where}: grid "{grid_name}" of {path} is damaged: a process that read it '
+            f"{_ending(status)}; write the file again"
+        )
     return None
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Reads one grid of a .vdb file: imported as a module, or run by `process` as a program without Blender.
 
     python -I worker.py FILE.vdb GRID MOST_VOXELS CPU_SECONDS BYTES [FOLDER ...]
@@ -20,11 +21,12 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
     """(facts, pieces) of a grid.
 
     facts: "grids": [name, type, class] of each grid in the file. If the first grid of that name is a fog volume, also
-    "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
-    "first", "count": lower index and number of the leaves around it; "matrix": 4 lists of 4, index to object space,
-    None for a frustum. pieces: yields numbers, int64 (n,), positions in the flattened box of leaves, and values,
-    float32 (n, 8, 8, 8), of all leaves that are not 0; none where the box is inverted or has more than `most_voxels`,
-    or the background is not 0.
+        "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
+        "first", "count": lower index and number of the leaves around it; "matrix": 4 lists of 4, index to object space,
+        None for a frustum.
+    pieces: yields numbers, int64 (n,), positions in the flattened box of leaves, and values, float32 (n, 8, 8, 8), of
+        all leaves that are not 0; none where the box is inverted or has more than `most_voxels`, or the background is
+        not 0.
 
     Raises OpenVDB's exceptions.
     """
@@ -37,8 +39,15 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
     shape = [b - a + 1 for a, b in zip(low, high)]
     first = [a // LEAF * LEAF for a in low]
     count = [b // LEAF - a // LEAF + 1 for a, b in zip(low, high)]
-    facts = {"grids": headers, "background": float(grid.background), "low": list(low), "shape": shape, "first": first,
-             "count": count, "matrix": _matrix(grid.transform)}
+    facts = {
+        "grids": headers,
+        "background": float(grid.background),
+        "low": list(low),
+        "shape": shape,
+        "first": first,
+        "count": count,
+        "matrix": _matrix(grid.transform),
+    }
     fits = min(shape) >= 1 and shape[0] * shape[1] * shape[2] <= most_voxels and grid.background == 0.0
     return facts, _pieces(grid, low, high, first, count) if fits else ()
 
@@ -46,6 +55,7 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
 def _pieces(grid, low, high, first, count):
     """The pieces of `read_grid`, one per node."""
     import numpy
+
     accessor = grid.getConstAccessor()
     spans = [range(a // NODE * NODE, b + 1, NODE) for a, b in zip(low, high)]
     for corner in ((x, y, z) for x in spans[0] for y in spans[1] for z in spans[2]):
@@ -98,6 +108,7 @@ def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
     sys.path += folders
     try:
         import numpy  # noqa: F401, imported before memory is limited
+
         try:
             import openvdb
         except ImportError:

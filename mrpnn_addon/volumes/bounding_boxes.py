@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A volume's bounding box, voxel size and approximate density, known without reading the volume."""
 
 import weakref
@@ -58,8 +59,16 @@ def box_around(shown: VisibleObject) -> tuple[Box, int]:
     times = refinement((int(np.ceil(cells)),))
     unit = _extinctions(shown)
     extinction = _extinction(shown.name, float(unit.max()))
-    box = Box(shown.name, shown.matrix, low, high, voxel / times, extinction * longest / times, cells * times,
-              _densities[shown.name].filled if shown.name in _densities else None)
+    box = Box(
+        shown.name,
+        shown.matrix,
+        low,
+        high,
+        voxel / times,
+        extinction * longest / times,
+        cells * times,
+        _densities[shown.name].filled if shown.name in _densities else None,
+    )
     return box, len(set(np.round(unit, 6).tolist()))
 
 
@@ -71,8 +80,13 @@ def remember_density(shown: VisibleObject, volume: Volume, medium: Medium) -> No
     else:
         peak, values = float(volume.density.max()), getattr(volume.density, "values", volume.density)
         filled = np.count_nonzero(values) / float(np.prod(volume.density.shape, dtype=float))
-    _densities[shown.name] = _Density(peak * float(np.max(medium.sigma_t)), float(_extinctions(shown).max()),
-                              weakref.ref(volume.density), peak, filled)
+    _densities[shown.name] = _Density(
+        peak * float(np.max(medium.sigma_t)),
+        float(_extinctions(shown).max()),
+        weakref.ref(volume.density),
+        peak,
+        filled,
+    )
 
 
 def forget_densities() -> None:
@@ -93,9 +107,9 @@ def _extinction(name: str, unit: float) -> float:
 def _extinctions(shown: VisibleObject) -> np.ndarray:
     """(3,) extinction per world unit where all grids are 1; 1 for materials that cannot be evaluated."""
     scale = 1.0
-    if shown.object.type == 'VOLUME':
+    if shown.object.type == "VOLUME":
         scale = density_scale(shown.object.data.render.space, shown.matrix)
-    meshed = shown.object.type != 'VOLUME' and not gas_domain(shown.object)
+    meshed = shown.object.type != "VOLUME" and not gas_domain(shown.object)
     try:
         shading = VolumeMaterial(first_material(shown.object), shown.name).at(_OnesProbe((), fills_its_bounds=meshed))
     except SceneError:
@@ -110,7 +124,7 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
 def _voxel(shown: VisibleObject, edges: np.ndarray) -> tuple[float, float]:
     """Shortest and longest edge of a voxel, world units."""
     domain, data = gas_domain(shown.object), shown.object.data
-    if shown.object.type == 'VOLUME' and data.grids.is_loaded and len(data.grids):
+    if shown.object.type == "VOLUME" and data.grids.is_loaded and len(data.grids):
         matrix = shown.matrix @ np.array(data.grids[0].matrix_object)
         sizes = np.linalg.norm(matrix[:3, :3], axis=0)
         if sizes.min() > 0.0:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Smoke and fire of a fluid simulation's domain, as grids."""
 
 import zlib
@@ -16,8 +17,8 @@ GRIDS = ("density", "flame", "heat", "temperature")
 def gas_domain(shown_object):
     """Settings of an evaluated object's gas domain; None without one."""
     for modifier in shown_object.modifiers:
-        if modifier.type == 'FLUID' and modifier.fluid_type == 'DOMAIN':
-            if modifier.domain_settings.domain_type == 'GAS':
+        if modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN":
+            if modifier.domain_settings.domain_type == "GAS":
                 return modifier.domain_settings
     return None
 
@@ -71,12 +72,14 @@ def probe_grids(material, grids) -> Probe:
     at_zero = material.at(probe)
     for name in probe.names:
         if name not in grids:
-            material.refuse(f"the fluid domain has no grid \"{name}\" (grids: {', '.join(grids)})")
+            material.refuse(f'the fluid domain has no grid "{name}" (grids: {", ".join(grids)})')
     if not probe.names:
         if not at_zero.closures and not at_zero.emission.any():
             refuse_nothing(material)
-        material.refuse("the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute "
-                        f"or link an Attribute node (grids of the domain: {', '.join(grids)})")
+        material.refuse(
+            "the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute "
+            f"or link an Attribute node (grids of the domain: {', '.join(grids)})"
+        )
     return probe
 
 
@@ -94,6 +97,9 @@ class FluidSource(VolumeSource):
         texture_from_index = np.diag([*(1.0 / shape), 1.0])
         texture_from_index[:3, 3] = 0.5 / shape
         object_from_index = np.linalg.inv(self.generated) @ texture_from_index
-        frames = {"object": object_from_index, "world": self.matrix @ object_from_index,
-                  "generated": texture_from_index}
+        frames = {
+            "object": object_from_index,
+            "world": self.matrix @ object_from_index,
+            "generated": texture_from_index,
+        }
         return shade(self.material, VoxelDomain(self.grids, frames), check), object_from_index, []

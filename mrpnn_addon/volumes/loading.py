@@ -1,8 +1,8 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Reads volumes, and has Cycles render the World, on a thread.
 
 `read_scene` then finds them cached on Blender's main thread.
 """
-
 
 from ...inference.scene import Cancelled
 from ..runtime.background import Worker

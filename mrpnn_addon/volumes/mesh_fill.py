@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Closed meshes as grids of the share of each voxel that lies inside."""
 
 from dataclasses import dataclass
@@ -91,8 +92,9 @@ def _crossings(corners: np.ndarray, cells):
     while start < len(corners):
         end = max(np.searchsorted(np.cumsum(counts[start:]), PAIRS_PER_BATCH, side="right"), 1) + start
         triangle = np.repeat(np.arange(start, end), counts[start:end])
-        number = np.arange(len(triangle)) - np.repeat(np.cumsum(counts[start:end]) - counts[start:end],
-                                                      counts[start:end])
+        number = np.arange(len(triangle)) - np.repeat(
+            np.cumsum(counts[start:end]) - counts[start:end], counts[start:end]
+        )
         x, y = np.divmod(number, np.maximum(spans[triangle, 1], 1))
         x, y = x + first[triangle, 0], y + first[triangle, 1]
         yield _meet(flat[triangle], corners[triangle, :, 2], x, y, cells)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volume objects, and meshes with a volume material, as `Volume` and `Medium`."""
 
 import shutil
@@ -60,10 +61,11 @@ class VolumeReader:
         # Warn once for all instances.
         self.known[key] = shaded, object_from_index, []
         scale = 1.0
-        if shown.object.type == 'VOLUME':
+        if shown.object.type == "VOLUME":
             scale = density_scale(shown.object.data.render.space, shown.matrix)
-        volume = Volume(shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission,
-                        shaded.emission_power)
+        volume = Volume(
+            shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission, shaded.emission_power
+        )
         medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
         return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
 
@@ -80,8 +82,7 @@ class VolumeReader:
         return [*found.values(), *wanted_world(depsgraph)]
 
     def load(self, source: VolumeSource, *arguments) -> None:
-        """Read a source, or record why it cannot be read. arguments: of `VolumeSource.read`. Any thread may call this.
-        """
+        """Read a source, or record why it cannot be read; on any thread. arguments: of `VolumeSource.read`."""
         try:
             self.known[source.key] = source.read(*arguments)
         except SceneError as problem:
@@ -89,9 +90,11 @@ class VolumeReader:
             self.known[source.key] = type(problem)(*problem.args)
 
     def _is_wanted(self, shown: VisibleObject, view_layer) -> bool:
-        return shows_volume(shown.object) and not (
-            hidden_from_camera(shown, view_layer) or placement_problem(shown.matrix) or why_empty(shown)) and (
-            self._known_key(shown) is None)
+        return (
+            shows_volume(shown.object)
+            and not (hidden_from_camera(shown, view_layer) or placement_problem(shown.matrix) or why_empty(shown))
+            and (self._known_key(shown) is None)
+        )
 
     def _source(self, shown: VisibleObject) -> list[VolumeSource]:
         """A volume's source; nothing where it has none, which is recorded."""
@@ -118,12 +121,12 @@ def _key(shown: VisibleObject, placed: bool) -> tuple:
 
 
 def _where(shown: VisibleObject) -> str:
-    return f"Volume object \"{shown.name}\"" if shown.object.type == 'VOLUME' else f"object \"{shown.name}\""
+    return f'Volume object "{shown.name}"' if shown.object.type == "VOLUME" else f'object "{shown.name}"'
 
 
 def _volume_source(shown: VisibleObject) -> VolumeSource:
     """The source of a visible volume. Raises SceneError, naming the object."""
-    if shown.object.type == 'VOLUME':
+    if shown.object.type == "VOLUME":
         return _file_source(shown, _where(shown))
     return (_fluid_source if gas_domain(shown.object) else _mesh_source)(shown, _where(shown))
 
@@ -133,14 +136,14 @@ def why_empty(shown: VisibleObject) -> str:
     data, domain = shown.object.data, gas_domain(shown.object)
     if not placement_problem(shown.matrix) and has_zero_scale(shown.matrix):
         return "has scale 0 in"
-    if shown.object.type == 'VOLUME' and data.is_sequence and data.grids.load() and not len(data.grids):
+    if shown.object.type == "VOLUME" and data.is_sequence and data.grids.load() and not len(data.grids):
         return "has no file for"
     return "has no smoke in" if domain and is_empty(domain) else ""
 
 
 def _varies(volume_object) -> bool:
     """Whether a volume changes in time: its file, its modifiers or its material."""
-    sequence = volume_object.type == 'VOLUME' and volume_object.data.is_sequence
+    sequence = volume_object.type == "VOLUME" and volume_object.data.is_sequence
     return sequence or bool(len(volume_object.modifiers)) or is_animated(first_material(volume_object))
 
 
@@ -223,6 +226,6 @@ def density_scale(space: str, matrix: np.ndarray) -> float:
     scale: 1 / |M u| with M the object's matrix and u the unit vector along (1, 1, 1). Measured in Cycles 4.5 and 5.0
     for uniform, non-uniform and rotated scales.
     """
-    if space == 'WORLD':
+    if space == "WORLD":
         return 1.0
-    return float(1.0 / np.linalg.norm(matrix[:3, :3] @ np.full(3, 3.0 ** -0.5)))
+    return float(1.0 / np.linalg.norm(matrix[:3, :3] @ np.full(3, 3.0**-0.5)))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A volume shader evaluated at every voxel: one density grid with uniform extinction and albedo, and emission."""
 
 from dataclasses import dataclass
@@ -5,7 +6,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...inference.scene import ANISOTROPY_MOST
+from ...inference.scene import MAX_ANISOTROPY
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
@@ -98,13 +99,23 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     if emission is not None and power != 1:
         emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
     if len(phases) > 1:
-        notes = notes + ["phase functions of several shaders are mixed in the same shares everywhere, and multiple "
-                         "scattering uses Henyey-Greenstein with their mean cosine"]
+        notes = notes + [
+            "phase functions of several shaders are mixed in the same shares everywhere, and multiple "
+            "scattering uses Henyey-Greenstein with their mean cosine"
+        ]
     phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
-    phase = PhaseFunction.mixed(phases) if phases else phase_function('HENYEY_GREENSTEIN', 0.0)
-    anisotropy = float(np.clip(phase.mean_cosine(), -ANISOTROPY_MOST, ANISOTROPY_MOST))
-    return ShadedGrid(density, extinction, np.clip(albedo, 0.0, 1.0), anisotropy, notes, emission,
-                      None if phase.is_henyey_greenstein else phase, power)
+    phase = PhaseFunction.mixed(phases) if phases else phase_function("HENYEY_GREENSTEIN", 0.0)
+    anisotropy = float(np.clip(phase.mean_cosine(), -MAX_ANISOTROPY, MAX_ANISOTROPY))
+    return ShadedGrid(
+        density,
+        extinction,
+        np.clip(albedo, 0.0, 1.0),
+        anisotropy,
+        notes,
+        emission,
+        None if phase.is_henyey_greenstein else phase,
+        power,
+    )
 
 
 def _emission(at, shape, chunks, check) -> np.ndarray | None:
@@ -122,7 +133,7 @@ def _chunks(grids, placed: bool, inside):
     """
     arrays = [values.reshape(-1) for values in (grids.values() if inside is None else (inside,))]
     for start in range(0, arrays[0].size, VOXELS_PER_BATCH):
-        parts = [values[start:start + VOXELS_PER_BATCH] for values in arrays]
+        parts = [values[start : start + VOXELS_PER_BATCH] for values in arrays]
         everywhere = placed and inside is None
         filled = [part != 0.0 for part in parts]
         voxels = np.arange(len(parts[0])) if everywhere else np.flatnonzero(np.any(filled, axis=0))
@@ -160,8 +171,10 @@ def _one_colour(material, gram, reference: int):
     share = gram[reference] / diagonal[reference]
     left = diagonal - gram[reference] ** 2 / diagonal[reference]
     if np.any(left > COLOUR_TOLERANCE**2 * diagonal):
-        material.refuse("its colour or its share of absorption varies from voxel to voxel, which is not supported; "
-                        "let grids and textures drive the density alone")
+        material.refuse(
+            "its colour or its share of absorption varies from voxel to voxel, which is not supported; "
+            "let grids and textures drive the density alone"
+        )
     return share[:3], share[3:]
 
 
@@ -228,5 +241,7 @@ def _refuse_emptiness(material):
 
 
 def _refuse_background(material):
-    material.refuse("it has density where the grids are 0, endless fog that Cycles cuts off at boxes around the "
-                    "voxels; multiply it by a grid last")
+    material.refuse(
+        "it has density where the grids are 0, endless fog that Cycles cuts off at boxes around the "
+        "voxels; multiply it by a grid last"
+    )

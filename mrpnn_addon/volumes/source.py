@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes found in a scene, to be read and shaded on any thread without calling bpy."""
 
 from dataclasses import dataclass
@@ -63,8 +64,11 @@ class MeshSource(VolumeSource):
 
     def _read(self, started, check):
         inside = fill(self.mesh.triangles(), self.matrix, self.where, check)
-        frames = {"object": inside.object_from_index, "world": self.matrix @ inside.object_from_index,
-                  "generated": self.generated @ inside.object_from_index}
+        frames = {
+            "object": inside.object_from_index,
+            "world": self.matrix @ inside.object_from_index,
+            "generated": self.generated @ inside.object_from_index,
+        }
         return shade(self.material, VoxelDomain({}, frames, inside.share), check), inside.object_from_index, []
 
 
@@ -81,8 +85,10 @@ class FileSource(VolumeSource):
         if not probe.names:
             if not at_zero.closures and not at_zero.emission.any():
                 refuse_nothing(material)
-            material.refuse("the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
-                            f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})")
+            material.refuse(
+                "the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
+                f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})"
+            )
         if not probe.placed:
             require_empty_background(material, at_zero)
         read, offsets, shape, object_from_index, low, warnings = self._aligned(started)
@@ -93,8 +99,9 @@ class FileSource(VolumeSource):
             shaded = self._shade_blocks(read, offsets, shape, self._frames(object_from_index), check)
             return shaded, object_from_index, warnings
         if many:
-            material.refuse(f"it emits light where its grids are 0, and the box around them has more than {MAX_VOXELS} "
-                            "voxels")
+            material.refuse(
+                f"it emits light where its grids are 0, and the box around them has more than {MAX_VOXELS} voxels"
+            )
         grids = {name: _placed(grid, offsets[name], shape) for name, grid in read.items()}
         grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in read})
         filled = None
@@ -111,8 +118,10 @@ class FileSource(VolumeSource):
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
             object_from_index[:3, :3] *= 0.5
             if at_zero.hot and INTERPOLATES_EMISSION:
-                notes = ["with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
-                         "is darker"]
+                notes = [
+                    "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
+                    "is darker"
+                ]
         shaded = shade(material, VoxelDomain(grids, self._frames(object_from_index), emitting=filled), check)
         shaded.notes = shaded.notes + notes
         return shaded, object_from_index, warnings
@@ -125,8 +134,7 @@ class FileSource(VolumeSource):
         try:
             blocks = CommonBlocks(read, offsets, shape)
         except ValueError:
-            self.material.refuse(f"grids {', '.join(read)} are offset by part of a leaf; save them "
-                                 "with one transform")
+            self.material.refuse(f"grids {', '.join(read)} are offset by part of a leaf; save them with one transform")
         names = self.probe.names
         nothing = np.zeros_like(next(iter(blocks.arrays.values()))) if len(read) < len(names) else None
         grids = {name: blocks.arrays.get(name, nothing) for name in names}
@@ -157,8 +165,9 @@ class FileSource(VolumeSource):
             relative = np.linalg.inv(first) @ grid.object_from_index
             offset = np.round(relative[:3, 3])
             if np.abs(relative[:3, :3] - np.eye(3)).max() > 1e-4 or np.abs(relative[:3, 3] - offset).max() > 1e-2:
-                self.material.refuse(f"grids \"{next(iter(read))}\" and \"{name}\" have different voxels, which cannot "
-                                     "be combined")
+                self.material.refuse(
+                    f'grids "{next(iter(read))}" and "{name}" have different voxels, which cannot be combined'
+                )
             offsets[name] = offset.astype(int)
         warnings = [warning for grid in read.values() for warning in grid.warnings]
         low = np.min(list(offsets.values()), axis=0)

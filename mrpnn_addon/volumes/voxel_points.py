@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Grids and positions that volume shaders read at voxels."""
 
 from collections.abc import Callable
@@ -25,8 +26,9 @@ class Probe:
     def attribute(self, name: str, node) -> np.ndarray:
         """(n, 1) values of a grid. Raises Unsupported where a mesh has none."""
         if self.fills_its_bounds and not self.has(name):
-            raise Unsupported(f"node \"{node.name}\" reads the attribute \"{name}\", which does not exist "
-                              "inside a mesh; unlink it")
+            raise Unsupported(
+                f'node "{node.name}" reads the attribute "{name}", which does not exist inside a mesh; unlink it'
+            )
         if name not in self.names:
             self.names.append(name)
         return self._read(name)
@@ -83,7 +85,9 @@ class VoxelPoints(Probe):
 
     def _place(self, kind, node):
         if kind not in self.domain.frames:
-            raise Unsupported(f"node \"{node.name}\" uses {kind} coordinates, which are not supported in a Volume "
-                              "object; link Object coordinates")
+            raise Unsupported(
+                f'node "{node.name}" uses {kind} coordinates, which are not supported in a Volume '
+                "object; link Object coordinates"
+            )
         frame = self.domain.frames[kind]
         return self.domain.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A World's content as text: equal where it looks the same."""
 
 import os
@@ -6,9 +7,27 @@ import bpy
 
 # Properties of the editor or of a node's history, without effect on its output.
 IRRELEVANT = {
-    'rna_type', 'name', 'label', 'location', 'location_absolute', 'width', 'height', 'select', 'color', 'parent',
-    'show_options', 'show_preview', 'show_texture', 'hide', 'dimensions', 'warning_propagation', 'internal_links',
-    'outputs', 'node_preview', 'users', 'is_evaluated',
+    "rna_type",
+    "name",
+    "label",
+    "location",
+    "location_absolute",
+    "width",
+    "height",
+    "select",
+    "color",
+    "parent",
+    "show_options",
+    "show_preview",
+    "show_texture",
+    "hide",
+    "dimensions",
+    "warning_propagation",
+    "internal_links",
+    "outputs",
+    "node_preview",
+    "users",
+    "is_evaluated",
 }
 # Nesting limit of structs in nodes: ramps, curves, mappings, image users.
 MAX_DEPTH = 6
@@ -25,7 +44,7 @@ def trees(world) -> list:
     """The node trees of a World: its own and its groups'."""
     found = [world.node_tree] if world.node_tree else []
     for tree in found:
-        groups = (getattr(node, 'node_tree', None) for node in tree.nodes)
+        groups = (getattr(node, "node_tree", None) for node in tree.nodes)
         found += [group for group in groups if group is not None and group not in found]
     return found
 
@@ -34,8 +53,10 @@ def _tree(tree, seen):
     if tree.name_full in seen:
         return tree.name_full
     seen[tree.name_full] = True
-    links = sorted((link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier,
-                    link.is_muted) for link in tree.links)
+    links = sorted(
+        (link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier, link.is_muted)
+        for link in tree.links
+    )
     return [tree.name_full, links, [(node.name, _values(node, seen, 0)) for node in tree.nodes]]
 
 
@@ -45,7 +66,7 @@ def _values(struct, seen, depth):
         if prop.identifier in IRRELEVANT or depth > MAX_DEPTH:
             continue
         value = getattr(struct, prop.identifier, None)
-        if prop.type == 'COLLECTION':
+        if prop.type == "COLLECTION":
             value = [_values(item, seen, depth + 1) for item in value]
         elif isinstance(value, bpy.types.NodeTree):
             value = _tree(value, seen)
@@ -53,16 +74,16 @@ def _values(struct, seen, depth):
             value = _block(value)
         elif isinstance(value, bpy.types.bpy_struct):
             value = _values(value, seen, depth + 1) if depth < MAX_DEPTH else None
-        elif getattr(prop, 'is_array', False):
-            value = [float(number) for number in value] if prop.type == 'FLOAT' else list(value)
+        elif getattr(prop, "is_array", False):
+            value = [float(number) for number in value] if prop.type == "FLOAT" else list(value)
         found.append((prop.identifier, value))
     return found
 
 
 def _block(block):
     """A data-block that a node refers to: an image, or an object whose coordinates it reads."""
-    more = _image(block) if isinstance(block, bpy.types.Image) else getattr(block, 'filepath', None)
-    matrix = getattr(block, 'matrix_world', None)
+    more = _image(block) if isinstance(block, bpy.types.Image) else getattr(block, "filepath", None)
+    matrix = getattr(block, "matrix_world", None)
     return block.name_full, more, [tuple(row) for row in matrix] if matrix is not None else None
 
 

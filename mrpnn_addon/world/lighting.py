@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The World's light as a few directional lights."""
-
 
 import bpy
 import numpy as np
@@ -43,9 +43,9 @@ def read_world(depsgraph, suns: list[Sun], check=lambda: None) -> tuple[list[Sun
     directions = scene.mrpnn.world_directions
     if world is None:
         return [], []
-    name, warnings = f"World \"{world.name}\"", []
+    name, warnings = f'World "{world.name}"', []
     output = active_output(world)
-    if output is not None and source_of(output.inputs['Volume']).node is not None:
+    if output is not None and source_of(output.inputs["Volume"]).node is not None:
         warnings.append(f"{name}: its fog is not rendered")
     if not _lights_volumes(world):
         return [], warnings
@@ -74,9 +74,11 @@ def _picture(world, scene, sphere, name, check):
     """Radiance (n, 3) at the sphere's directions and the Suns of discs, rendered by Cycles. Raises PictureFailed."""
     picture, discs = world_picture(world, scene, check), []
     for x, y, z, red, green, blue, angle in picture.suns:
-        frame = np.array(Vector((x, y, z)).to_track_quat('Z', 'Y').to_matrix())
-        discs += [Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")
-                  for direction, share in disc_directions(frame, angle)]
+        frame = np.array(Vector((x, y, z)).to_track_quat("Z", "Y").to_matrix())
+        discs += [
+            Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")
+            for direction, share in disc_directions(frame, angle)
+        ]
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
@@ -100,7 +102,7 @@ def _count(fluence: float, suns, directions: int) -> int:
 
 def _lights_volumes(world) -> bool:
     # Properties of Cycles, absent while Cycles is disabled.
-    visibility = getattr(world, 'cycles_visibility', None)
+    visibility = getattr(world, "cycles_visibility", None)
     return visibility is None or visibility.scatter
 
 
@@ -124,7 +126,7 @@ def _radiance(world, output, points) -> np.ndarray:
         # Without nodes, Blender before 5.0 renders the World's colour.
         plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
         return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
-    light = _surface(NodeEvaluator(points), source_of(output.inputs['Surface']))
+    light = _surface(NodeEvaluator(points), source_of(output.inputs["Surface"]))
     return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
 
 
@@ -132,15 +134,21 @@ def _surface(values: NodeEvaluator, source) -> np.ndarray:
     node, groups = source.node, source.groups
     if node is None:
         return np.zeros((1, 3))
-    if node.bl_idname in ('ShaderNodeBackground', 'ShaderNodeEmission'):
+    if node.bl_idname in ("ShaderNodeBackground", "ShaderNodeEmission"):
         return values.number(node, "Strength", groups) * values.colour(node, "Color", groups)
-    if node.bl_idname == 'ShaderNodeAddShader':
+    if node.bl_idname == "ShaderNodeAddShader":
         first, second = (_surface(values, source_of(socket, groups)) for socket in node.inputs)
         return first + second
-    if node.bl_idname == 'ShaderNodeMixShader':
+    if node.bl_idname == "ShaderNodeMixShader":
         factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
         # A shader of weight 0 need not be supported.
         shares = (("Shader", 1.0 - factor), ("Shader_001", factor))
-        return sum((share * _surface(values, source_of(input_of(node, name), groups)) for name, share in shares
-                    if share.any()), np.zeros((1, 3)))
-    raise Unsupported(f"node \"{node.name}\" ({node.bl_label}) cannot be evaluated")
+        return sum(
+            (
+                share * _surface(values, source_of(input_of(node, name), groups))
+                for name, share in shares
+                if share.any()
+            ),
+            np.zeros((1, 3)),
+        )
+    raise Unsupported(f'node "{node.name}" ({node.bl_label}) cannot be evaluated')

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures of Worlds, rendered by Cycles: as volumes and as cameras see them."""
 
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ MAX_SOURCES, MAX_VIEWS = 2, 2
 # Samples per second that any machine renders.
 SAMPLES_PER_SECOND = 500_000
 # Coordinates that depend on the view, not only on the direction.
-VIEW_COORDINATES = {'Window', 'Camera'}
+VIEW_COORDINATES = {"Window", "Camera"}
 
 
 @dataclass
@@ -48,8 +49,10 @@ class WorldSource:
         """world: evaluated. scene: gives the frame."""
         self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
         links = [link for tree in trees(world) for link in tree.links]
-        self.depends_on_view = any(link.from_node.bl_idname == 'ShaderNodeTexCoord'
-                                   and link.from_socket.name in VIEW_COORDINATES for link in links)
+        self.depends_on_view = any(
+            link.from_node.bl_idname == "ShaderNodeTexCoord" and link.from_socket.name in VIEW_COORDINATES
+            for link in links
+        )
         self._process = WorldProcess(world, scene)
 
     def read(self, started=lambda process: None, check=lambda: None):
@@ -71,10 +74,18 @@ class WorldSource:
 
         pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
         """
-        numbers = {name: np.array(getattr(camera, name)).tolist()
-                   for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")}
-        job = {"matrix": camera.world_matrix.tolist(), "projection": camera.projection, "region": camera.region,
-               "samples": samples, "filter": pixel_filter, **numbers}
+        numbers = {
+            name: np.array(getattr(camera, name)).tolist()
+            for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")
+        }
+        job = {
+            "matrix": camera.world_matrix.tolist(),
+            "projection": camera.projection,
+            "region": camera.region,
+            "samples": samples,
+            "filter": pixel_filter,
+            **numbers,
+        }
         key = repr(job)
         if key not in self._views:
             x0, y0, x1, y1 = camera.window
@@ -87,7 +98,7 @@ class WorldSource:
 
     def _ask(self, job, check, seconds=SECONDS):
         if self._unsaved:
-            raise PictureFailed(f"image \"{self._unsaved}\" has unsaved changes; save or pack it")
+            raise PictureFailed(f'image "{self._unsaved}" has unsaved changes; save or pack it')
         return self._process.ask(job, check, seconds)
 
     def stop(self) -> None:
@@ -134,7 +145,7 @@ def forget() -> None:
 
 
 def _key(world, scene) -> tuple:
-    moves = any(image.source in ('SEQUENCE', 'MOVIE') for image in _images(world))
+    moves = any(image.source in ("SEQUENCE", "MOVIE") for image in _images(world))
     return "world", world_key(world), scene.frame_current if moves else None
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A Blender process that loads one World and renders pictures of it with Cycles.
 
 bpy is called only when a WorldProcess is made.
@@ -36,7 +37,7 @@ class WorldProcess:
         self._folder, self._running, self._turn = Path(folder), [], threading.Lock()
         weakref.finalize(self, _clean, folder, self._running)
         blend, frame = str(self._folder / "world.blend"), (str(scene.frame_current), f"{scene.frame_subframe:.6f}")
-        bpy.data.libraries.write(blend, {world.original}, path_remap='ABSOLUTE', fake_user=True)
+        bpy.data.libraries.write(blend, {world.original}, path_remap="ABSOLUTE", fake_user=True)
         self._command = blender_command(WORKER, [blend, *frame])
 
     def ask(self, job: dict, check=lambda: None, seconds: float = SECONDS) -> dict:
@@ -73,7 +74,8 @@ class WorldProcess:
             _end(self._running)
             with open(self._folder / "log.txt", "w") as log:
                 self._running.append(
-                    subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True))
+                    subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
+                )
         process = self._running[0]
         try:
             process.stdin.write(json.dumps(job) + "\n")

@@ -1,5 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Light from all directions, represented by a few."""
-
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Sphere:
 
     def attribute(self, name: str, node):
         """Raises Unsupported: a World has no attributes."""
-        raise Unsupported(f"node \"{node.name}\" reads an attribute, which a World does not have")
+        raise Unsupported(f'node "{node.name}" reads an attribute, which a World does not have')
 
 
 def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> list[Sun]:
@@ -56,8 +56,11 @@ def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "su
     """
     light = radiance * sphere.solid_angle[:, None]
     power = light @ LUMA
-    vertices = next(solid for solid in (_icosahedron(), _octahedron(), TETRAHEDRON, TETRAHEDRON[:2] * [1, 1, 0],
-                                        TETRAHEDRON[:1]) if len(solid) <= count)
+    vertices = next(
+        solid
+        for solid in (_icosahedron(), _octahedron(), TETRAHEDRON, TETRAHEDRON[:2] * [1, 1, 0], TETRAHEDRON[:1])
+        if len(solid) <= count
+    )
     nearest = (sphere.directions @ vertices.T).argmax(axis=1)
     cells = [np.flatnonzero((nearest == n) & (power > 0.0)) for n in range(len(vertices))]
     cells = [cell for cell in cells if len(cell)]
@@ -68,8 +71,15 @@ def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "su
         if halves is None:
             break
         cells[widest : widest + 1] = halves
-    return [Sun(_mean(sphere.directions[cell], power[cell]), light[cell].sum(axis=0), name,
-                _coarsened(sphere.directions[cell], power[cell])) for cell in cells]
+    return [
+        Sun(
+            _mean(sphere.directions[cell], power[cell]),
+            light[cell].sum(axis=0),
+            name,
+            _coarsened(sphere.directions[cell], power[cell]),
+        )
+        for cell in cells
+    ]
 
 
 def _coarsened(directions, power):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Renders pictures of a World with Cycles; runs in a separate Blender process without the extension.
 
 Arguments, the last three: a .blend file with the World, a frame and its fraction. Each line of standard input is a job
@@ -34,7 +35,7 @@ LUMA = np.array([0.2126, 0.7152, 0.0722])
 # apart, with a rim of the pixel filter's width, at most MAX_BANDS: each band is a render of its own.
 FEW_SAMPLES, VARIATION, BAND_GAP, BAND_RIM, MAX_BANDS = 4, 0.02, 32, 2, 4
 # Sky types without a sun disc.
-DISCLESS_SKIES = {'PREETHAM', 'HOSEK_WILKIE'}
+DISCLESS_SKIES = {"PREETHAM", "HOSEK_WILKIE"}
 # Range of focal length over sensor width: 1 mm over 100 mm, 5000 mm over 1 mm.
 WIDEST, LONGEST = 0.01, 5000.0
 
@@ -86,13 +87,17 @@ def _loaded(blend, frame, fraction):
 
 def _without_fog(tree):
     for link in list(tree.links):
-        if link.to_node.bl_idname == 'ShaderNodeOutputWorld' and link.to_socket.identifier == 'Volume':
+        if link.to_node.bl_idname == "ShaderNodeOutputWorld" and link.to_socket.identifier == "Volume":
             tree.links.remove(link)
 
 
 def _light(scene, trees, target):
-    discs = [node for tree in trees for node in tree.nodes if node.bl_idname == 'ShaderNodeTexSky'
-             and node.sky_type not in DISCLESS_SKIES and node.sun_disc]
+    discs = [
+        node
+        for tree in trees
+        for node in tree.nodes
+        if node.bl_idname == "ShaderNodeTexSky" and node.sky_type not in DISCLESS_SKIES and node.sun_disc
+    ]
     for tree in trees:
         _as_volumes_see(tree)
     scene.world.cycles_visibility.camera = True
@@ -107,8 +112,8 @@ def _as_volumes_see(tree):
     """Replace light path queries by their values for light that volumes scatter."""
     for link in list(tree.links):
         node, socket = link.from_node, link.to_socket
-        if node.bl_idname == 'ShaderNodeLightPath' and hasattr(socket, 'default_value'):
-            value = float(link.from_socket.identifier == 'Is Volume Scatter Ray')
+        if node.bl_idname == "ShaderNodeLightPath" and hasattr(socket, "default_value"):
+            value = float(link.from_socket.identifier == "Is Volume Scatter Ray")
             tree.links.remove(link)
             try:
                 socket.default_value = value
@@ -117,18 +122,26 @@ def _as_volumes_see(tree):
 
 
 def _set_up(scene):
-    scene.render.engine = 'CYCLES'
+    scene.render.engine = "CYCLES"
     scene.render.film_transparent = False
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
-    scene.render.image_settings.color_mode, scene.render.image_settings.exr_codec = 'RGB', 'NONE'
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.image_settings.color_mode, scene.render.image_settings.exr_codec = "RGB", "NONE"
     scene.render.resolution_percentage = 100
-    settings = {"device": 'CPU', "use_adaptive_sampling": False, "use_denoising": False, "film_exposure": 1.0,
-                "seed": 0, "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "pixel_filter_type": 'BOX'}
+    settings = {
+        "device": "CPU",
+        "use_adaptive_sampling": False,
+        "use_denoising": False,
+        "film_exposure": 1.0,
+        "seed": 0,
+        "sample_clamp_direct": 0.0,
+        "sample_clamp_indirect": 0.0,
+        "pixel_filter_type": "BOX",
+    }
     for name, value in settings.items():
         setattr(scene.cycles, name, value)
     # Cameras do not need the World's importance map, which takes long to build.
-    scene.world.cycles.sampling_method = 'NONE'
+    scene.world.cycles.sampling_method = "NONE"
 
 
 def _view(scene, view, target):
@@ -161,8 +174,14 @@ def _uneven(pixels):
     bands = []
     for band in np.split(rows, np.flatnonzero(np.diff(rows) > BAND_GAP) + 1):
         columns = np.flatnonzero(uneven[band].any(axis=0))
-        bands.append((max(band[0] - BAND_RIM, 0), min(band[-1] + 1 + BAND_RIM, height),
-                      max(columns[0] - BAND_RIM, 0), min(columns[-1] + 1 + BAND_RIM, width)))
+        bands.append(
+            (
+                max(band[0] - BAND_RIM, 0),
+                min(band[-1] + 1 + BAND_RIM, height),
+                max(columns[0] - BAND_RIM, 0),
+                min(columns[-1] + 1 + BAND_RIM, width),
+            )
+        )
     return np.array(bands if len(bands) <= MAX_BANDS else [(0, height, 0, width)]).tolist()
 
 
@@ -171,17 +190,17 @@ def _aimed(scene, view):
     camera = _camera(scene)
     lens = camera.data
     camera.matrix_world = Matrix(view["matrix"])
-    lens.type = {"perspective": 'PERSP', "orthographic": 'ORTHO', "equirectangular": 'PANO'}[view["projection"]]
-    lens.sensor_fit = 'HORIZONTAL'
+    lens.type = {"perspective": "PERSP", "orthographic": "ORTHO", "equirectangular": "PANO"}[view["projection"]]
+    lens.sensor_fit = "HORIZONTAL"
     focal = min(max(0.5 / math.tan(0.5 * view["fov"]), WIDEST), LONGEST)
     lens.sensor_width = min(max(50.0 / focal, 1.0), 100.0)
     lens.lens = focal * lens.sensor_width
     lens.ortho_scale = view["ortho_scale"]
     lens.shift_x, lens.shift_y = view["shift"]
-    if lens.type == 'PANO':
+    if lens.type == "PANO":
         # Properties of Cycles before 5.0.
-        panorama = lens if hasattr(lens, 'panorama_type') else lens.cycles
-        panorama.panorama_type = 'EQUIRECTANGULAR'
+        panorama = lens if hasattr(lens, "panorama_type") else lens.cycles
+        panorama.panorama_type = "EQUIRECTANGULAR"
         for name in ("longitude", "latitude"):
             for end, value in zip(("min", "max"), view[name]):
                 setattr(panorama, f"{name}_{end}", value)
@@ -191,10 +210,19 @@ def _aimed(scene, view):
 
 def _panorama(scene):
     """The scene's camera as a panorama, +X at its centre and +Z up."""
-    turn = Matrix.Rotation(-math.pi / 2.0, 4, 'Z') @ Matrix.Rotation(math.pi / 2.0, 4, 'X')
-    return _aimed(scene, {"matrix": turn, "projection": "equirectangular", "fov": 1.0, "ortho_scale": 1.0,
-                          "shift": (0.0, 0.0), "longitude": (-math.pi, math.pi),
-                          "latitude": (-math.pi / 2.0, math.pi / 2.0)})
+    turn = Matrix.Rotation(-math.pi / 2.0, 4, "Z") @ Matrix.Rotation(math.pi / 2.0, 4, "X")
+    return _aimed(
+        scene,
+        {
+            "matrix": turn,
+            "projection": "equirectangular",
+            "fov": 1.0,
+            "ortho_scale": 1.0,
+            "shift": (0.0, 0.0),
+            "longitude": (-math.pi, math.pi),
+            "latitude": (-math.pi / 2.0, math.pi / 2.0),
+        },
+    )
 
 
 def _camera(scene):
@@ -239,8 +267,9 @@ def _disc(scene, node, sky, target):
     latitude = (np.arange(ROWS) + 0.5) / ROWS * math.pi - math.pi / 2.0
     longitude = (0.5 - (np.arange(2 * ROWS) + 0.5) / (2 * ROWS)) * 2.0 * math.pi
     flat = np.cos(latitude)[:, None]
-    directions = _directions(flat * np.cos(longitude), flat * np.sin(longitude),
-                             np.sin(latitude)[:, None] * np.ones(2 * ROWS))
+    directions = _directions(
+        flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)[:, None] * np.ones(2 * ROWS)
+    )
     light = np.maximum(found, 0.0) @ LUMA * np.cos(latitude)[:, None]
     if not light.max() > 0.0:
         node.sun_disc = False
@@ -248,9 +277,11 @@ def _disc(scene, node, sky, target):
     middle = np.einsum("ij,ijk->k", np.where(light > 0.2 * light.max(), light, 0.0), directions)
     node.sun_size = size
     extent = min(max(LENS_WIDTHS * size, LENS_WIDTHS * LOCATING_SIZE / 2.0), 2.0)
-    turn = Vector(-middle).to_track_quat('Z', 'Y').to_matrix()
-    camera = _aimed(scene, {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0,
-                            "shift": (0.0, 0.0)})
+    turn = Vector(-middle).to_track_quat("Z", "Y").to_matrix()
+    camera = _aimed(
+        scene,
+        {"matrix": turn.to_4x4(), "projection": "perspective", "fov": extent, "ortho_scale": 1.0, "shift": (0.0, 0.0)},
+    )
     bright = _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)
     node.sun_disc = False
     light = bright - _rendered(scene, camera, (DISC_PIXELS, DISC_PIXELS), DISC_SAMPLES, target)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The benchmark of error against time: its cases, and its page for planted figures."""
 
 from dataclasses import asdict
@@ -14,21 +15,51 @@ from benchmarks.error_vs_time.plots import save_headline
 
 def rung(method, samples, seconds, error, spread=0.1, once=0.0):
     interval = {"value": error, "low": error * (1 - spread), "high": error * (1 + spread)}
-    return {"method": method, "samples": samples, "seconds": 3 * seconds, "cpu_seconds": seconds, "once": 3 * once,
-            "once_cpu": once, "rmse": interval, "bias": {"value": 0.01, "low": 0.0, "high": 0.02}, "flip": None}
+    return {
+        "method": method,
+        "samples": samples,
+        "seconds": 3 * seconds,
+        "cpu_seconds": seconds,
+        "once": 3 * once,
+        "once_cpu": once,
+        "rmse": interval,
+        "bias": {"value": 0.01, "low": 0.0, "high": 0.02},
+        "flip": None,
+    }
 
 
 def result(error=0.1, spread=0.1, **case):
     """A case whose path tracer has variance 10 and takes 1 + 0.5 seconds per sample; denoised error 0.2 at best."""
     judged = rung("mrpnn", 8, 2.0, error, spread, once=1.5)
-    rungs = [judged, rung("single-scattering", 1, 0.1, 0.9), rung("cycles", 4, 3.0, 1.58),
-             rung("cycles denoised", 1, 1.5, 0.4), rung("cycles denoised", 4, 3.0, 0.2)]
+    rungs = [
+        judged,
+        rung("single-scattering", 1, 0.1, 0.9),
+        rung("cycles", 4, 3.0, 1.58),
+        rung("cycles denoised", 1, 1.5, 0.4),
+        rung("cycles denoised", 4, 3.0, 0.2),
+    ]
     law = {"start": 1.0, "each": 0.5, "variance": 10.0, "largest": 4}
-    equal = [{"method": method, "clock": "cpu_seconds", "seconds": 2.0, "frame_seconds": 0.5,
-              "needed": {"value": 501.0, "how": "extrapolated"}, "error": {"value": 2.2, "how": "measured"}}
-             for method in ("cycles", "cycles denoised")]
-    return {"case": asdict(Case(**case)), "judged": judged, "rungs": rungs, "path_tracing": {"cpu_seconds": law},
-            "equal": equal, "verdict": {"good": True, "more": 1.0, "seconds": 1.0}, "cycles": "4.5", "bounces": 1024}
+    equal = [
+        {
+            "method": method,
+            "clock": "cpu_seconds",
+            "seconds": 2.0,
+            "frame_seconds": 0.5,
+            "needed": {"value": 501.0, "how": "extrapolated"},
+            "error": {"value": 2.2, "how": "measured"},
+        }
+        for method in ("cycles", "cycles denoised")
+    ]
+    return {
+        "case": asdict(Case(**case)),
+        "judged": judged,
+        "rungs": rungs,
+        "path_tracing": {"cpu_seconds": law},
+        "equal": equal,
+        "verdict": {"good": True, "more": 1.0, "seconds": 1.0},
+        "cycles": "4.5",
+        "bounces": 1024,
+    }
 
 
 def test_ratios_follow_from_noise_and_cost():
@@ -40,8 +71,10 @@ def test_ratios_follow_from_noise_and_cost():
     assert times_as_long(result(error=0.0), "cycles", per_frame=False) is None
 
 
-@pytest.mark.parametrize("error, spread, said", [(0.05, 0.1, "300: yes"), (0.1, 0.1, "300: no"),
-                                                 (0.07, 2.0, "300: not certain"), (0.07, 0.0, "300: yes")])
+@pytest.mark.parametrize(
+    "error, spread, said",
+    [(0.05, 0.1, "300: yes"), (0.1, 0.1, "300: no"), (0.07, 2.0, "300: not certain"), (0.07, 0.0, "300: yes")],
+)
 def test_a_goal_is_reached_where_upper_bounds_reach_it(error, spread, said):
     assert said in headline([result(error, spread)], [result(error, spread)]).splitlines()[4]
 

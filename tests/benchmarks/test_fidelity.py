@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The fidelity benchmark: its views, its figures for known errors, and a small run."""
 
 import dataclasses
@@ -13,9 +14,9 @@ from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
 from benchmarks.support import pages
 from inference.network import network
+from training.data.volumes import HELD_BACK
 from training.export import export, save
 from training.networks import MRPNN, RPNN
-from training.data.volumes import HELD_BACK
 
 RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 
@@ -54,6 +55,7 @@ def test_variance_is_that_of_one_path():
     assert relative_variance(a, b, mask, samples) == pytest.approx((deviation / 2.0) ** 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_references_are_traced_once(tmp_path):
     view = views.procedural_view(views.ViewSpec("cloud1", "side", size=8, samples=4), 32, tmp_path)
     halves = view.halves()
@@ -67,18 +69,38 @@ def test_references_are_traced_once(tmp_path):
     assert not np.array_equal(other.halves(), halves) and len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
-    fidelity.main([
-        "--out", str(tmp_path / "out"), "--references", str(tmp_path / "references"), "--views", "procedural",
-        "--models", "mrpnn-paper", "rpnn", "--match", "cloud1-side-g0.857", "--depth-samples", "2", "--size", "16",
-        "--samples", "16", "--cells", "32",
-    ])
+    fidelity.main(
+        [
+            "--out",
+            str(tmp_path / "out"),
+            "--references",
+            str(tmp_path / "references"),
+            "--views",
+            "procedural",
+            "--models",
+            "mrpnn-paper",
+            "rpnn",
+            "--match",
+            "cloud1-side-g0.857",
+            "--depth-samples",
+            "2",
+            "--size",
+            "16",
+            "--samples",
+            "16",
+            "--cells",
+            "32",
+        ]
+    )
     path = tmp_path / "out" / "fidelity.csv"
     rows = pages.read_csv(path)
     (source,) = pages.csv_made_by(path)
-    assert source.startswith("`python -m benchmarks.fidelity --out ") and "commit" in source
+    assert source.startswith("Weights `mrpnn-paper` ") and ", commit " in source
+    assert source.endswith(" --size 16 --samples 16 --cells 32`.")
     checksum = hashlib.sha256((weights / "rpnn.onnx").read_bytes()).hexdigest()[:12]
-    assert f"rpnn {checksum}" in source and f"rpnn {checksum}" in path.with_suffix(".md").read_text()
+    assert f"`rpnn` {checksum}," in source and f"`rpnn` {checksum}," in path.with_suffix(".md").read_text()
     # Two more albedos beside the usual view, which is all that RPNN knows.
     assert [row["system"] for row in rows] == ["mrpnn-paper", "rpnn", "mrpnn-paper", "mrpnn-paper"]
     assert all(float(row["rmse_low"]) <= float(row["rmse"]) <= float(row["rmse_high"]) for row in rows)
@@ -91,8 +113,20 @@ def test_a_run_leaves_figures_tables_and_pictures(weights, tmp_path):
 
 def measurement(system, **facts):
     usual = dict(
-        view="cloud-side", volume="cloud", light="side", sigma_hat=100.0, anisotropy=0.857, albedo=views.GREY,
-        rmse=0.1, rmse_low=0.05, rmse_high=0.2, bias=0.0, bias_low=0.0, bias_high=0.0, paper=1.0, seconds=1.0,
+        view="cloud-side",
+        volume="cloud",
+        light="side",
+        sigma_hat=100.0,
+        anisotropy=0.857,
+        albedo=views.GREY,
+        rmse=0.1,
+        rmse_low=0.05,
+        rmse_high=0.2,
+        bias=0.0,
+        bias_low=0.0,
+        bias_high=0.0,
+        paper=1.0,
+        seconds=1.0,
         reference_seconds=1.0,
     )
     return Measurement(system=system, **{**usual, **facts})

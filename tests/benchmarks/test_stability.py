@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The quick cases of the stability benchmark, each within its bound; docs/stability.md lists all of them."""
 
 import numpy as np
@@ -7,14 +8,22 @@ from benchmarks.stability import files
 from benchmarks.stability.__main__ import CASES, measure
 from benchmarks.stability.case import Case, Outcome, violations
 from benchmarks.support import pages
-
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 QUICK = [case for case in CASES if case.quick]
+FIRST = {case.group: case.name for case in reversed(QUICK)}
 
 
-@pytest.mark.parametrize("case", QUICK, ids=[f"{case.group}: {case.name}" for case in QUICK])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(
+            case, id=f"{case.group}: {case.name}", marks=() if case.name == FIRST[case.group] else pytest.mark.slow
+        )
+        for case in QUICK
+    ],
+)
 def test_an_extreme_case_stays_within_its_bounds(case):
     if case in files.CASES:
         pytest.importorskip("bpy")

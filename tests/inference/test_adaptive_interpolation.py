@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Adaptive interpolation: pixels that take their multiple scattering from their neighbours."""
 
 from dataclasses import replace
@@ -6,11 +7,10 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.scene.optimizations import ALL
-from inference.plan.plan import make_tiles
 from inference.image.adaptive_interpolation import LEVELS, Squares, interpolable
+from inference.plan.plan import make_tiles
 from inference.plan.resolution import BAND
-
+from inference.scene.optimizations import ALL
 from tests.support.volumes import SUN, camera, cloud
 
 WINDOWS = [(0, 0, 40, 70), (3, 5, 31, 62), (0, 0, 4, 4), (7, 30, 8, 90), (0, 33, 5, 38)]
@@ -73,18 +73,18 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     mean[squares.known[7, 4]] = 1.2
     shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
-    # What hides behind a little opacity does not matter, nor beside much more light, nor what may be noise.
+    # Differences at low opacity, beside much more light, or within the noise do not count.
     assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
     assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
     assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
     mean[squares.known[7, 4]] = 1.02
     assert interpolable(squares, mean, dark, ones, dark, None, 0.03)[0].all()
     assert not interpolable(squares, mean, dark, ones, dark, None, 0.01)[0].all()
-    # A shadow's edge between the places looked at.
+    # A shadow's edge between evaluated pixels.
     ahead = ones.copy()
     ahead[squares.pixels[3, 2]] = 0.3
     assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
-    # A place that shows nothing of the volume says nothing of it.
+    # A pixel that does not show the volume does not count.
     opacity = ones.copy()
     opacity[squares.known[12, 4]] = 0.0
     assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
@@ -128,8 +128,12 @@ def test_a_sharp_step_in_a_volume_stays_sharp():
     density[16:] = 1.0
     matrix = np.diag([1 / 32] * 3 + [1.0])
     matrix[:3, 3] = 0.5 / 32 - 0.5
-    view = Camera(np.array([[1, 0, 0, 0.01], [0, 1, 0, 0], [0, 0, 1, 3.0], [0, 0, 0, 1]]), "orthographic", (101, 101),
-                  ortho_scale=1.1)
+    view = Camera(
+        np.array([[1, 0, 0, 0.01], [0, 1, 0, 0], [0, 0, 1, 3.0], [0, 0, 0, 1]]),
+        "orthographic",
+        (101, 101),
+        ortho_scale=1.1,
+    )
     scene = [(Volume(density, matrix, "halves"), Medium(40.0, 1.0, 0.5))], [Sun((0.3, 0.5, 0.8))], view
     every, shared = (render(*scene, Settings(8, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
     assert shared.report.counts["network points"] < 0.6 * every.report.counts["network points"]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays: which of them can hit a volume."""
 
 import numpy as np
@@ -25,9 +26,15 @@ def random_view(random):
     matrix[:3, :3] = rotation(random.uniform(0, 6), random.normal(size=3)) + 0.2 * random.normal(size=(3, 3))
     matrix[:3, 3] = random.normal(size=3) * 1.5
     x0, y0 = random.integers(0, 20, 2)
-    return Camera(matrix, projection=random.choice(["perspective", "orthographic"]), resolution=SIZE,
-                  fov=random.uniform(0.05, 2.8), ortho_scale=random.uniform(0.1, 5.0),
-                  shift=tuple(random.normal(size=2) * 0.2), region=(x0, y0, x0 + 38, y0 + 19))
+    return Camera(
+        matrix,
+        projection=random.choice(["perspective", "orthographic"]),
+        resolution=SIZE,
+        fov=random.uniform(0.05, 2.8),
+        ortho_scale=random.uniform(0.1, 5.0),
+        shift=tuple(random.normal(size=2) * 0.2),
+        region=(x0, y0, x0 + 38, y0 + 19),
+    )
 
 
 @pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6, 7, 8))])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the scene description accepts and refuses, and the plan that is made of it."""
 
 import numpy as np

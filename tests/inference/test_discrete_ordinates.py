@@ -1,14 +1,15 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Discrete ordinates: closed forms, the path tracer, symmetry, surfaces, and lookups by networks and camera rays."""
 
 import numpy as np
 import pytest
 
 from inference import Volume
-from inference.transport import scattered_fluence
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import MAX_FLUENCE
+from inference.transport import scattered_fluence
 from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
-from training.tracer.path_tracer import trace_points
+from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
 SLANT = np.array([0.48, 0.6, 0.64])
@@ -32,8 +33,14 @@ def test_directions_and_weights_integrate_polynomials_over_the_sphere():
     steps = np.concatenate([sign * s for s in STEPS for sign in (1, -1)])
     assert len(np.unique(steps, axis=0)) == 26
     u, weights = steps / np.linalg.norm(steps, axis=1, keepdims=True), _solid_angles(steps)
-    for powers, expected in (((0, 0, 0), 1), ((2, 0, 0), 1 / 3), ((2, 2, 0), 1 / 15), ((2, 2, 2), 1 / 105), ((0, 6, 0), 1 / 7)):
-        assert weights @ np.prod(u**np.array(powers), axis=1) == pytest.approx(expected, abs=1e-12)
+    for powers, expected in (
+        ((0, 0, 0), 1),
+        ((2, 0, 0), 1 / 3),
+        ((2, 2, 0), 1 / 15),
+        ((2, 2, 2), 1 / 105),
+        ((0, 6, 0), 1 / 7),
+    ):
+        assert weights @ np.prod(u ** np.array(powers), axis=1) == pytest.approx(expected, abs=1e-12)
 
 
 def test_thin_fog_is_single_scattering():
@@ -46,18 +53,31 @@ def test_thin_fog_is_single_scattering():
     steps = np.concatenate(STEPS)
     expected = sigma * 2.0 * _solid_angles(steps) @ (0.5 * np.linalg.norm(steps, axis=1))
     half = CELLS // 2
-    assert fluence[half - 1 : half + 1, half - 1 : half + 1, half - 1 : half + 1].mean() == pytest.approx(expected, rel=0.01)
+    assert fluence[half - 1 : half + 1, half - 1 : half + 1, half - 1 : half + 1].mean() == pytest.approx(
+        expected, rel=0.01
+    )
 
 
-@pytest.mark.parametrize("sigma_hat, anisotropy, tolerance", [
-    (5.0, 0.0, 0.06), pytest.param(40.0, 0.0, 0.13, marks=pytest.mark.slow), (40.0, -0.3, 0.1),
-    pytest.param(100.0, 0.5, 0.12, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "sigma_hat, anisotropy, tolerance",
+    [
+        (5.0, 0.0, 0.06),
+        pytest.param(40.0, 0.0, 0.13, marks=pytest.mark.slow),
+        (40.0, -0.3, 0.1),
+        pytest.param(100.0, 0.5, 0.12, marks=pytest.mark.slow),
+    ],
+)
 def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance):
     """For nearly isotropic scattering: the radiance scattered towards the camera, inside and near the boundary."""
-    positions = np.array([[0.0, 0.0, 0.1], [0.2, -0.1, -0.2], [-0.25, 0.25, 0.0], [0.05, -0.38, 0.02], [0.02, 0.03, 0.39]])
+    positions = np.array(
+        [[0.0, 0.0, 0.1], [0.2, -0.1, -0.2], [-0.25, 0.25, 0.0], [0.05, -0.38, 0.02], [0.02, 0.03, 0.39]]
+    )
     omega = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    traced = trace_points(cloud, SLANT, None, positions, omega, sigma_hat, anisotropy, [1.0], 20000, seed=2)[:, 0, 0]
-    cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(np.float32)
+    vertices = Vertices(positions, omega, sigma_hat, anisotropy, [1.0])
+    traced = trace_points(Scene(cloud, SLANT), vertices, Sampling(20000, seed=2))[:, 0, 0]
+    cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(
+        np.float32
+    )
     read = scattered_fluence.read_fluence(cells, positions, omega, SLANT, anisotropy)
     radiance = np.exp(read[:, scattered_fluence.PROBES]) / (4.0 * np.pi)
     # What counts as unscattered is missing here.
@@ -70,7 +90,9 @@ def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance)
 
 def test_rotating_volume_and_sun_rotates_the_fluence(cloud):
     light = DiscreteOrdinates(cloud, 60.0, 0.6).light(SLANT)
-    turned = DiscreteOrdinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).light(SLANT[[1, 2, 0]] * [1, 1, -1])
+    turned = DiscreteOrdinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).light(
+        SLANT[[1, 2, 0]] * [1, 1, -1]
+    )
     expected = light[[0, 2, 3, 1]].transpose(0, 2, 3, 1)[:, :, :, ::-1] * np.array([1, 1, 1, -1])[:, None, None, None]
     np.testing.assert_allclose(turned, expected, rtol=2e-3, atol=2e-4)
 
@@ -109,7 +131,9 @@ def test_behind_a_wall_it_is_dark_and_before_it_is_half_a_cube(cloud):
 def test_light_stays_outside_a_box(cloud):
     """Six walls around the middle: dark inside, and darker than without them outside."""
     low, high = -0.15, 0.15
-    sides = np.concatenate([rectangle(z, low, high)[..., order] for z in (low, high) for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))])
+    sides = np.concatenate(
+        [rectangle(z, low, high)[..., order] for z in (low, high) for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))]
+    )
     ordinates = DiscreteOrdinates(cloud, 30.0, 0.5, sides)
     box = np.all([np.abs(x) < high for x in middles()], axis=0)
     np.testing.assert_array_equal(ordinates.boundaries.inside, box)
@@ -134,7 +158,9 @@ def test_lookups_between_cells_are_exact_for_linear_fields():
     along = (flux * w).sum(axis=1)
     np.testing.assert_allclose(read[:, 4], read[:, 0] + np.log(1.0 - 3.0 * reduced_anisotropy(0.6) * along), atol=2e-3)
     np.testing.assert_allclose(read[:, 5:], np.stack([along, flux @ SLANT], axis=1), atol=1e-3)
-    np.testing.assert_allclose(scattered_fluence.fluence_and_flux(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(
+        scattered_fluence.fluence_and_flux(cells), np.moveaxis(light, 0, -1), rtol=2e-3, atol=2e-3
+    )
 
 
 def test_positions_in_the_world_find_their_cells():

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error measures against planted errors of known size."""
 
 import numpy as np
@@ -82,7 +83,8 @@ def test_grey_images_equal_rgb_images_with_equal_channels(truth):
     noisy_rgb = [np.repeat(half[..., None], 3, axis=-1) for half in noisy]
     for measure in (relative_rmse, relative_bias):
         assert measure(1.1 * grey, *noisy, EVERYWHERE).value == pytest.approx(
-            measure(1.1 * rgb, *noisy_rgb, EVERYWHERE).value)
+            measure(1.1 * rgb, *noisy_rgb, EVERYWHERE).value
+        )
     assert paper_metric(1.1 * grey, *noisy) == pytest.approx(paper_metric(1.1 * rgb, *noisy_rgb))
 
 
@@ -96,10 +98,13 @@ def test_paper_metric_of_two_greys_is_the_difference_of_their_tone_mapped_values
     assert paper_metric(half, black, black) == pytest.approx(100 * 2.54 / 3.16 / np.sqrt(2))
 
 
-@pytest.mark.parametrize("layer, mask, message", [
-    (np.ones((4, 5)), np.ones((4, 4), bool), "differ in size"),
-    (np.ones((4, 4)), np.zeros((4, 4), bool), "mask is empty"),
-])
+@pytest.mark.parametrize(
+    "layer, mask, message",
+    [
+        (np.ones((4, 5)), np.ones((4, 4), bool), "differ in size"),
+        (np.ones((4, 4)), np.zeros((4, 4), bool), "mask is empty"),
+    ],
+)
 def test_unusable_input_is_refused(layer, mask, message):
     reference = np.ones((4, 4))
     with pytest.raises(ValueError, match=message):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Error against time: the noise law, ladders of samples and verdicts, for planted noise, bias and cost."""
 
 import numpy as np
@@ -5,7 +6,17 @@ import pytest
 
 from inference.evaluation.error import Estimate, relative_bias, relative_rmse
 from inference.evaluation.error_vs_time import (
-    AT_LEAST, AT_MOST, EXTRAPOLATED, MEASURED, PathTracing, Rung, cost, error_on_ladder, judge, seconds_on_ladder, variance_at_one,
+    AT_LEAST,
+    AT_MOST,
+    EXTRAPOLATED,
+    MEASURED,
+    PathTracing,
+    Rung,
+    cost,
+    error_on_ladder,
+    judge,
+    seconds_on_ladder,
+    variance_at_one,
 )
 
 SIZE = 96
@@ -28,8 +39,16 @@ def traced(truth, samples, seed):
 
 
 def rung(image, a, b, samples=1, seconds=1.0, method="candidate"):
-    return Rung(method, samples, seconds, seconds, 0.0, 0.0, relative_rmse(image, a, b, EVERYWHERE),
-                relative_bias(image, a, b, EVERYWHERE))
+    return Rung(
+        method,
+        samples,
+        seconds,
+        seconds,
+        0.0,
+        0.0,
+        relative_rmse(image, a, b, EVERYWHERE),
+        relative_bias(image, a, b, EVERYWHERE),
+    )
 
 
 def of_error(samples, seconds, error):

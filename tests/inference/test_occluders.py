@@ -1,13 +1,13 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Opaque surfaces in multiple scattering: energy conservation, closed forms, and what must not change."""
 
 import numpy as np
 import pytest
 
-from inference import RenderCache, Medium, Settings, Sun, Surface, render
-from inference.transport.diffusion import couple, solve
-from inference.occluders.shadow_map import ShadowMap
+from inference import Medium, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
-
+from inference.occluders.shadow_map import ShadowMap
+from inference.transport.diffusion import couple, solve
 from tests.support.surfaces import camera, fog, rectangle
 
 CELLS = 24
@@ -37,7 +37,7 @@ def test_a_wall_bounds_diffusion_as_a_face_of_the_cube_does(axis):
     source[tuple(slice(CELLS // 2, None) if a == axis else slice(None) for a in range(3))] = 0.0
     found = solve(couple(d, 1.0 / CELLS, walls), source)
     expected = solve(couple(d[below], 1.0 / CELLS), source[below])
-    # CellBoundaries are looked for a little off the cells' middles.
+    # Boundaries are sought slightly off the cells' centres.
     np.testing.assert_allclose(found[below], expected, rtol=0.01)
     assert found.sum() == pytest.approx(found[below].sum(), rel=1e-12)
 
@@ -64,7 +64,7 @@ def test_all_light_leaves_through_faces_and_walls():
     assert ((diagonal - inner) * fluence).sum() == pytest.approx(source.sum(), rel=5e-3)
     free = solve(couple(d, 1.0 / CELLS), source)
     assert np.all(fluence <= free * 1.01) and fluence.sum() < 0.8 * free.sum()
-    # Within the ball lookups find what is outside, in the cells next to it.
+    # Inside the ball, lookups read the nearest cells outside.
     assert walls.extrapolate_inside(np.log(fluence + 1e-6))[walls.inside].max() > -8.0
 
 
@@ -75,7 +75,9 @@ def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
     share = shadow_map.cell_visibility(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
-    np.testing.assert_allclose(shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6)
+    np.testing.assert_allclose(
+        shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
@@ -88,7 +90,7 @@ def test_no_light_no_scattering(model):
     if model == "mrpnn":
         assert dark.multiple.max() < 2e-3 * lit.multiple.mean()
     else:
-        # It is told of the light at the stencil alone.
+        # It knows the light at the stencil only.
         assert dark.multiple.mean() < 0.5 * lit.multiple.mean()
 
 
@@ -125,8 +127,9 @@ def test_the_render_cache_follows_surfaces_and_suns():
 
 def test_a_network_without_light_inputs_warns_of_surfaces():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
-    layer = render([(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"),
-                   surfaces=[wall])
+    layer = render(
+        [(fog(), Medium(4.0, 0.9, 0.4))], [SUN], camera(resolution=(4, 4)), Settings(model="rpnn"), surfaces=[wall]
+    )
     assert "fog: the network rpnn does not account for surfaces" in layer.report.warnings
 
 

@@ -1,18 +1,24 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optimizations stay within their stated error, and each can be turned off."""
 
 import numpy as np
 import pytest
 
-from inference import RenderCache, Medium, SceneError, Settings, Sun, Surface, Volume, render
+from inference import Medium, RenderCache, SceneError, Settings, Sun, Surface, Volume, render
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
-
 from tests.support.volumes import camera, cloud
 
 # What a render does more of without each optimization.
 COUNTED = {
-    "missed_pixels": "camera rays", "empty_space": "steps evaluated", "behind_opaque": "steps evaluated",
-    "needless_suns": "suns", "equal_channels": "rays marched", "equal_albedos": "network answers",
-    "unread_fields": "cells of lookup fields", "faint_rays": "points", "shared_pixels": "network points",
+    "missed_pixels": "camera rays",
+    "empty_space": "steps evaluated",
+    "behind_opaque": "steps evaluated",
+    "needless_suns": "suns",
+    "equal_channels": "rays marched",
+    "equal_albedos": "network answers",
+    "unread_fields": "cells of lookup fields",
+    "faint_rays": "points",
+    "shared_pixels": "network points",
 }
 # Of each kind one in every run: fewer rays, steps and pixels.
 QUICK = ("faint_rays", "behind_opaque", "shared_pixels")
@@ -53,8 +59,9 @@ def change(layer, other):
     return np.sqrt(np.mean((layer.rgb - other.rgb)[shown] ** 2)) / other.rgb[shown].mean()
 
 
-@pytest.mark.parametrize("name", [
-    name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COUNTED])
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COUNTED]
+)
 def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, draw, usual, every_pixel):
     """Each is turned off alone."""
     before, left_out = (usual, ALL) if name == "shared_pixels" else (every_pixel, ALL - {"shared_pixels"})
@@ -90,9 +97,10 @@ def test_the_report_estimates_the_time_without_optimizations(usual, every_pixel)
     # Two of three channels, each of which would have taken as long as the one.
     seconds = usual.report.seconds
     assert usual.report.saved["equal_channels"] == pytest.approx(
-        2.0 * (seconds["march"] + seconds["fields"] + seconds["network"]), abs=0.01)
+        2.0 * (seconds["march"] + seconds["fields"] + seconds["network"]), abs=0.01
+    )
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(SceneError, match="no 'noise' to leave out; there are: behind_opaque, .*unread_fields"):
+    with pytest.raises(SceneError, match="no optimization called 'noise'; there are: behind_opaque, .*unread_fields"):
         Settings(leave_out={"noise"})

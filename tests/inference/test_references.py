@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The shipped network against path-traced references, independent ones and our own."""
 
 import numpy as np
@@ -6,9 +7,9 @@ import pytest
 from benchmarks.fidelity import pictures, views
 from inference import Camera, Medium, Settings, Sun, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from training.tracer.path_tracer import trace_pixels
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
+from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, trace_pixels
 
 BIAS, RMSE = 0.10, 0.30
 
@@ -33,19 +34,18 @@ def test_independent_references(key, tmp_path):
     check(layer, a[..., :3], b[..., :3], mask, tmp_path)
 
 
-@pytest.mark.parametrize("seed, sigma, g", [
-    pytest.param(HELD_BACK[0], 60.0, 0.5, marks=pytest.mark.slow), (HELD_BACK[11], 150.0, 0.857)])
+@pytest.mark.parametrize(
+    "seed, sigma, g", [pytest.param(HELD_BACK[0], 60.0, 0.5, marks=pytest.mark.slow), (HELD_BACK[11], 150.0, 0.857)]
+)
 def test_volumes_that_no_training_has_seen(seed, sigma, g, tmp_path):
     density = make_volume(seed, 96).density
     albedo, sun, position = (1.0, 0.9, 0.6), np.array([0.6, 0.5, 0.62]), (1.1, 0.5, 1.2)
     sun /= np.linalg.norm(sun)
-    halves = [
-        trace_pixels(density, position, (0, 0, 0), (0, 1, 0), 40.0, 40, sun, sigma, g, albedo, 96, seed=half)
-        for half in (1, 2)
-    ]
+    view, medium = PinholeCamera(position, (0, 0, 0), (0, 1, 0), 40.0, 40), Medium(sigma, albedo, g)
+    halves = [trace_pixels(Scene(density, sun), view, medium, Sampling(96, half)) for half in (1, 2)]
     a, b = (half.astype(np.float64) for half in halves)
     camera = Camera(views.look_at(position), resolution=(40, 40), fov=np.radians(40.0))
-    layer = render([(cube_volume(density, "cloud"), Medium(sigma, albedo, g))], [Sun(sun)], camera)
+    layer = render([(cube_volume(density, "cloud"), medium)], [Sun(sun)], camera)
     mask = layer.alpha > views.MASK_ALPHA
     np.testing.assert_allclose(layer.alpha[mask].mean(), 0.5 * (a + b)[..., 3][mask].mean(), rtol=0.02)
     check(layer, a[..., :3], b[..., :3], mask, tmp_path)

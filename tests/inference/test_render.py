@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Whole renders against closed forms and symmetries."""
 
 from dataclasses import replace
@@ -7,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
-from inference.plan import plan
 from inference.network.predictor import MAX_FLUENCE
+from inference.plan import plan
 from inference.scene.optimizations import ALL
 from inference.scene.phase_function import henyey_greenstein
 from tests.support.volumes import BLACK, SUN, box, camera, cloud
@@ -17,7 +18,7 @@ from tests.support.volumes import BLACK, SUN, box, camera, cloud
 def test_alpha_of_a_box_is_one_minus_transmittance():
     layer = render([(box((1.0, 1.0, 2.0)), BLACK)], [SUN], camera(projection="orthographic", ortho_scale=0.5))
     np.testing.assert_allclose(layer.alpha, 1 - np.exp(-3.0 * 2.0), rtol=2e-4)
-    # Mean free flight in a slab of optical depth 6, from its face at distance 2.
+    # Mean free-flight distance in a slab of optical depth 6, from its face at distance 2.
     expected = 2.0 + (1 / 3.0) * (1 - 7 * np.exp(-6.0)) / (1 - np.exp(-6.0))
     np.testing.assert_allclose(layer.depth, expected, rtol=5e-3)
     assert np.all(layer.rgb == 0.0)
@@ -28,7 +29,7 @@ def test_alpha_of_a_sphere_follows_its_chords():
     voxels = 96
     axis = (np.arange(voxels) + 0.5) / voxels - 0.5
     r = np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij")))
-    # The surface crosses its voxels: density falls over one of them.
+    # The surface crosses voxels: the density falls off over one of them.
     sphere = box(voxels=voxels)
     sphere.density = np.clip((0.4 - r) * voxels + 0.5, 0.0, 1.0).astype(np.float32)
     view = camera(projection="orthographic", ortho_scale=1.0, resolution=(64, 1))
@@ -102,7 +103,8 @@ def test_rotating_translating_and_scaling_the_scene_changes_nothing():
     volume = cloud()
     volume.world_from_index = motion @ volume.world_from_index
     moved = render(
-        [(volume, Medium(0.3, 0.9, 0.5))], [Sun(turn @ SUN.direction, 2.0)],
+        [(volume, Medium(0.3, 0.9, 0.5))],
+        [Sun(turn @ SUN.direction, 2.0)],
         Camera(motion @ view.world_matrix, resolution=view.resolution, fov=view.fov),
     )
     np.testing.assert_allclose(moved.alpha, still.alpha, atol=1e-3)
@@ -127,7 +129,7 @@ def test_two_overlapping_parts_equal_their_sum():
 
 
 def test_one_volume_shadows_another():
-    # The upper box is the larger, so that the soft rim of its voxels shadows nothing.
+    # The upper box is larger, so that its soft boundary casts no shadow.
     lower, upper = box(name="lower"), box((2.0, 1.0, 2.0), name="upper")
     upper.world_from_index = upper.world_from_index.copy()
     upper.world_from_index[1, 3] += 1.5
@@ -169,6 +171,7 @@ def test_predictions_match_the_image():
 
 def test_uncertainty_is_the_error_that_more_depth_samples_remove():
     """Over the pixels: right in its size, and in where it is large."""
+
     def layer(samples):
         return render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(), Settings(samples))
 
@@ -186,8 +189,14 @@ def test_uncertainty_is_the_error_that_more_depth_samples_remove():
 
 def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
     """A thin cloud, most of whose rays are faint; without this, every ray that hits it gets all samples."""
+
     def layer(samples, *without):
-        return render([(cloud(), Medium(3.0, 0.95, 0.5))], [SUN], camera(), Settings(samples, leave_out=ALL - {"shared_pixels", *without}))
+        return render(
+            [(cloud(), Medium(3.0, 0.95, 0.5))],
+            [SUN],
+            camera(),
+            Settings(samples, leave_out=ALL - {"shared_pixels", *without}),
+        )
 
     best, fewer, every = layer(64, "faint_rays"), layer(8), layer(8, "faint_rays")
     assert every.report.counts["network points"] == 8 * np.count_nonzero(every.alpha)
@@ -241,7 +250,9 @@ def test_warnings_name_what_is_outside_the_trained_range():
 
 
 @pytest.mark.parametrize("anisotropy", [-0.99, 0.0, 0.999])
-@pytest.mark.parametrize("sigma_t", [1e-6, 1.0, 1e7])
+@pytest.mark.parametrize(
+    "sigma_t", [pytest.param(1e-6, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow), 1e7]
+)
 def test_outside_the_trained_range_radiance_stays_finite_and_bounded(sigma_t, anisotropy):
     """At most a conservative medium's largest fluence, all of it in the peak of the phase function."""
     random = np.random.default_rng(6)

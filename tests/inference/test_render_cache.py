@@ -1,12 +1,15 @@
-"""The render cache changes nothing but the time."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The render cache changes nothing but the time, for one thread and for several."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from inference import Camera, Cancelled, RenderCache, Medium, Settings, Sun, Volume, render
+from inference import Camera, Cancelled, Medium, RenderCache, Settings, Sun, Volume, render, render_cache
+from inference.network.network import load_network
 
 SETTINGS = Settings(depth_samples=1, threads=1)
 
@@ -25,25 +28,28 @@ def camera(size=12):
     return Camera(matrix, resolution=(size, size), fov=0.6)
 
 
-
 def test_a_render_cancelled_while_preparing_leaves_nothing_half_built():
     volume, sun, cache = ball(), [Sun((0.3, 0.5, 0.8))], RenderCache()
     thin, thick = Medium(20.0, 0.9, 0.5), Medium(60.0, 0.9, 0.5)
     expected = {medium.sigma_t[0]: render([(volume, medium)], sun, camera(), SETTINGS).rgb for medium in (thin, thick)}
     render([(volume, thin)], sun, camera(), SETTINGS, cache=cache)
     for medium in (thick, thin):
-        # The ninth time that it asks, half of the lattices are built.
+        # At the ninth poll, half of the lattices are built.
         asked = iter(range(9))
         with pytest.raises(Cancelled):
-            render([(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache)
+            render(
+                [(volume, medium)], sun, camera(), SETTINGS, cancelled=lambda: next(asked, None) is None, cache=cache
+            )
         found = render([(volume, medium)], sun, camera(), SETTINGS, cache=cache)
         np.testing.assert_array_equal(found.rgb, expected[medium.sigma_t[0]])
 
 
 def test_two_threads_share_the_render_cache():
     volume, cache = ball(), RenderCache()
-    scenes = [([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
-              for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))]
+    scenes = [
+        ([(volume, Medium(density, 0.9, 0.5))], [Sun(direction)])
+        for density, direction in ((20.0, (0.3, 0.5, 0.8)), (50.0, (0.9, -0.1, 0.2)))
+    ]
     expected = [render(*scene, camera(), SETTINGS).rgb for scene in scenes]
     found = {}
 
@@ -57,6 +63,53 @@ def test_two_threads_share_the_render_cache():
         thread.join()
     for number in range(2):
         np.testing.assert_array_equal(found[number], expected[number])
+
+
+def test_threads_get_the_networks_that_they_ask_for_each_loaded_once(monkeypatch):
+    loaded = []
+
+    def load(name, provider):
+        loaded.append((name, provider))
+        return load_network(name, provider)
+
+    monkeypatch.setattr(render_cache, "load_network", load)
+    # CUDA is unavailable on most machines: then the processor runs the network, and a warning says so.
+    wanted = [("mrpnn-narrow", "CPU"), ("rpnn", "CPU"), ("mrpnn-narrow", "CUDA")]
+    threads = 2 * len(wanted)
+    for _ in range(8):
+        loaded.clear()
+        cache, barrier = RenderCache(), threading.Barrier(threads)
+
+        def ask(first, cache=cache, barrier=barrier):
+            barrier.wait()
+            order = [wanted[(first + n) % len(wanted)] for n in range(2 * len(wanted))]
+            return [(key, cache.network(*key)) for key in order]
+
+        with ThreadPoolExecutor(threads) as pool:
+            found = [pair for pairs in pool.map(ask, range(threads)) for pair in pairs]
+        assert sorted(loaded) == sorted(wanted)
+        networks = dict(found)
+        assert len({id(network) for network in networks.values()}) == len(wanted)
+        for (name, provider), network in found:
+            assert network is networks[name, provider] and network.name == name
+            assert network.provider == provider or any(provider in warning for warning in network.warnings)
+
+
+def test_renders_with_different_networks_share_a_cache():
+    scene = [(ball(), Medium(20.0, 0.9, 0.5))], [Sun((0.3, 0.5, 0.8))]
+    models = ("mrpnn", "mrpnn-narrow", "rpnn")
+    expected = {model: render(*scene, camera(), replace(SETTINGS, model=model)).rgb for model in models}
+    cache, barrier = RenderCache(), threading.Barrier(len(models))
+
+    def run(model):
+        barrier.wait()
+        return [render(*scene, camera(), replace(SETTINGS, model=model), cache=cache) for _ in range(2)]
+
+    with ThreadPoolExecutor(len(models)) as pool:
+        for model, layers in zip(models, pool.map(run, models)):
+            for layer in layers:
+                assert layer.report.model == model
+                np.testing.assert_array_equal(layer.rgb, expected[model])
 
 
 def test_without_multiple_scattering_the_other_passes_are_unchanged():

@@ -1,12 +1,13 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Scattered emission against closed forms, energy conservation and a direct sum."""
 
 import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.transport.scattered_emission import ScatteredEmission
 from inference.grids.grid import Grid
 from inference.transport.radiance_sweep import sweep_radiance
+from inference.transport.scattered_emission import ScatteredEmission
 
 SETTINGS = Settings(depth_samples=16)
 
@@ -63,12 +64,15 @@ def test_deep_in_homogeneous_fog_emission_is_absorbed_locally(anisotropy):
     np.testing.assert_allclose(layer.rgb, 2.0 / 12.0, rtol=0.03)
 
 
-@pytest.mark.parametrize("sigma, anisotropy", [
-    *(pytest.param(sigma, 0.0, marks=pytest.mark.slow) for sigma in (2.0, 12.0)), (12.0, 0.6)])
+@pytest.mark.parametrize(
+    "sigma, anisotropy", [*(pytest.param(sigma, 0.0, marks=pytest.mark.slow) for sigma in (2.0, 12.0)), (12.0, 0.6)]
+)
 def test_white_fog_lets_all_emission_escape(sigma, anisotropy):
     """The escaping power is 4 pi e, integrated over the fire in the fog."""
     r = radius(48)
-    fog = fire(np.clip(4.0 - 8.0 * r, 0.0, 1.0).astype(np.float32), np.clip(3.0 - 12.0 * r, 0.0, 1.0).astype(np.float32))
+    fog = fire(
+        np.clip(4.0 - 8.0 * r, 0.0, 1.0).astype(np.float32), np.clip(3.0 - 12.0 * r, 0.0, 1.0).astype(np.float32)
+    )
     made = 4.0 * np.pi * fog.emission[..., 0].sum(dtype=float) / 48**3
     power, views = np.zeros(3), [(0.2, 0.4, 1.0), (1.0, 1.0, -1.0), (-1.0, 0.1, 0.0)]
     for direction in views:
@@ -98,7 +102,10 @@ def test_a_small_emitter_in_thin_fog_equals_a_direct_sum():
 def test_fire_illuminates_smoke_of_another_volume():
     """A flame without smoke inside smoke without fire equals both in one volume."""
     r = radius(32)
-    smoke, flame = np.clip(2.0 - 4.0 * r, 0.0, 1.0).astype(np.float32), np.clip(1.0 - 5.0 * r, 0.0, 1.0).astype(np.float32)
+    smoke, flame = (
+        np.clip(2.0 - 4.0 * r, 0.0, 1.0).astype(np.float32),
+        np.clip(1.0 - 5.0 * r, 0.0, 1.0).astype(np.float32),
+    )
     nothing = np.zeros_like(r, np.float32)
     medium = Medium((3.0, 6.0, 9.0), (0.9, 0.7, 0.5), 0.3)
     one = render([(fire(smoke, flame), medium)], [], looking((0.0, 0.3, -1.0)), SETTINGS)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Matrix products in blocks against numpy's."""
 
 import time
@@ -9,10 +10,22 @@ from inference.numerics.small_matmul import MATRIX_WORK, VECTOR_WORK, product
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize("a, b", [
-    ((5, 8), (8,)), ((3, VECTOR_WORK // 4, 8), (8,)), ((1025, 8), (8,)), ((2, 40_000), (40_000,)), ((70_000, 3), (3, 5)),
-    ((70_000, 3), (3, 1)), ((7, 500), (500, 400)), ((100, 3), (3, 0)), ((0, 3), (3, 2)), ((4, 0), (0, 2)), ((2, 0, 6), (6,)),
-])
+@pytest.mark.parametrize(
+    "a, b",
+    [
+        ((5, 8), (8,)),
+        ((3, VECTOR_WORK // 4, 8), (8,)),
+        ((1025, 8), (8,)),
+        ((2, 40_000), (40_000,)),
+        ((70_000, 3), (3, 5)),
+        ((70_000, 3), (3, 1)),
+        ((7, 500), (500, 400)),
+        ((100, 3), (3, 0)),
+        ((0, 3), (3, 2)),
+        ((4, 0), (0, 2)),
+        ((2, 0, 6), (6,)),
+    ],
+)
 def test_products_equal_those_of_numpy(a, b, kind):
     """Longer and shorter than a block, and empty."""
     random = np.random.default_rng(3)
@@ -28,7 +41,9 @@ def test_a_row_does_not_depend_on_the_others():
     np.testing.assert_array_equal(product(a[:1000], b), product(a, b)[:1000])
 
 
-@pytest.mark.parametrize("a, b", [((70_000, 3), (3, 1)), ((70_000, 3), (3, 3)), ((70_000, 8), (8,)), ((2000, 400), (400, 90))])
+@pytest.mark.parametrize(
+    "a, b", [((70_000, 3), (3, 1)), ((70_000, 3), (3, 3)), ((70_000, 8), (8,)), ((2000, 400), (400, 90))]
+)
 def test_no_other_thread_works(a, b):
     a, b = np.ones(a, np.float32), np.ones(b, np.float32)
     product(a, b)

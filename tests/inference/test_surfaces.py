@@ -1,12 +1,13 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces in front of and within volumes, against closed forms and brute-force ray intersection."""
 
 import numpy as np
 import pytest
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, render
-from inference.scene.optimizations import ALL
-from inference.scene.camera_rays import camera_rays
 from inference.occluders.depth_buffer import SAMPLES, DepthBuffer
+from inference.scene.camera_rays import camera_rays
+from inference.scene.optimizations import ALL
 from tests.support.surfaces import camera, fog, rectangle
 
 SUN = Sun((0.4, 0.3, 0.8), 2.0)
@@ -62,8 +63,10 @@ def test_a_wall_hides_what_lies_behind_it(projection):
     # A surface in front of the volume hides it, one behind it does not.
     hidden = render([(fog(), Medium(1.5, 0.5))], [SUN], view, surfaces=[rectangle(-5, 5, -5, 5, 1.5)])
     assert hidden.alpha.max() == hidden.rgb.max() == 0.0 and np.all(np.isinf(hidden.depth))
-    alone, behind = (render([(fog(), Medium(1.5, 0.5, 0.3))], [SUN], view, surfaces=surfaces)
-                     for surfaces in ([], [rectangle(-5, 5, -5, 5, -1.5)]))
+    alone, behind = (
+        render([(fog(), Medium(1.5, 0.5, 0.3))], [SUN], view, surfaces=surfaces)
+        for surfaces in ([], [rectangle(-5, 5, -5, 5, -1.5)])
+    )
     for name in ("rgb", "alpha", "depth", "single", "multiple", "uncertainty"):
         np.testing.assert_allclose(getattr(behind, name), getattr(alone, name), rtol=1e-5, err_msg=name)
 
@@ -108,8 +111,9 @@ def test_a_surface_casts_its_shadow_into_the_volume():
     matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
     view = Camera(matrix, "orthographic", (40, 8), ortho_scale=1.6)
     settings = Settings(multiple=False)
-    lit, shaded = (render([(fog(), Medium(0.7, 0.9, 0.3))], [sun], view, settings, surfaces=surfaces)
-                   for surfaces in ([], [wall]))
+    lit, shaded = (
+        render([(fog(), Medium(0.7, 0.9, 0.3))], [sun], view, settings, surfaces=surfaces) for surfaces in ([], [wall])
+    )
     assert shaded.single[:, :19].max() < 1e-6
     np.testing.assert_allclose(shaded.single[:, 21:], lit.single[:, 21:], rtol=1e-5)
     np.testing.assert_array_equal(shaded.alpha, lit.alpha)
@@ -125,8 +129,10 @@ def test_an_oblique_shadow_falls_along_the_suns_direction():
     matrix = np.array([[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 0], [0, 0, 0, 1]], float)
     view = Camera(matrix, "orthographic", (64, 64), ortho_scale=1.9)
     walls = [rectangle(-9, 2.0, -9, 9, 4.0)]
-    lit, shaded = (render([(fog(), Medium(0.5, 0.9))], [sun], view, Settings(multiple=False), surfaces=surfaces)
-                   for surfaces in ([], walls))
+    lit, shaded = (
+        render([(fog(), Medium(0.5, 0.9))], [sun], view, Settings(multiple=False), surfaces=surfaces)
+        for surfaces in ([], walls)
+    )
     share = (shaded.single / lit.single)[..., 0]
     x = ((np.arange(64) + 0.5) / 64 - 0.5) * 1.9
     # Seen from -y: x to the right, z up. Light along (-1, 0, -2) from the edge at (2, 4).

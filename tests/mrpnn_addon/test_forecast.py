@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel's estimate of render time: the work it counts, and what it learns from renders."""
 
 import os
@@ -8,7 +9,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import render
-
 from tests.support import blender_scenes
 
 
@@ -21,8 +21,12 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     scene.mrpnn.depth_samples = 1
     shown, _ = blender_scenes.add_volume(
-        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(64), blender_scenes.centred(64, 2.0)),
-        Density=4.0, Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=0.5)
+        scene,
+        blender_scenes.write_vdb(tmp_path, blender_scenes.blob(64), blender_scenes.centred(64, 2.0)),
+        Density=4.0,
+        Color=(0.9, 0.9, 0.9, 1.0),
+        Anisotropy=0.5,
+    )
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     yield shown
@@ -88,16 +92,23 @@ def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
     assert far.pixels < 100 and far.seconds < whole
     scene.camera.location.z = -6.0
     # Behind the camera all pixels might show it, but no ray meets its box.
-    assert addon.mrpnn_addon.objects.workload.estimate_workload(
-        [addon.mrpnn_addon.volumes.bounding_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
-        addon.mrpnn_addon.objects.camera.read_camera(blender_scenes.depsgraph())[0], 1, 1).pixels == 0.0
+    assert (
+        addon.mrpnn_addon.objects.workload.estimate_workload(
+            [addon.mrpnn_addon.volumes.bounding_boxes.box_around(shown)[0] for shown in shown_volumes(addon)],
+            addon.mrpnn_addon.objects.camera.read_camera(blender_scenes.depsgraph())[0],
+            1,
+            1,
+        ).pixels
+        == 0.0
+    )
 
 
 def shown_volumes(addon):
     visibility = addon.mrpnn_addon.objects.visibility
-    return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == 'VOLUME')
+    return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == "VOLUME")
 
 
+@pytest.mark.slow
 def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
     """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
     cost_model = addon.mrpnn_addon.status.cost_model
@@ -110,8 +121,7 @@ def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
         found = described(addon)
         asked = found.workload(samples)
         assert asked.lights == said().suns or strength == 0.0
-        counts = render(
-            found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
+        counts = render(found.volumes, found.suns, found.camera, scene.mrpnn.settings()).report.counts
         shares = known.shares[asked.names]
         _, points = cost_model._points(asked, shares)
         np.testing.assert_allclose(asked.steps * shares.evaluated, counts["steps evaluated"], rtol=0.3)
@@ -150,7 +160,10 @@ def test_another_file_is_another_scene(addon, scene, cloud, said):
     bpy.ops.mrpnn.render()
     assert not said().rough
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not addon.mrpnn_addon.status.calibration.calibration().shares and not addon.mrpnn_addon.volumes.bounding_boxes._densities
+    assert (
+        not addon.mrpnn_addon.status.calibration.calibration().shares
+        and not addon.mrpnn_addon.volumes.bounding_boxes._densities
+    )
 
 
 def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monkeypatch, tmp_path):
@@ -158,5 +171,5 @@ def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monk
     folder.write_text("no folder")
     monkeypatch.setenv("BLENDER_USER_CONFIG", str(folder))
     scene.render.resolution_percentage = 400
-    assert bpy.ops.mrpnn.render() == {'FINISHED'}
+    assert bpy.ops.mrpnn.render() == {"FINISHED"}
     assert addon.mrpnn_addon.status.last_render.last_render().seconds > 0.0

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Properties, preferences and the panels' texts, in real Blender; and that nothing is left behind."""
 
 import gc
@@ -12,7 +13,6 @@ bpy = pytest.importorskip("bpy")
 from inference import SceneError, Settings, render
 from inference.network.provider import PROVIDERS
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
-
 from tests.support import blender_scenes
 
 
@@ -24,12 +24,12 @@ def cloud(scene, tmp_path):
 
 def test_presets_set_the_samples_and_samples_show_the_preset(scene):
     settings = scene.mrpnn
-    assert (settings.preset, settings.depth_samples) == ('DRAFT', 4)
-    settings.preset = 'FINAL'
+    assert (settings.preset, settings.depth_samples) == ("DRAFT", 4)
+    settings.preset = "FINAL"
     assert settings.depth_samples == 16
     settings.depth_samples = 5
-    assert settings.preset == 'CUSTOM'
-    settings.preset = 'CUSTOM'
+    assert settings.preset == "CUSTOM"
+    settings.preset = "CUSTOM"
     assert settings.depth_samples == 5
 
 
@@ -47,7 +47,7 @@ def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
     entry.module = "mrpnn"
     try:
         entry.preferences.threads, entry.preferences.memory_limit = 3, 5
-        entry.preferences.model, entry.preferences.provider = "mrpnn-narrow", 'OPENVINO'
+        entry.preferences.model, entry.preferences.provider = "mrpnn-narrow", "OPENVINO"
         found = scene.mrpnn.settings()
         assert (found.threads, found.memory_limit) == (3, 5 << 30)
         assert (found.model, found.provider) == ("mrpnn-narrow", "OPENVINO")
@@ -92,7 +92,7 @@ def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
     assert (found.volumes, found.suns, found.problem) == (1, 2, "")
     bpy.ops.mrpnn.render()
     counts = addon.mrpnn_addon.status.last_render.last_render()
-    # Bounds hold all that is hit, and the cloud does not fill them.
+    # The bounds contain all pixels that show the cloud, which does not fill them.
     assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
     scene.camera.location.z = 0.5
     inside = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
@@ -102,13 +102,12 @@ def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
 def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
     """For shifted, orthographic and rotated cameras: no pixel that shows the cloud is outside."""
     lens = scene.camera.data
-    for kind, shift in (('PERSP', (0.2, -0.1)), ('ORTHO', (-0.3, 0.2))):
+    for kind, shift in (("PERSP", (0.2, -0.1)), ("ORTHO", (-0.3, 0.2))):
         lens.type, lens.ortho_scale, (lens.shift_x, lens.shift_y) = kind, 5.0, shift
         scene.camera.rotation_euler = (0.1, 0.15, 0.4)
         graph = blender_scenes.depsgraph()
         described = addon.mrpnn_addon.scene.reader.read_scene(graph)
-        alpha = render(
-            described.volumes, described.suns, described.camera, Settings(1)).alpha
+        alpha = render(described.volumes, described.suns, described.camera, Settings(1)).alpha
         boxes = [box for box, _ in described.boxes]
         covered = addon.mrpnn_addon.objects.workload.pixels_around(boxes, described.camera)
         assert np.all(covered[alpha > 0]) and alpha.max() > 0.1
@@ -116,18 +115,18 @@ def test_the_estimates_bounds_follow_the_camera(addon, scene, cloud):
 
 
 def test_the_check_lists_what_is_left_out_and_becomes_outdated(addon, scene, cloud, tmp_path):
-    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", 'POINT'))
+    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
     check = addon.mrpnn_addon.status.scene_check
-    assert bpy.ops.mrpnn.check() == {'FINISHED'}
+    assert bpy.ops.mrpnn.check() == {"FINISHED"}
     found = check.last_check()
-    assert any("\"Lamp\"" in warning for warning in found.warnings) and found.memory > 0
+    assert any('"Lamp"' in warning for warning in found.warnings) and found.memory > 0
     assert not found.outdated(scene)
     assert found.voxels == {"Cloud": (16, 16, 16)} and not found.error
     scene.camera.location.x = 1.0
     blender_scenes.depsgraph().update()
     assert found.outdated(scene)
     cloud.data.filepath = str(tmp_path / "gone.vdb")
-    with pytest.raises(RuntimeError, match="\"Cloud\": file not found"):
+    with pytest.raises(RuntimeError, match='"Cloud": file not found'):
         bpy.ops.mrpnn.check()
     assert "gone.vdb" in check.last_check().error
 
@@ -162,16 +161,23 @@ def test_a_missing_onnxruntime_is_named(addon, scene, cloud, monkeypatch):
 
 def test_the_shipped_onnxruntime_is_the_expected_one(addon):
     import build_extension
-    assert all(f"onnxruntime-{addon.mrpnn_addon.runtime.onnxruntime_version.SHIPPED}-" in wheel
-               for wheel in build_extension.manifest()["wheels"])
+
+    assert all(
+        f"onnxruntime-{addon.mrpnn_addon.runtime.onnxruntime_version.SHIPPED}-" in wheel
+        for wheel in build_extension.manifest()["wheels"]
+    )
 
 
 def _left_behind():
-    handlers = sum(len(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers)
-                   if isinstance(getattr(bpy.app.handlers, name), list))
+    handlers = sum(
+        len(getattr(bpy.app.handlers, name))
+        for name in dir(bpy.app.handlers)
+        if isinstance(getattr(bpy.app.handlers, name), list)
+    )
     return handlers, threading.active_count(), len(bpy.data.images), len(bpy.data.scenes)
 
 
+@pytest.mark.slow
 def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cloud, tmp_path, capfd):
     """Also of scenes and registrations; the console stays silent."""
     path = str(tmp_path / "scene.blend")
@@ -181,14 +187,14 @@ def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cl
     capfd.readouterr()
     before, said = None, ""
     for turn in range(50):
-        bpy.context.scene.render.engine = ('CYCLES', 'MRPNN', 'BLENDER_WORKBENCH')[turn % 3]
+        bpy.context.scene.render.engine = ("CYCLES", "MRPNN", "BLENDER_WORKBENCH")[turn % 3]
         other = bpy.data.scenes.new("other")
         bpy.data.scenes.remove(other)
         bpy.ops.ed.undo_push(message="turn")
         addon.unregister()
         addon.register()
         if turn in (1, 40):
-            bpy.context.scene.render.engine = 'MRPNN'
+            bpy.context.scene.render.engine = "MRPNN"
             bpy.ops.render.render()
         said += "".join(capfd.readouterr()) if turn not in (1, 40) else capfd.readouterr().err
         bpy.ops.wm.open_mainfile(filepath=path)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Node trees evaluated in numpy, against Cycles' render of an emissive plane."""
 
 import importlib
@@ -49,7 +50,7 @@ def plane(addon, scene):
 def rendered(scene, folder):
     """Cycles' colours at the pixels' centres, (n, 3)."""
     blender_scenes.set_up_cycles(scene, samples=1)
-    scene.cycles.pixel_filter_type, scene.cycles.filter_width = 'BLACKMAN_HARRIS', 0.01
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     return blender_scenes.rendered(scene, folder)[..., :3].reshape(-1, 3)
 
 
@@ -99,7 +100,7 @@ def test_every_math_operation(addon, scene, plane, tmp_path):
     tree, emission, coordinates = plane
     x, y, _ = axes(tree, coordinates)
     # No multiple of x, where steps would lie on pixels' centres.
-    turned = add(tree, "Math", operation='MULTIPLY_ADD')
+    turned = add(tree, "Math", operation="MULTIPLY_ADD")
     tree.links.new(y, turned.inputs[0])
     turned.inputs[1].default_value, turned.inputs[2].default_value = 0.8317, 0.0231
     y = turned.outputs[0]
@@ -126,9 +127,9 @@ def test_vector_math(addon, scene, plane, tmp_path):
         node = add(tree, "VectorMath", operation=name)
         tree.links.new(coordinates, node.inputs[0])
         node.inputs[1].default_value, node.inputs[3].default_value = (0.7, -0.4, 0.9), 1.7
-        if name == 'MULTIPLY_ADD':
+        if name == "MULTIPLY_ADD":
             node.inputs[2].default_value = (0.1, 0.2, 0.3)
-        output = node.outputs[1] if name in ('DOT_PRODUCT', 'DISTANCE', 'LENGTH') else node.outputs[0]
+        output = node.outputs[1] if name in ("DOT_PRODUCT", "DISTANCE", "LENGTH") else node.outputs[0]
         lift = add(tree, "VectorMath")
         lift.inputs[1].default_value = (20.0,) * 3
         tree.links.new(output, lift.inputs[0])
@@ -139,7 +140,7 @@ def test_vector_math(addon, scene, plane, tmp_path):
             raise AssertionError(f"{name}: {difference}") from None
 
 
-@pytest.mark.parametrize("kind", ['LINEAR', 'STEPPED', 'SMOOTHSTEP', 'SMOOTHERSTEP'])
+@pytest.mark.parametrize("kind", ["LINEAR", "STEPPED", "SMOOTHSTEP", "SMOOTHERSTEP"])
 def test_map_range(addon, scene, plane, tmp_path, kind):
     tree, emission, coordinates = plane
     x, y, _ = axes(tree, coordinates)
@@ -154,7 +155,7 @@ def test_map_range(addon, scene, plane, tmp_path, kind):
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize("interpolation", ['LINEAR', 'CONSTANT', 'B_SPLINE', 'EASE'])
+@pytest.mark.parametrize("interpolation", ["LINEAR", "CONSTANT", "B_SPLINE", "EASE"])
 def test_color_ramp(addon, scene, plane, tmp_path, interpolation):
     tree, emission, coordinates = plane
     ramp = add(tree, "ValToRGB")
@@ -175,7 +176,7 @@ def test_float_curve_clamp_gamma_and_mix(addon, scene, plane, tmp_path):
     curve.inputs["Factor"].default_value = 0.7
     mix = add(tree, "Mix", clamp_factor=True)
     mix.inputs[2].default_value, mix.inputs[3].default_value = 2.0, -1.0
-    clamp = add(tree, "Clamp", clamp_type='RANGE')
+    clamp = add(tree, "Clamp", clamp_type="RANGE")
     clamp.inputs["Min"].default_value, clamp.inputs["Max"].default_value = 0.6, 0.1
     for node, socket in ((curve, "Value"), (mix, "Factor"), (clamp, "Value")):
         tree.links.new(x, node.inputs[socket])
@@ -183,35 +184,39 @@ def test_float_curve_clamp_gamma_and_mix(addon, scene, plane, tmp_path):
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize("blend", ['ADD', 'MULTIPLY', 'SUBTRACT', 'SCREEN', 'DIVIDE', 'DIFFERENCE', 'DARKEN', 'LIGHTEN'])
+@pytest.mark.parametrize(
+    "blend", ["ADD", "MULTIPLY", "SUBTRACT", "SCREEN", "DIVIDE", "DIFFERENCE", "DARKEN", "LIGHTEN"]
+)
 def test_colour_blends_and_conversions(addon, scene, plane, tmp_path, blend):
     tree, emission, coordinates = plane
-    mix = add(tree, "Mix", data_type='RGBA', blend_type=blend)
-    colours = [socket for socket in mix.inputs if socket.type == 'RGBA']
+    mix = add(tree, "Mix", data_type="RGBA", blend_type=blend)
+    colours = [socket for socket in mix.inputs if socket.type == "RGBA"]
     colours[0].default_value = (0.8, 0.3, 0.5, 1.0)
     tree.links.new(coordinates, colours[1])
     mix.inputs[0].default_value = 0.6
-    grey = add(tree, "Math", operation='ADD')
+    grey = add(tree, "Math", operation="ADD")
     grey.inputs[1].default_value = 5.0
-    # A colour that enters a number becomes its luminance.
-    tree.links.new(next(o for o in mix.outputs if o.type == 'RGBA'), grey.inputs[0])
+    # A colour linked to a value socket becomes its luminance.
+    tree.links.new(next(o for o in mix.outputs if o.type == "RGBA"), grey.inputs[0])
     tree.links.new(grey.outputs[0], emission.inputs["Color"])
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize("kind", ['POINT', 'TEXTURE', 'VECTOR', 'NORMAL'])
+@pytest.mark.parametrize("kind", ["POINT", "TEXTURE", "VECTOR", "NORMAL"])
 def test_mapping(addon, scene, plane, tmp_path, kind):
     tree, emission, coordinates = plane
     node = add(tree, "Mapping", vector_type=kind)
     node.inputs["Rotation"].default_value, node.inputs["Scale"].default_value = (0.3, -0.5, 1.1), (0.7, 1.8, -1.2)
-    if kind in ('POINT', 'TEXTURE'):
+    if kind in ("POINT", "TEXTURE"):
         node.inputs["Location"].default_value = (0.3, 0.2, 0.7)
     tree.links.new(coordinates, node.inputs["Vector"])
     combined(tree, emission, axes(tree, node.outputs[0]))
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize("kind", ['LINEAR', 'QUADRATIC', 'EASING', 'DIAGONAL', 'SPHERICAL', 'QUADRATIC_SPHERE', 'RADIAL'])
+@pytest.mark.parametrize(
+    "kind", ["LINEAR", "QUADRATIC", "EASING", "DIAGONAL", "SPHERICAL", "QUADRATIC_SPHERE", "RADIAL"]
+)
 def test_gradient_texture(addon, scene, plane, tmp_path, kind):
     tree, emission, coordinates = plane
     node = add(tree, "TexGradient", gradient_type=kind)
@@ -220,11 +225,17 @@ def test_gradient_texture(addon, scene, plane, tmp_path, kind):
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize("settings", [
-    dict(Scale=2.0, Detail=0.0), dict(Scale=-3.0, Detail=2.5, Roughness=0.7),
-    dict(Scale=1.5, Detail=4.0, Lacunarity=2.7), dict(Scale=2.0, Detail=1.0, Distortion=0.8),
-    dict(Scale=2.0, Detail=3.0, normalize=False),
-], ids=str)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        dict(Scale=2.0, Detail=0.0),
+        dict(Scale=-3.0, Detail=2.5, Roughness=0.7),
+        dict(Scale=1.5, Detail=4.0, Lacunarity=2.7),
+        dict(Scale=2.0, Detail=1.0, Distortion=0.8),
+        dict(Scale=2.0, Detail=3.0, normalize=False),
+    ],
+    ids=str,
+)
 def test_noise_texture(addon, scene, plane, tmp_path, settings):
     tree, emission, coordinates = plane
     node = add(tree, "TexNoise", normalize=settings.pop("normalize", True))
@@ -238,17 +249,17 @@ def test_noise_texture(addon, scene, plane, tmp_path, settings):
 def test_groups_reroutes_and_muted_nodes(addon, scene, plane, tmp_path):
     tree, emission, coordinates = plane
     group = bpy.data.node_groups.new("Doubled", "ShaderNodeTree")
-    group.interface.new_socket("In", in_out='INPUT', socket_type='NodeSocketVector')
-    group.interface.new_socket("Factor", in_out='INPUT', socket_type='NodeSocketFloat')
-    group.interface.new_socket("Out", in_out='OUTPUT', socket_type='NodeSocketVector')
+    group.interface.new_socket("In", in_out="INPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Factor", in_out="INPUT", socket_type="NodeSocketFloat")
+    group.interface.new_socket("Out", in_out="OUTPUT", socket_type="NodeSocketVector")
     inner = group.nodes.new("ShaderNodeVectorMath")
-    inner.operation = 'SCALE'
+    inner.operation = "SCALE"
     entry, leave = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
     group.links.new(entry.outputs[0], inner.inputs[0])
     group.links.new(entry.outputs[1], inner.inputs["Scale"])
     group.links.new(inner.outputs[0], leave.inputs[0])
 
-    muted = add(tree, "VectorMath", operation='ADD', mute=True)
+    muted = add(tree, "VectorMath", operation="ADD", mute=True)
     reroute = tree.nodes.new("NodeReroute")
     tree.links.new(coordinates, muted.inputs[0])
     tree.links.new(muted.outputs[0], reroute.inputs[0])
@@ -261,7 +272,9 @@ def test_groups_reroutes_and_muted_nodes(addon, scene, plane, tmp_path):
         last = node.outputs[0]
     combined(tree, emission, axes(tree, last))
     assert_equal_to_cycles(scene, tmp_path, emission)
-    np.testing.assert_allclose(evaluated(emission)[:, 0], 20.0 + 0.5 * Plane().coordinates("object", None)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(
+        evaluated(emission)[:, 0], 20.0 + 0.5 * Plane().coordinates("object", None)[:, 0], rtol=1e-6
+    )
 
 
 def test_what_cannot_be_evaluated_is_named(addon, scene, plane):

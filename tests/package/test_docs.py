@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The docs name every setting, option and button as Blender shows it."""
 
 import argparse
@@ -22,8 +23,12 @@ def named(properties):
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
     settings, comparison = page("docs/settings.md"), page("docs/comparison.md")
-    wanted = [*named(own.settings.properties.MRPNN_PG_scene), *named(own.settings.view_layer.MRPNN_PG_view_layer),
-              *named(own.settings.preferences.PreferenceProperties), *named(addon.operators.composite.MRPNN_OT_composite)]
+    wanted = [
+        *named(own.settings.properties.MRPNN_PG_scene),
+        *named(own.settings.view_layer.MRPNN_PG_view_layer),
+        *named(own.settings.preferences.PreferenceProperties),
+        *named(addon.operators.composite.MRPNN_OT_composite),
+    ]
     assert len(wanted) > 15 and [name for name in wanted if name not in settings] == []
     wanted = named(addon.operators.compare.MRPNN_OT_compare)
     assert len(wanted) > 5 and [name for name in wanted if f"| {name} |" not in comparison] == []
@@ -36,7 +41,9 @@ def test_every_setting_has_a_row(addon):
 def test_every_button_and_panel_is_named(addon):
     pages = page("README.md") + page("docs/settings.md") + page("docs/install.md")
     buttons = [tool.bl_label for tool in addon.operators.CLASSES]
-    panels = [panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"]
+    panels = [
+        panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"
+    ]
     assert len(buttons) > 4 and [name for name in (*buttons, *panels) if name not in pages] == []
 
 
@@ -44,16 +51,24 @@ def test_exactly_the_commands_options_are_listed(addon):
     pages = page("docs/command-line.md") + page("docs/comparison.md")
     parser = addon.operators.command._parser()
     (actions,) = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    options = {name for action in actions.choices.values() for known in action._actions for name in known.option_strings
-               if name.startswith("--")} - {"--help"}
+    options = {
+        name
+        for action in actions.choices.values()
+        for known in action._actions
+        for name in known.option_strings
+        if name.startswith("--")
+    } - {"--help"}
     listed = set(re.findall(r"`(--[a-z-]+)", page("docs/command-line.md"))) - {"--command"}
     assert options and [name for name in options if f"`{name}" not in pages] == []
     assert listed <= options
 
 
 def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
-    code = " ".join(path.read_text() for folder in ("inference", "mrpnn_addon", "operators")
-                    for path in (ROOT / folder).rglob("*.py"))
+    code = " ".join(
+        path.read_text()
+        for folder in ("inference", "mrpnn_addon", "operators")
+        for path in (ROOT / folder).rglob("*.py")
+    )
     # Literals that go on in the next line are one.
     code = re.sub(r'"\s*\n?\s*f?"', "", code)
     quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/troubleshooting.md"))))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Which package may import which: data goes one way, between packages and within them."""
 
 import ast
@@ -22,10 +23,38 @@ PACKAGES = {
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
 # Inside a package, each room may import those before it.
 ROOMS = {
-    "inference": ("numerics", "runtime", "kernels", "scene", "plan", "grids", "occluders", "transport", "marching", "features",
-                  "network", "render_cache", "image", "render", "evaluation"),
-    "mrpnn_addon": ("runtime", "settings", "nodes", "vdb", "objects", "world", "volumes", "scene", "output", "status",
-                    "engine", "cycles", "comparison"),
+    "inference": (
+        "numerics",
+        "runtime",
+        "kernels",
+        "scene",
+        "plan",
+        "grids",
+        "occluders",
+        "transport",
+        "marching",
+        "features",
+        "network",
+        "render_cache",
+        "image",
+        "render",
+        "evaluation",
+    ),
+    "mrpnn_addon": (
+        "runtime",
+        "settings",
+        "nodes",
+        "vdb",
+        "objects",
+        "world",
+        "volumes",
+        "scene",
+        "output",
+        "status",
+        "engine",
+        "cycles",
+        "comparison",
+    ),
 }
 
 
@@ -41,7 +70,7 @@ def imports(source: str, module: tuple[str, ...]) -> Iterator[tuple[int, tuple[s
         elif isinstance(node, ast.ImportFrom):
             path = tuple(node.module.split(".")) if node.module else ()
             if node.level:
-                path = module[:len(module) - node.level] + path
+                path = module[: len(module) - node.level] + path
             elif path[0] == "mrpnn":
                 path = path[1:]
             for name in node.names:
@@ -59,13 +88,13 @@ def package_imports(package: str) -> list[tuple[str, tuple[str, ...], tuple[str,
 
 
 def test_imports_are_found_wherever_they_stand():
-    source = ("from . import a\n"
-              "from ..b.c import d\n"
-              "def f():\n"
-              "    import e.f\n"
-              "    from inference import g\n")
+    source = "from . import a\nfrom ..b.c import d\ndef f():\n    import e.f\n    from inference import g\n"
     assert [path for _, path in sorted(imports(source, ("x", "y", "z")))] == [
-        ("x", "y", "a"), ("x", "b", "c", "d"), ("e", "f"), ("inference", "g")]
+        ("x", "y", "a"),
+        ("x", "b", "c", "d"),
+        ("e", "f"),
+        ("inference", "g"),
+    ]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -73,13 +102,17 @@ def test_packages_import_only_those_below(package):
     known = {*PACKAGES, "tests"}
     found = package_imports(package)
     assert found
-    assert [(place, ".".join(path)) for place, _, path in found
-            if path[0] in known - {package, *PACKAGES[package]}] == []
+    assert [
+        (place, ".".join(path)) for place, _, path in found if path[0] in known - {package, *PACKAGES[package]}
+    ] == []
 
 
 def test_no_test_imports_a_test():
-    assert [(place, ".".join(path)) for place, _, path in package_imports("tests")
-            if path[0] == "tests" and path[1] != "support"] == []
+    assert [
+        (place, ".".join(path))
+        for place, _, path in package_imports("tests")
+        if path[0] == "tests" and path[1] != "support"
+    ] == []
 
 
 @pytest.mark.parametrize("package", ["inference", "training"])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Imports: the extension taken from the repository and the library that tests import are one."""
 
 import importlib

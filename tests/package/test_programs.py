@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The installed extension in whole Blender programs, which MRPNN_BLENDER names.
 
 Paths are separated as in PATH. Installs the built zip into a folder of its own and uses it as a render
@@ -20,8 +21,11 @@ from tests.support.paths import ROOT
 
 BLENDERS = [path for path in os.environ.get("MRPNN_BLENDER", "").split(os.pathsep) if path]
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow,
-              pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program")]
+pytestmark = [
+    pytest.mark.blender,
+    pytest.mark.slow,
+    pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program"),
+]
 
 SCENE = """
     import bpy, numpy, pathlib, sys
@@ -77,8 +81,14 @@ def program(request, linux_zip, tmp_path_factory):
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "resources"), "OPENBLAS_NUM_THREADS": "1"}
 
     def start(*arguments):
-        return subprocess.Popen([request.param, *map(str, arguments)], stdout=subprocess.PIPE,
-                                stderr=subprocess.PIPE, text=True, cwd=folder, env=environment)
+        return subprocess.Popen(
+            [request.param, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=folder,
+            env=environment,
+        )
 
     def blender(*arguments):
         process = start(*arguments)
@@ -86,8 +96,9 @@ def program(request, linux_zip, tmp_path_factory):
         return subprocess.CompletedProcess(arguments, process.returncode, out, error)
 
     blender.folder, blender.start = folder, start
-    installed = blender("--command", "extension", "install-file", "--repo", "user_default", "--enable",
-                        folder / "mrpnn.zip")
+    installed = blender(
+        "--command", "extension", "install-file", "--repo", "user_default", "--enable", folder / "mrpnn.zip"
+    )
     assert installed.returncode == 0, installed.stdout + installed.stderr
     (folder / "scene.py").write_text(textwrap.dedent(SCENE))
     made = blender("-b", "--python-exit-code", "1", "--python", folder / "scene.py", "--", folder)
@@ -110,7 +121,7 @@ def test_a_mistake_gives_exit_status_1_and_no_file(program, frames):
     folder = program.folder
     run = program("-b", folder / "broken.blend", "-E", "MRPNN", "-o", folder / "broken_##", *frames)
     assert run.returncode == 1, run.stdout + run.stderr
-    assert "Volume object \"Ball\": file not found" in run.stdout + run.stderr
+    assert 'Volume object "Ball": file not found' in run.stdout + run.stderr
     assert not list(folder.glob("broken_*"))
 
 
@@ -118,13 +129,25 @@ def test_a_mistake_gives_exit_status_1_and_no_file(program, frames):
 def test_the_command_writes_frames_report_and_status(program, how):
     folder = program.folder
     start = {"command": ("--command", "mrpnn"), "script": ("--python", folder / "mrpnn_script.py", "--")}[how]
-    run = program("-b", folder / "absorbing.blend", *start, "render", "--output", f"//{how}/##.exr", "--frames", "1-2",
-                  "--json", folder / f"{how}.json", "--progress", "json")
+    run = program(
+        "-b",
+        folder / "absorbing.blend",
+        *start,
+        "render",
+        "--output",
+        f"//{how}/##.exr",
+        "--frames",
+        "1-2",
+        "--json",
+        folder / f"{how}.json",
+        "--progress",
+        "json",
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     assert {path.name for path in (folder / how).iterdir()} == {"01.exr", "02.exr"}
     report = json.loads((folder / f"{how}.json").read_text())
     assert [frame["frame"] for frame in report["frames"]] == [1, 2] and report["error"] is None
-    events = [json.loads(line) for line in run.stdout.splitlines() if line.startswith("{\"event\"")]
+    events = [json.loads(line) for line in run.stdout.splitlines() if line.startswith('{"event"')]
     assert events[-1]["event"] == "end" and events[-1]["status"] == 0
 
     run = program("-b", folder / "broken.blend", *start, "render", "--output", folder / f"{how}_broken.exr")
@@ -165,8 +188,9 @@ COMPOSITE = """
 def test_composite_over_cycles_works_in_this_versions_compositor(program):
     folder = program.folder
     (folder / "composite.py").write_text(textwrap.dedent(COMPOSITE))
-    run = program("-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--",
-                  folder)
+    run = program(
+        "-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--", folder
+    )
     assert run.returncode == 0 and "composed" in run.stdout, run.stdout + run.stderr
 
 
@@ -197,14 +221,21 @@ def compiled_tasks(settings):
     assert set(settings) <= {setting["key"] for setting in found}
     defaults = {setting["key"]: setting["default"] for setting in found if "default" in setting}
     job = json.dumps({**defaults, **settings})
-    return json.loads(engine.eval(
-        f"compileJob({{settings: {job}, addTask(task) {{ tasks.push(task); }}}}); JSON.stringify(tasks)"))
+    return json.loads(
+        engine.eval(f"compileJob({{settings: {job}, addTask(task) {{ tasks.push(task); }}}}); JSON.stringify(tasks)")
+    )
 
 
 def test_the_flamenco_job_types_tasks_render_their_chunks(program):
     folder = program.folder
-    tasks = compiled_tasks({"frames": "1-5", "chunk_size": 3, "blendfile": str(folder / "absorbing.blend"),
-                            "output": str(folder / "farm" / "######.exr")})
+    tasks = compiled_tasks(
+        {
+            "frames": "1-5",
+            "chunk_size": 3,
+            "blendfile": str(folder / "absorbing.blend"),
+            "output": str(folder / "farm" / "######.exr"),
+        }
+    )
     assert [(task["name"], task["type"]) for task in tasks] == [("render-1-3", "blender"), ("render-4,5", "blender")]
     for task in tasks:
         (command,) = task["commands"]
@@ -223,8 +254,22 @@ def test_the_flamenco_job_types_tasks_render_their_chunks(program):
 def test_a_killed_render_leaves_no_half_file(program):
     folder = program.folder
     process = program.start(
-        "-b", folder / "scene.blend", "--command", "mrpnn", "render", "--output", folder / "killed.exr",
-        "--depth-samples", "256", "--resolution-percentage", "3000", "--memory-limit", "64", "--threads", "1")
+        "-b",
+        folder / "scene.blend",
+        "--command",
+        "mrpnn",
+        "render",
+        "--output",
+        folder / "killed.exr",
+        "--depth-samples",
+        "256",
+        "--resolution-percentage",
+        "3000",
+        "--memory-limit",
+        "64",
+        "--threads",
+        "1",
+    )
     for line in process.stdout:
         if line.startswith("mrpnn:"):
             break
@@ -280,7 +325,8 @@ FLUID = """
         depsgraph = bpy.context.evaluated_depsgraph_get()
         if frame in (6, 10):
             described = read_scene(depsgraph)
-            layer = inference.render(described.volumes, described.suns, described.camera, inference.Settings(multiple=False))
+            settings = inference.Settings(multiple=False)
+            layer = inference.render(described.volumes, described.suns, described.camera, settings)
             evaluated = domain.evaluated_get(depsgraph).modifiers["Fluid"].domain_settings
             x, y, z = evaluated.domain_resolution
             density = numpy.array(evaluated.density_grid).reshape(z, y, x)
@@ -298,10 +344,18 @@ def smoke(linux_zip, tmp_path_factory):
     (folder / "smoke.py").write_text(textwrap.dedent(FLUID))
     shutil.copy(linux_zip, folder / "mrpnn.zip")
     for path in BLENDERS:
-        environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / Path(path).name), "OPENBLAS_NUM_THREADS": "1"}
-        for arguments in (("--command", "extension", "install-file", "--repo", "user_default", "--enable", folder / "mrpnn.zip"),
-                          ("-b", "--python-exit-code", "1", "--python", folder / "smoke.py", "--", folder)):
-            run = subprocess.run([path, *map(str, arguments)], capture_output=True, text=True, env=environment, timeout=300)
+        environment = {
+            **os.environ,
+            "BLENDER_USER_RESOURCES": str(folder / Path(path).name),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        for arguments in (
+            ("--command", "extension", "install-file", "--repo", "user_default", "--enable", folder / "mrpnn.zip"),
+            ("-b", "--python-exit-code", "1", "--python", folder / "smoke.py", "--", folder),
+        ):
+            run = subprocess.run(
+                [path, *map(str, arguments)], capture_output=True, text=True, env=environment, timeout=300
+            )
         if run.returncode == 0 and "Fatal" not in run.stderr:
             return folder
         said.append(run.stdout[-2000:] + run.stderr[-2000:])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Formatter, linter and type checker are clean, and every place that states a version states the same one."""
 
 import re
@@ -10,10 +11,21 @@ import pytest
 from tests.support.paths import ROOT
 
 
-@pytest.mark.parametrize("check", [("ruff", "check"), ("ruff", "format", "--check"), ("mypy",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "check",
+    [("ruff", "check"), ("ruff", "format", "--check"), pytest.param(("mypy",), marks=pytest.mark.slow)],
+    ids=" ".join,
+)
 def test_code_is_clean(check):
     run = subprocess.run([sys.executable, "-m", *check], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stdout[-5000:] + run.stderr[-5000:]
+
+
+def test_modules_state_their_licence():
+    tracked = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
+    modules = tracked.stdout.split()
+    missing = [one for one in modules if "SPDX-License-Identifier: GPL-3.0-or-later" not in (ROOT / one).read_text()]
+    assert len(modules) > 300 and not missing
 
 
 def test_pre_commit_runs_the_versions_of_the_requirements():

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The zip that users install: its contents, and that the installed extension renders by itself."""
 
 import shutil
@@ -11,12 +12,21 @@ from pathlib import Path
 import pytest
 
 import build_extension
-
 from tests.support.paths import ROOT
 
 # What the bpy module itself imports; everything else of this environment stays out of sight.
-BLENDER_NEEDS = ("bpy", "numpy", "numpy.libs", "requests", "urllib3", "idna", "certifi", "charset_normalizer",
-                 "zstandard", "Cython")
+BLENDER_NEEDS = (
+    "bpy",
+    "numpy",
+    "numpy.libs",
+    "requests",
+    "urllib3",
+    "idna",
+    "certifi",
+    "charset_normalizer",
+    "zstandard",
+    "Cython",
+)
 
 
 def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
@@ -26,8 +36,16 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         (tag,) = [tag for platform, tag in tags.items() if platform in path.name]
         names = zipfile.ZipFile(path).namelist()
         assert {Path(name).parts[0] for name in names} <= {
-            "blender_manifest.toml", "__init__.py", "LICENSE", "mrpnn_addon", "operators", "panels", "inference",
-            "docs", "build"}
+            "blender_manifest.toml",
+            "__init__.py",
+            "LICENSE",
+            "mrpnn_addon",
+            "operators",
+            "panels",
+            "inference",
+            "docs",
+            "build",
+        }
         wheels = [Path(name).name for name in names if name.startswith("build/")]
         # For Python 3.11, 3.13 and 3.14.
         assert len(wheels) == 3 and all(tag in wheel for wheel in wheels)
@@ -132,6 +150,7 @@ INSTALLED_RENDER = """
 
 
 @pytest.mark.blender
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="installs the Linux zip")
 def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
     site = tmp_path / "site"
@@ -146,6 +165,10 @@ def test_installed_extension_renders_with_its_own_wheels(linux_zip, tmp_path):
     script.write_text(textwrap.dedent(INSTALLED_RENDER))
     # -S: without this environment's own site-packages.
     run = subprocess.run(
-        [sys.executable, "-S", script, resources, linux_zip], capture_output=True, text=True, timeout=300,
-        env={"PATH": "", "PYTHONPATH": str(site), "BLENDER_USER_RESOURCES": str(resources), "HOME": str(tmp_path)})
+        [sys.executable, "-S", script, resources, linux_zip],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={"PATH": "", "PYTHONPATH": str(site), "BLENDER_USER_RESOURCES": str(resources), "HOME": str(tmp_path)},
+    )
     assert run.returncode == 0 and "installed extension rendered" in run.stdout, run.stdout + run.stderr

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Small scenes made with bpy, and small volumes written with its OpenVDB."""
 
 import itertools
@@ -12,6 +13,7 @@ def openvdb():
     """Blender's own OpenVDB module, found without the extension."""
     bpy.utils.expose_bundled_modules()
     import openvdb as module
+
     return module
 
 
@@ -96,7 +98,7 @@ def add_fog(data, name, shader, **inputs):
 
 def add_sun(scene, name="Sun", strength=1.0, colour=(1.0, 1.0, 1.0), rotation=(0.6, 0.3, 0.2)):
     """A sun lamp."""
-    lamp = bpy.data.lights.new(name, 'SUN')
+    lamp = bpy.data.lights.new(name, "SUN")
     lamp.energy, lamp.color = strength, colour
     added = add_object(scene, name, lamp)
     added.rotation_euler = rotation
@@ -107,7 +109,7 @@ def add_camera(scene, location=(0.0, 0.0, 6.0), rotation=(0.0, 0.0, 0.0), ortho_
     """The active camera; orthographic where a scale is given."""
     lens = bpy.data.cameras.new("Camera")
     if ortho_scale:
-        lens.type, lens.ortho_scale = 'ORTHO', ortho_scale
+        lens.type, lens.ortho_scale = "ORTHO", ortho_scale
     scene.camera = add_object(scene, "Camera", lens)
     scene.camera.location, scene.camera.rotation_euler = location, rotation
     return scene.camera
@@ -115,8 +117,9 @@ def add_camera(scene, location=(0.0, 0.0, 6.0), rotation=(0.0, 0.0, 0.0), ortho_
 
 def cloud_scene(scene, folder, density=4.0):
     """A small cloud of edge 2 at the origin, one sun, a camera above; gives the Volume object."""
-    cloud, _ = add_volume(scene, write_vdb(folder, blob(), centred(16, 2.0)), Density=density,
-                          Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=0.5)
+    cloud, _ = add_volume(
+        scene, write_vdb(folder, blob(), centred(16, 2.0)), Density=density, Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=0.5
+    )
     add_sun(scene)
     add_camera(scene)
     return cloud
@@ -138,22 +141,22 @@ def render_cycles(scene, folder, samples=64, bounces=0):
 
 def set_up_cycles(scene, samples, bounces=0):
     """Unbiased Cycles settings: no clamping, no denoising, a one-pixel box filter."""
-    scene.render.engine = 'CYCLES'
+    scene.render.engine = "CYCLES"
     settings = scene.cycles
-    settings.device, settings.samples = 'CPU', samples
+    settings.device, settings.samples = "CPU", samples
     settings.use_denoising = settings.use_adaptive_sampling = False
     settings.sample_clamp_indirect = 0.0
     settings.max_bounces, settings.volume_bounces = max(bounces, 1), bounces
-    settings.pixel_filter_type = 'BOX'
+    settings.pixel_filter_type = "BOX"
     settings.volume_step_rate = 0.2
 
 
 def rendered(scene, folder, transparent=True):
     """The scene rendered by its engine: float32 (H, W, 4), rows from the top."""
     scene.render.film_transparent = transparent
-    scene.render.image_settings.file_format = 'OPEN_EXR'
-    scene.render.image_settings.color_depth = '32'
-    scene.render.image_settings.color_mode = 'RGBA'
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    scene.render.image_settings.color_mode = "RGBA"
     path = str(folder / f"cycles{next(_numbers)}.exr")
     scene.render.filepath = path
     bpy.ops.render.render(write_still=True)
@@ -167,9 +170,9 @@ def write_multilayer(scene):
     """Have the scene's renders written as multi-layer EXR, 32-bit."""
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # 5.0 and later
-        settings.media_type = 'MULTI_LAYER_IMAGE'
-    settings.file_format = 'OPEN_EXR_MULTILAYER'
-    settings.color_depth = '32'
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "32"
 
 
 def compositor(scene):
@@ -179,6 +182,6 @@ def compositor(scene):
         scene.node_tree.nodes.clear()
         return scene.node_tree, scene.node_tree.nodes.new("CompositorNodeComposite").inputs["Image"]
     tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
-    tree.interface.new_socket("Image", in_out='OUTPUT', socket_type='NodeSocketColor')
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     scene.compositing_node_group = tree
     return tree, tree.nodes.new("NodeGroupOutput").inputs["Image"]

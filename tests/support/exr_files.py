@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """EXR files that Blender or the extension wrote, read with OpenEXR.
 
 Import it after bpy, whose compiled libraries must come first.

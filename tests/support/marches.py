@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Random scenes for camera rays: media bound to grids, and rays through them."""
 
 from dataclasses import dataclass

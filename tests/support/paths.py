@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Where tests find the repository and what may lie beside it."""
 
 from pathlib import Path

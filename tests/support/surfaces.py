@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A cube of fog, a wall and a camera for renders with opaque surfaces."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes, a sun and a camera for renders by `inference`."""
 
 import numpy as np

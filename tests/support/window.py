@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A Blender with a window, driven by tests: Python in it, real mouse and keys, screenshots.
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
@@ -18,8 +19,10 @@ from tests.support.paths import ROOT, SHARED
 
 TOOLS = SHARED / "blender"
 SUITES = os.environ.get("MRPNN_WINDOWS", "").split()
-NEEDS_WINDOW = [pytest.mark.window,
-                pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window")]
+NEEDS_WINDOW = [
+    pytest.mark.window,
+    pytest.mark.skipif(not SUITES, reason="MRPNN_WINDOWS names no Blender with a window"),
+]
 # Seconds within which anything must happen, however busy the machine.
 LONG = 300
 # The code that runs in Blender knows it by the same name.
@@ -72,16 +75,27 @@ class Window:
         self.work = Path(os.environ["BLENDER_ROOTS"]) / "work"
 
     def _tool(self, tool, *arguments):
-        run = subprocess.run([TOOLS / tool, *arguments], capture_output=True, text=True, timeout=2 * LONG,
-                             env={**os.environ, "WAIT": str(10 * LONG), "OPENBLAS_NUM_THREADS": "1"})
+        run = subprocess.run(
+            [TOOLS / tool, *arguments],
+            capture_output=True,
+            text=True,
+            timeout=2 * LONG,
+            env={**os.environ, "WAIT": str(10 * LONG), "OPENBLAS_NUM_THREADS": "1"},
+        )
         assert run.returncode == 0, run.stdout + run.stderr
         return run.stdout.strip()
 
     def start(self):
         # Not through a pipe: the window inherits it and keeps it open.
         with open(os.devnull, "w") as nowhere:
-            subprocess.run([TOOLS / "gui", "start", self.suite], stdout=nowhere, stderr=nowhere, timeout=LONG,
-                           check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+            subprocess.run(
+                [TOOLS / "gui", "start", self.suite],
+                stdout=nowhere,
+                stderr=nowhere,
+                timeout=LONG,
+                check=True,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
 
     def stop(self):
         subprocess.run([TOOLS / "gui", "stop", self.suite], timeout=60)
@@ -132,8 +146,11 @@ class Window:
 
     def box(self, kind):
         """An area's rectangle on the screen: (left, top, right, bottom)."""
-        return eval(self.do(f"a = area('{kind}'); print((a.x, win().height - a.y - a.height, a.x + a.width, "
-                            "win().height - a.y))"))
+        return eval(
+            self.do(
+                f"a = area('{kind}'); print((a.x, win().height - a.y - a.height, a.x + a.width, win().height - a.y))"
+            )
+        )
 
     def until(self, expression):
         start = time.monotonic()

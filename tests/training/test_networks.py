@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The networks in PyTorch: their structure according to A.5, A.6 and the method, and their inputs."""
 
 import numpy as np
@@ -5,10 +6,10 @@ import pytest
 import torch
 
 from inference.features.phase_features import PhaseFeatures
-from inference.features.stencil import LOW_POINTS
 from inference.features.rpnn_lattice import LEVELS, POINTS, SHAPE
-from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
+from inference.features.stencil import LOW_POINTS
 from training.data.stencil import load_stencil
+from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
 
 COUNT = 9
 
@@ -123,4 +124,3 @@ def test_inputs_include_the_phase_feature():
         assert anisotropy[column] == data["anisotropy"][row] and gamma[column] == data["gamma"][row]
         expected = PhaseFeatures(stencil, float(data["anisotropy"][row]))(data["gamma"][row : row + 1].numpy())
         np.testing.assert_allclose(features[2, column].numpy(), expected[0], atol=1e-5)
-

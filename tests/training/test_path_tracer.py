@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The path tracer against closed forms, conservation laws and independent references."""
 
 import tempfile
@@ -9,10 +10,22 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from benchmarks.fidelity.views import REFERENCES, independent_density
-from inference.scene.phase_function import henyey_greenstein
+from inference import Medium
 from inference.grids.optical_depth_sweep import sun_optical_depth
-from training.tracer.path_tracer import sample_scattering_points, trace_pixels, trace_points
-from training.tracer.transport import prepare, scatter, seed_state, transmit
+from inference.scene.phase_function import henyey_greenstein
+from training.tracer.density_grid import prepare
+from training.tracer.henyey_greenstein import scatter
+from training.tracer.path_tracer import (
+    PinholeCamera,
+    Sampling,
+    Scene,
+    Vertices,
+    sample_scattering_points,
+    trace_pixels,
+    trace_points,
+)
+from training.tracer.random_numbers import seed_state
+from training.tracer.tracking import GridMedium, Ray, ratio_track
 
 
 def sphere_lattice(count):
@@ -76,14 +89,13 @@ def test_scattering_follows_henyey_greenstein(g):
 
 
 @numba.njit
-def _mean_transmittance(x, directions, sigma, padded, majorant, count, seed):
+def _mean_transmittance(x, directions, medium, count, seed):
     state = seed_state(seed, 0)
     out = np.zeros(directions.shape[0])
     for d in range(directions.shape[0]):
         for _ in range(count):
-            t, state = transmit(
-                x[0], x[1], x[2], directions[d, 0], directions[d, 1], directions[d, 2], sigma, padded, majorant, state
-            )
+            ray = Ray(x[0], x[1], x[2], directions[d, 0], directions[d, 1], directions[d, 2])
+            t, state = ratio_track(ray, medium, state)
             out[d] += t / count
     return out
 
@@ -94,7 +106,11 @@ def test_ratio_tracking_agrees_with_quadrature():
     x, sigma = np.array([0.1, -0.05, 0.02]), 12.0
     directions = sphere_lattice(40).astype(np.float32)
     tracked = _mean_transmittance(
-        ((x + 0.5) * 24).astype(np.float32), directions, np.float32(sigma / 24), grid.padded, grid.majorant, 4000, 5
+        ((x + 0.5) * 24).astype(np.float32),
+        directions,
+        GridMedium(*grid, np.float32(sigma / 24), np.float32(0)),
+        4000,
+        5,
     )
     step = 1 / 400
     s = (np.arange(400) + 0.5) * step
@@ -105,15 +121,14 @@ def test_ratio_tracking_agrees_with_quadrature():
     assert abs(tracked.mean() - exact.mean()) < 0.004
 
 
-@pytest.mark.parametrize("lit_from_behind", [False, True])
+@pytest.mark.parametrize("lit_from_behind", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     cells, sigma, g, albedo = 16, 2.0, 0.3, (0.9, 0.5, 0.1)
     # far away through a needle's eye: every ray runs along axis 0
     sun = (1, 0, 0) if lit_from_behind else (-1, 0, 0)
-    image = trace_pixels(
-        np.ones((cells,) * 3, np.float32), (-40, 0, 0), (0, 0, 0), (0, 0, 1), 0.2, 8, sun, sigma, g, albedo,
-        spp=4000, seed=3, max_collisions=0,
-    )
+    camera = PinholeCamera((-40, 0, 0), (0, 0, 0), (0, 0, 1), 0.2, 8)
+    scene, medium = Scene(np.ones((cells,) * 3, np.float32), sun), Medium(sigma, albedo, g)
+    image = trace_pixels(scene, camera, medium, Sampling(4000, seed=3, max_collisions=0))
     # the outer half cells fall linearly from 1 to 1/2
     depth = sigma * (1 - 0.25 / cells)
     samples = 64 * 4000
@@ -126,7 +141,13 @@ def test_single_scattering_of_a_cube_against_the_closed_form(lit_from_behind):
     np.testing.assert_allclose(image[..., :3].mean(axis=(0, 1)), light * np.array(albedo), rtol=0.012)
 
 
-@pytest.mark.parametrize("g, sigma", [(0.0, 4.0), (0.0, 40.0), (0.6, 15.0), (-0.3, 15.0)])
+@pytest.mark.parametrize(
+    "g, sigma",
+    [
+        (0.0, 4.0),
+        *(pytest.param(g, sigma, marks=pytest.mark.slow) for g, sigma in ((0.0, 40.0), (0.6, 15.0), (-0.3, 15.0))),
+    ],
+)
 def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     """Without absorption, uniform radiance 1 outside is radiance 1 inside."""
     rng = np.random.default_rng(4)
@@ -135,16 +156,11 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     points = 24
     x = rng.uniform(-0.5, 0.5, (points, 3))
     omega = sphere_lattice(points)
-    multiple = trace_points(density, suns, None, x, omega, sigma, g, [1.0], 400, 6)[..., 0].astype(np.float64)
-    grid = prepare(density)
+    scene, vertices = Scene(density, suns), Vertices(x, omega, sigma, g, [1.0])
+    multiple = trace_points(scene, vertices, Sampling(400, 6))[..., 0].astype(np.float64)
+    medium = GridMedium(*scene.grid, np.float32(sigma / 12), np.float32(g))
     single = np.stack(
-        [
-            _mean_transmittance(
-                ((p + 0.5) * 12).astype(np.float32), suns.astype(np.float32), np.float32(sigma / 12),
-                grid.padded, grid.majorant, 50, 7,
-            )
-            for p in x
-        ]
+        [_mean_transmittance(((p + 0.5) * 12).astype(np.float32), suns.astype(np.float32), medium, 50, 7) for p in x]
     ) * henyey_greenstein(omega @ suns.T, g)
     radiance = 4 * np.pi / len(suns) * (single + multiple).sum(axis=1)
     error = radiance.std(ddof=1) / np.sqrt(points)
@@ -152,14 +168,17 @@ def test_under_uniform_light_every_point_receives_that_light(g, sigma):
     assert abs(radiance.mean() - 1) < 4 * error + 0.002
 
 
+@pytest.mark.slow
 def test_under_uniform_light_the_cloud_is_invisible():
     density = smooth_cloud(24)
     suns = sphere_lattice(120)
+    camera, medium, grid = (
+        PinholeCamera((1.2, 0.4, 0.9), (0, 0, 0), (0, 0, 1), 30, 6),
+        Medium(20.0, 1.0, 0.2),
+        prepare(density),
+    )
     images = np.stack(
-        [
-            trace_pixels(density, (1.2, 0.4, 0.9), (0, 0, 0), (0, 0, 1), 30, 6, sun, 20.0, 0.2, 1.0, 60, seed)
-            for seed, sun in enumerate(suns)
-        ]
+        [trace_pixels(Scene(grid, sun), camera, medium, Sampling(60, seed)) for seed, sun in enumerate(suns)]
     ).astype(np.float64)
     radiance = 4 * np.pi * images[..., 0].mean(axis=0) + 1 - images[..., 3].mean(axis=0)
     assert images[..., 3].mean() > 0.3
@@ -167,6 +186,7 @@ def test_under_uniform_light_the_cloud_is_invisible():
     assert np.abs(radiance - 1).max() < 0.15
 
 
+@pytest.mark.slow
 def test_reciprocity_exchanging_camera_and_sun():
     """Seen from afar, the cloud's total radiance is the same with camera and sun exchanged."""
     density = smooth_cloud(20, seed=2)
@@ -175,7 +195,8 @@ def test_reciprocity_exchanging_camera_and_sun():
 
     def light(camera, sun, seed):
         fov = np.degrees(2 * np.arctan(0.9 / 40))
-        image = trace_pixels(density, 40 * camera, (0, 0, 0), (0, 0.1, 1), fov, 48, sun, 30.0, 0.5, 0.9, 8, seed)
+        view = PinholeCamera(40 * camera, (0, 0, 0), (0, 0.1, 1), fov, 48)
+        image = trace_pixels(Scene(density, sun), view, Medium(30.0, 0.9, 0.5), Sampling(8, seed))
         return image[..., 0].mean()
 
     there = np.array([light(a, b, seed) for seed in range(16)])
@@ -191,14 +212,15 @@ def _points(density, sigma, count, seed):
     return x, omega
 
 
-@pytest.mark.parametrize("g", [0.0, 0.857])
+@pytest.mark.parametrize("g", [0.0, pytest.param(0.857, marks=pytest.mark.slow)])
 def test_a_field_of_sun_depths_agrees_with_ratio_tracking(g):
     density = smooth_cloud(48)
     suns = sphere_lattice(4)
     field = np.stack([sun_optical_depth(density, sun * 48) for sun in suns])
     x, omega = _points(density, 40.0, 3000, 1)
-    with_field = trace_points(density, suns, field, x, omega, 40.0, g, [1.0, 0.7], 30, 2).astype(np.float64)
-    tracked = trace_points(density, suns, None, x, omega, 40.0, g, [1.0, 0.7], 30, 3).astype(np.float64)
+    vertices = Vertices(x, omega, 40.0, g, [1.0, 0.7])
+    with_field = trace_points(Scene(density, suns, field), vertices, Sampling(30, 2)).astype(np.float64)
+    tracked = trace_points(Scene(density, suns), vertices, Sampling(30, 3)).astype(np.float64)
     # at the same points: compare them one by one
     difference = (with_field - tracked).mean(axis=1)
     error = difference.std(axis=0, ddof=1) / np.sqrt(len(x))
@@ -211,17 +233,19 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     density = smooth_cloud(20)
     suns = sphere_lattice(2)
     x, omega = _points(density, 20.0, 64, 1)
+    scene, vertices = Scene(density, suns), Vertices(x, omega, 20.0, 0.5, [1.0, 0.5])
+    camera = PinholeCamera((2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 8)
     results = []
     threads = numba.get_num_threads()
     for count in sorted({1, threads}):
         numba.set_num_threads(count)
-        points = trace_points(density, suns, None, x, omega, 20.0, 0.5, [1.0, 0.5], 8, 9)
+        points = trace_points(scene, vertices, Sampling(8, 9))
         places, _ = sample_scattering_points(density, 20.0, omega, 5)
-        image = trace_pixels(density, (2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 8, suns[0], 20.0, 0.5, 1.0, 4, 9)
+        image = trace_pixels(Scene(density, suns[0]), camera, Medium(20.0, 1.0, 0.5), Sampling(4, 9))
         results.append(np.concatenate([points.ravel(), places.ravel(), image.ravel()]))
     numba.set_num_threads(threads)
     assert all(np.array_equal(results[0], other) for other in results)
-    other_seed = trace_points(density, suns, None, x, omega, 20.0, 0.5, [1.0, 0.5], 8, 10)
+    other_seed = trace_points(scene, vertices, Sampling(8, 10))
     assert not np.array_equal(results[0][: other_seed.size], other_seed.ravel())
 
 
@@ -229,8 +253,9 @@ def test_a_points_result_does_not_depend_on_the_points_after_it():
     density = smooth_cloud(20)
     suns = sphere_lattice(2)
     x, omega = _points(density, 20.0, 16, 1)
-    every = trace_points(density, suns, None, x, omega, 20.0, 0.5, [1.0], 8, 9)
-    some = trace_points(density, suns, None, x[:5], omega[:5], 20.0, 0.5, [1.0], 8, 9)
+    scene = Scene(density, suns)
+    every = trace_points(scene, Vertices(x, omega, 20.0, 0.5, [1.0]), Sampling(8, 9))
+    some = trace_points(scene, Vertices(x[:5], omega[:5], 20.0, 0.5, [1.0]), Sampling(8, 9))
     np.testing.assert_array_equal(every[:5], some)
 
 
@@ -240,7 +265,8 @@ def test_albedos_traced_together_equal_those_traced_apart():
     x, omega = _points(density, 20.0, 200, 1)
 
     def trace(albedos, paths, seed, **limit):
-        return trace_points(density, suns, None, x, omega, 20.0, 0.5, albedos, paths, seed, **limit).astype(np.float64)
+        vertices, sampling = Vertices(x, omega, 20.0, 0.5, albedos), Sampling(paths, seed, **limit)
+        return trace_points(Scene(density, suns), vertices, sampling).astype(np.float64)
 
     together = trace([1.0, 0.9, 0.5, 0.2], 8, 1)
     # with albedo 1 among them there is no Russian roulette, so the paths are the same
@@ -284,8 +310,10 @@ def test_empty_space_scatters_nothing():
     _, valid = sample_scattering_points(empty, 50.0, sphere_lattice(8), 1, tries=50)
     assert not valid.any()
     suns = sphere_lattice(2)
-    assert not trace_points(empty, suns, None, np.zeros((4, 3)), sphere_lattice(4), 50.0, 0.0, [1], 4, 1).any()
-    image = trace_pixels(empty, (2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 4, (0, 0, 1), 50.0, 0.0, 1.0, 4, 1)
+    vertices = Vertices(np.zeros((4, 3)), sphere_lattice(4), 50.0, 0.0, [1])
+    assert not trace_points(Scene(empty, suns), vertices, Sampling(4, 1)).any()
+    camera = PinholeCamera((2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 4)
+    image = trace_pixels(Scene(empty, (0, 0, 1)), camera, Medium(50.0), Sampling(4, 1))
     assert not image.any()
 
 
@@ -296,13 +324,21 @@ def test_arguments_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="not negative"):
         prepare(-density)
     with pytest.raises(ValueError, match="must lie in the cube"):
-        trace_points(density, [[0, 0, 1]], None, [[0, 0, 0.6]], [[0, 0, 1]], 1.0, 0.0, [1.0], 1, 1)
-    with pytest.raises(ValueError, match="sun_tau"):
-        trace_points(density, [[0, 0, 1]], np.zeros((2, 4, 4, 4)), [[0, 0, 0]], [[0, 0, 1]], 1.0, 0.0, [1.0], 1, 1)
+        Vertices([[0, 0, 0.6]], [[0, 0, 1]], 1.0, 0.0, [1.0])
+    with pytest.raises(ValueError, match="2 positions but 1 directions"):
+        Vertices([[0, 0, 0], [0, 0, 0.1]], [[0, 0, 1]], 1.0, 0.0, [1.0])
+    with pytest.raises(ValueError, match="sun_depths"):
+        Scene(density, [[0, 0, 1]], np.zeros((2, 4, 4, 4)))
     with pytest.raises(ValueError, match="none of them zero"):
-        trace_points(density, [[0, 0, 0]], None, [[0, 0, 0]], [[0, 0, 1]], 1.0, 0.0, [1.0], 1, 1)
+        Scene(density, [[0, 0, 0]])
+    camera = PinholeCamera((2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 4)
+    with pytest.raises(ValueError, match="one sun, not 2"):
+        trace_pixels(Scene(density, np.eye(3)[:2]), camera, Medium(50.0), Sampling(1, 1))
+    with pytest.raises(ValueError, match="one extinction for all channels"):
+        trace_pixels(Scene(density, (0, 0, 1)), camera, Medium((50.0, 40.0, 30.0)), Sampling(1, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["smoke-20-front-g0", "cumulus-100-back-g0"])
 def test_pixels_agree_with_independent_references(view):
     """Block means against those of the references, in standard errors estimated from the halves.
@@ -313,14 +349,11 @@ def test_pixels_agree_with_independent_references(view):
     """
     reference = np.load(REFERENCES / "views" / f"{view}.npz")
     density = independent_density(view.split("-")[0])
+    scene = Scene(density, reference["sun"])
+    camera = PinholeCamera(reference["cam"], (0, 0, 0), (0, 1, 0), float(reference["fov"]), 96)
+    medium = Medium(float(reference["sigma"]), reference["albedo"], float(reference["g"]))
     ours = np.stack(
-        [
-            trace_pixels(
-                density, reference["cam"], (0, 0, 0), (0, 1, 0), float(reference["fov"]), 96, reference["sun"],
-                float(reference["sigma"]), float(reference["g"]), reference["albedo"], 48, seed, max_collisions=2048,
-            )
-            for seed in (1, 2, 3)
-        ]
+        [trace_pixels(scene, camera, medium, Sampling(48, seed, max_collisions=2048)) for seed in (1, 2, 3)]
     ).astype(np.float64)[..., [0, 3]]
     theirs = reference["ab"].astype(np.float64)[..., [0, 3]]
     known = (ours[2, ..., 1] > 0.1) & (theirs[..., 1].mean(axis=0) > 0)

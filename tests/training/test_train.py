@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Targets, the loss and the trainer, on small data."""
 
 import json
@@ -12,21 +13,21 @@ from scipy.ndimage import map_coordinates
 
 import inference
 from inference import Medium, Sun
-from inference.grids.working_cube import fit_cube
 from inference.features.descriptors import angle_to_sun
-from inference.transport.scattered_fluence import read_fluence
+from inference.features.stencil import SPARSE
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
+from inference.grids.working_cube import fit_cube
 from inference.marching.ray_march import ray_features_at
-from inference.network.predictor import VolumePredictor
 from inference.network.network import load_network
-from inference.features.stencil import SPARSE
+from inference.network.predictor import VolumePredictor
+from inference.transport.scattered_fluence import read_fluence
 from training import evaluate, export, memory, train
-from training.networks import RayMRPNN
-from training.onnx_graph import linear_layers
 from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
 from training.data.volumes import make_volume
+from training.networks import RayMRPNN
+from training.onnx_graph import linear_layers
 
 WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 
@@ -83,8 +84,24 @@ def test_loss_is_smallest_at_the_mean_of_noisy_targets():
 
 
 def run(data, folder, steps):
-    train.main(["--network", "mrpnn", "--data", str(data), "--held", str(data), "--run", str(folder),
-                "--steps", str(steps), "--report-every", "10", "--threads", "2"])
+    train.main(
+        [
+            "--network",
+            "mrpnn",
+            "--data",
+            str(data),
+            "--held",
+            str(data),
+            "--run",
+            str(folder),
+            "--steps",
+            str(steps),
+            "--report-every",
+            "10",
+            "--threads",
+            "2",
+        ]
+    )
     return torch.load(folder / "checkpoint.pt", weights_only=True)
 
 
@@ -117,6 +134,7 @@ def test_a_batch_draws_from_the_folders_by_their_weights():
     np.testing.assert_allclose(few, few.mean(), atol=5 * np.sqrt(few.mean()))
 
 
+@pytest.mark.slow
 def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
     """They predict as onnxruntime does with the file, whatever the standardisation, and keep their history."""
     monkeypatch.setattr(train, "BATCH", 64)
@@ -135,8 +153,28 @@ def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
         predicted = net(*inputs, torch.from_numpy(albedo)[:, None].expand(2, len(rows["gamma"])))
     np.testing.assert_allclose(predicted, expected, rtol=1e-4)
     assert configuration == loaded.configuration
-    train.main(["--network", "mrpnn", "--data", str(data), str(data), "--shares", "3", "1", "--held", str(data),
-                "--run", str(tmp_path), "--initial", str(path), "--learning-rate", "1e-5", "--steps", "2"])
+    train.main(
+        [
+            "--network",
+            "mrpnn",
+            "--data",
+            str(data),
+            str(data),
+            "--shares",
+            "3",
+            "1",
+            "--held",
+            str(data),
+            "--run",
+            str(tmp_path),
+            "--initial",
+            str(path),
+            "--learning-rate",
+            "1e-5",
+            "--steps",
+            "2",
+        ]
+    )
     tuned = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["configuration"]
     assert tuned["initial"] == configuration and tuned["shares"] == [0.75, 0.25]
     # Two small steps change it little; randomly initialised weights have several times the error.
@@ -147,8 +185,24 @@ def test_interpolated_weights_are_exported(data, tmp_path, monkeypatch):
     """Halfway: every weight is the mean of both, and the file says so."""
     monkeypatch.setattr(train, "BATCH", 64)
     before, after = WEIGHTS / "mrpnn.onnx", tmp_path / "after.onnx"
-    train.main(["--network", "mrpnn", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
-                "--initial", str(before), "--learning-rate", "1e-2", "--steps", "2"])
+    train.main(
+        [
+            "--network",
+            "mrpnn",
+            "--data",
+            str(data),
+            "--held",
+            str(data),
+            "--run",
+            str(tmp_path),
+            "--initial",
+            str(before),
+            "--learning-rate",
+            "1e-2",
+            "--steps",
+            "2",
+        ]
+    )
     checkpoint = str(tmp_path / "checkpoint.pt")
     export.main([checkpoint, str(after)])
     export.main([checkpoint, str(tmp_path / "half.onnx"), "--with", str(before), "0.5"])
@@ -164,8 +218,20 @@ def test_interpolated_weights_are_exported(data, tmp_path, monkeypatch):
 
 def test_only_the_default_network_starts_from_exported_weights(data, tmp_path):
     with pytest.raises(SystemExit):
-        train.main(["--network", "mrpnn-paper", "--data", str(data), "--held", str(data), "--run", str(tmp_path),
-                    "--initial", str(WEIGHTS / "mrpnn-paper.onnx")])
+        train.main(
+            [
+                "--network",
+                "mrpnn-paper",
+                "--data",
+                str(data),
+                "--held",
+                str(data),
+                "--run",
+                str(tmp_path),
+                "--initial",
+                str(WEIGHTS / "mrpnn-paper.onnx"),
+            ]
+        )
 
 
 def test_the_validation_error_excludes_the_targets_noise():
@@ -174,8 +240,11 @@ def test_the_validation_error_excludes_the_targets_noise():
     net = RayMRPNN()
     count = 20000
     data = {
-        "features": torch.rand(count, 2, 192), "ray": torch.rand(count, 7), "around": torch.randn(count, 7),
-        "anisotropy": torch.full((count,), 0.5), "gamma": torch.rand(count),
+        "features": torch.rand(count, 2, 192),
+        "ray": torch.rand(count, 7),
+        "around": torch.randn(count, 7),
+        "anisotropy": torch.full((count,), 0.5),
+        "gamma": torch.rand(count),
         "albedo": torch.ones(count, 1),
     }
     with torch.no_grad():
@@ -193,7 +262,12 @@ def test_typical_radiance_is_the_mean_of_similar_rows():
     random = np.random.default_rng(0)
     sigma_hat = np.repeat([2.0, 1500.0], 500)
     radiance = np.where(sigma_hat < 10, 0.01, 0.4) * random.uniform(0.5, 1.5, 1000)
-    data = {"sigma_hat": sigma_hat, "gamma": np.full(1000, 1.0), "anisotropy": np.zeros(1000), "radiance": radiance[:, None, None]}
+    data = {
+        "sigma_hat": sigma_hat,
+        "gamma": np.full(1000, 1.0),
+        "anisotropy": np.zeros(1000),
+        "radiance": radiance[:, None, None],
+    }
     typical = train.typical_radiance({key: torch.from_numpy(value) for key, value in data.items()})
     np.testing.assert_allclose(typical[:500, 0], radiance[:500].mean(), rtol=1e-5)
     np.testing.assert_allclose(typical[500:, 0], radiance[500:].mean(), rtol=1e-5)
@@ -204,13 +278,17 @@ def test_noisy_rows_weigh_less_but_not_by_their_own_noise():
     random = np.random.default_rng(0)
     anisotropy = np.repeat([0.0, 0.95], 5000)
     noise = np.where(anisotropy > 0.5, 3.0, 0.1)[:, None] * random.normal(size=(10_000, 2))
-    data = {"sigma_hat": np.full(10_000, 50.0), "gamma": np.ones(10_000), "anisotropy": anisotropy,
-            "radiance": 1.0 + noise[..., None]}
+    data = {
+        "sigma_hat": np.full(10_000, 50.0),
+        "gamma": np.ones(10_000),
+        "anisotropy": anisotropy,
+        "radiance": 1.0 + noise[..., None],
+    }
     data = {key: torch.from_numpy(value) for key, value in data.items()}
     weights = train.trust(data, train.typical_radiance(data))[:, 0].numpy()
     assert weights.mean() == pytest.approx(1.0, rel=1e-5)
     # A target is the mean of two halves, with half their variance; the scale is 1 + 1/4.
-    expected = (0.5 * 9.0 / 1.25 + train.NOISE_LEAST) / (0.5 * 0.01 / 1.25 + train.NOISE_LEAST)
+    expected = (0.5 * 9.0 / 1.25 + train.NOISE_FLOOR) / (0.5 * 0.01 / 1.25 + train.NOISE_FLOOR)
     assert weights[0] / weights[-1] == pytest.approx(expected, rel=0.1)
     assert np.ptp(weights[:5000]) == np.ptp(weights[5000:]) == 0.0
 
@@ -228,6 +306,7 @@ def test_overfitting_is_told_from_error():
     assert squares / count == pytest.approx(((0.3 * noise) ** 2 * scale).mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     file = tmp_path / "0000003.npz"
     np.savez(file, **make_targets(3, points=96, paths=64))
@@ -236,7 +315,9 @@ def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
         once = found["radiance"][rows, :, 0].mean(axis=1)
     assert len(rows) == len(once) >= 4 * 20
     # The same radiance with other random numbers: it agrees with both halves as these do with each other.
-    known, *others = (np.corrcoef(np.log(a + 1e-3), np.log(b + 1e-3))[0, 1] for a, b in (again, (once, again[0]), (once, again[1])))
+    known, *others = (
+        np.corrcoef(np.log(a + 1e-3), np.log(b + 1e-3))[0, 1] for a, b in (again, (once, again[0]), (once, again[1]))
+    )
     assert 0.7 < known < 1.0 and min(others) > 0.9 * known and max(others) < 0.9999
     assert once.mean() == pytest.approx(again.mean(), rel=0.2)
     checkpoint = tmp_path / "checkpoint.pt"
@@ -245,6 +326,7 @@ def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("2 volumes, ")
 
 
+@pytest.mark.slow
 def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
@@ -275,6 +357,7 @@ def test_noise_shared_by_suns_is_told_from_their_own():
     assert evaluate.noise_correlation(noise, firsts) == pytest.approx(0.25, abs=0.02)
 
 
+@pytest.mark.slow
 def test_training_inputs_equal_those_of_rendering():
     """A target's descriptor and ray features equal those of inference for the same point and sun."""
     rows = make_targets(5, points=16, paths=2)
@@ -294,7 +377,9 @@ def test_training_inputs_equal_those_of_rendering():
             reader = predictor.prepare(sigma_t, sun, predictor.bounds(position)).predictor
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
-            assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(0.01 * features.size, 1)
+            assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(
+                0.01 * features.size, 1
+            )
         assert angle_to_sun(w, reader.lookup.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
 
         bound = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([sun]))

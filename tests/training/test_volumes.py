@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural volumes: same seed same volume, the stated frame, and variety."""
 
 import numpy as np
@@ -9,7 +10,12 @@ from training.data.shapes import BOX, TORUS, ball_union, constructive_solid
 from training.data.solids import SOLIDS
 from training.data.volume_kinds import KINDS
 from training.data.volumes import (
-    HELD_BACK, HELD_BACK_SATURATED, HELD_BACK_SOLIDS, SATURATED_SEEDS, SOLID_SEEDS, make_volume,
+    HELD_BACK,
+    HELD_BACK_SATURATED,
+    HELD_BACK_SOLIDS,
+    SATURATED_SEEDS,
+    SOLID_SEEDS,
+    make_volume,
 )
 
 RESOLUTION = 40
@@ -65,6 +71,7 @@ def test_seeds_differ_in_character(samples):
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
 
 
+@pytest.mark.slow
 def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
     samples = [make_volume(seed, RESOLUTION) for seed in seeds]
@@ -79,6 +86,7 @@ def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
+@pytest.mark.slow
 def test_saturated_seeds_give_clouds_and_smoke_with_homogeneous_cores():
     seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
     saturated = [make_volume(seed, RESOLUTION) for seed in seeds]
@@ -107,7 +115,7 @@ def test_curl_noise_has_no_divergence():
     k = np.fft.fftfreq(TILE)
     spectrum = np.fft.fftn(curl_tile().astype(np.float64), axes=(0, 1, 2))
     divergence = k[:, None, None] * spectrum[..., 0] + k[:, None] * spectrum[..., 1] + k * spectrum[..., 2]
-    gradients = np.sqrt((k[:, None, None] ** 2 + k[:, None] ** 2 + k**2)) * np.linalg.norm(spectrum, axis=-1)
+    gradients = np.sqrt(k[:, None, None] ** 2 + k[:, None] ** 2 + k**2) * np.linalg.norm(spectrum, axis=-1)
     # the Nyquist planes have no sign: leave them out
     inner = np.abs(k) < 0.49
     keep = np.ix_(inner, inner, inner)
@@ -143,5 +151,7 @@ def test_signed_distances_against_closed_forms():
     both = constructive_solid(points, kinds, centres, eye, sizes, np.zeros(2, bool))
     # the torus has its ring at radius 1 and a tube of 0.2
     np.testing.assert_allclose(both, [-0.5, 0, np.sqrt(2) - 1.2, 1.5], atol=1e-6)
-    cut = constructive_solid(points[:1], kinds[[0, 0]], centres, eye, sizes[[0, 0]] * [[1], [0.5]], np.array([False, True]))
+    cut = constructive_solid(
+        points[:1], kinds[[0, 0]], centres, eye, sizes[[0, 0]] * [[1], [0.5]], np.array([False, True])
+    )
     np.testing.assert_allclose(cut, [0.25], atol=1e-6)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Composite over Cycles in Blender's window: what it follows, the panel's texts, the preview, its removal."""
 
 import time
@@ -58,12 +59,14 @@ def composited(window):
     assert made.endswith("{'FINISHED'}"), made
     yield window
     window.do(CLOSE)
-    left = window.do("win().scene = bpy.data.scenes['Scene']\n"
-                     "if scene.mrpnn_composite.active:\n"
-                     "    with over(area('VIEW_3D')): bpy.ops.mrpnn.composite_remove()\n"
-                     "for item in (shown, cube): bpy.data.objects.remove(item)\n"
-                     "bpy.data.collections.remove(kept)\n"
-                     "bpy.data.objects['Ball'].location.x = 0; scene.render.engine = 'MRPNN'; print('restored')")
+    left = window.do(
+        "win().scene = bpy.data.scenes['Scene']\n"
+        "if scene.mrpnn_composite.active:\n"
+        "    with over(area('VIEW_3D')): bpy.ops.mrpnn.composite_remove()\n"
+        "for item in (shown, cube): bpy.data.objects.remove(item)\n"
+        "bpy.data.collections.remove(kept)\n"
+        "bpy.data.objects['Ball'].location.x = 0; scene.render.engine = 'MRPNN'; print('restored')"
+    )
     assert left.endswith("restored"), left
 
 
@@ -82,10 +85,12 @@ def render(window, name):
 
 def test_f12_follows_changes_and_shows_instances(composited):
     window = composited
-    window.do("cut = bpy.data.objects.new('Cut', bpy.data.cameras.new('Cut')); cut.location.z = 7\n"
-              "scene.collection.objects.link(cut); scene.camera = cut\n"
-              "scene.render.resolution_x, scene.render.resolution_y = 200, 100\n"
-              "scene.frame_end = 77; scene.view_layers.new('Further')")
+    window.do(
+        "cut = bpy.data.objects.new('Cut', bpy.data.cameras.new('Cut')); cut.location.z = 7\n"
+        "scene.collection.objects.link(cut); scene.camera = cut\n"
+        "scene.render.resolution_x, scene.render.resolution_y = 200, 100\n"
+        "scene.frame_end = 77; scene.view_layers.new('Further')"
+    )
     window.until("volumes().render.resolution_x == 200 and volumes().frame_end == 77 and volumes().camera == cut")
     found = render(window, "composite-followed")
     # The cube of fog fills the middle, by MRPNN alone; nothing is beside it.
@@ -93,24 +98,30 @@ def test_f12_follows_changes_and_shows_instances(composited):
     assert found[50, 100].max() > 20 + found[5, 5].max()
     window.do("scene.render.film_transparent = True; win().scene = volumes()")
     window.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.render()")
-    window.do("image = bpy.data.images['MRPNN']; image.save_render(WORK + '/composite-layer.png', scene=scene)\n"
-              "win().scene = scene")
+    window.do(
+        "image = bpy.data.images['MRPNN']; image.save_render(WORK + '/composite-layer.png', scene=scene)\n"
+        "win().scene = scene"
+    )
     window.do(CLOSE)
     with Image.open(window.work / "composite-layer.png") as picture:
         alone = np.array(picture.convert("RGB"), float)
     # Where nothing shines through: files hold colours that are not multiplied by alpha.
     np.testing.assert_allclose(found[25:75, 75:125], alone[25:75, 75:125], atol=3.0)
     # A script that changes a setting and renders at once leaves no update in between.
-    window.do("scene.render.resolution_x = 160; scene.render.resolution_y = 120\n"
-              "with over(area('VIEW_3D')): bpy.ops.render.render('INVOKE_DEFAULT')")
+    window.do(
+        "scene.render.resolution_x = 160; scene.render.resolution_y = 120\n"
+        "with over(area('VIEW_3D')): bpy.ops.render.render('INVOKE_DEFAULT')"
+    )
     window.until(f"not {RENDERING}")
     window.do("bpy.data.images['Render Result'].save_render(WORK + '/composite-script.png')")
     window.do(CLOSE)
     with Image.open(window.work / "composite-script.png") as picture:
         found = np.array(picture.convert("RGB"), float)
     assert found.shape == (120, 160, 3) and found[60, 80].max() > 20 + found[5, 5].max()
-    window.do("scene.camera = bpy.data.objects['Camera']; bpy.data.objects.remove(cut)\n"
-              "scene.view_layers.remove(scene.view_layers['Further']); scene.render.film_transparent = False")
+    window.do(
+        "scene.camera = bpy.data.objects['Camera']; bpy.data.objects.remove(cut)\n"
+        "scene.view_layers.remove(scene.view_layers['Further']); scene.render.film_transparent = False"
+    )
     assert "Traceback" not in window.console
 
 
@@ -138,8 +149,9 @@ def test_the_panel_states_what_is_composited_and_repairs_differences(composited)
 
 def test_rendered_shading_by_cycles_still_shows_the_volumes(composited):
     window = composited
-    window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'\n"
-              "s.overlay.show_overlays = False")
+    window.do(
+        "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'\ns.overlay.show_overlays = False"
+    )
     try:
         render(window, "composite-preview")
         left, top, right, bottom = window.box("VIEW_3D")

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """With the engine chosen, Blender's window offers what an artist needs for volumes: once, in texts that fit."""
 
 import time
@@ -50,14 +51,32 @@ for name in ("POINT", "SPOT", "AREA", "Cube"):
     bpy.data.objects.remove(bpy.data.objects[name])
 for material in list(bpy.data.materials): bpy.data.materials.remove(material)
 """
-TABS = [("RENDER", "Ball"), ("OUTPUT", "Ball"), ("VIEW_LAYER", "Ball"), ("SCENE", "Ball"), ("WORLD", "Ball"),
-        *(("OBJECT", name) for name in ("Ball", "Cube", "Sun", "Camera")),
-        *(("DATA", name) for name in ("Ball", "Cube", "Sun", "POINT", "SPOT", "AREA", "Camera")),
-        ("MATERIAL", "Ball"), ("MATERIAL", "Cube")]
+TABS = [
+    ("RENDER", "Ball"),
+    ("OUTPUT", "Ball"),
+    ("VIEW_LAYER", "Ball"),
+    ("SCENE", "Ball"),
+    ("WORLD", "Ball"),
+    *(("OBJECT", name) for name in ("Ball", "Cube", "Sun", "Camera")),
+    *(("DATA", name) for name in ("Ball", "Cube", "Sun", "POINT", "SPOT", "AREA", "Camera")),
+    ("MATERIAL", "Ball"),
+    ("MATERIAL", "Cube"),
+]
 # What Cycles does and this engine does not, or has in its own panel.
 CYCLES_ONLY = {
-    "RENDER": {"Sampling", "Light Paths", "Volumes", "Curves", "Subdivision", "Motion Blur", "Film", "Performance",
-               "Bake", "Freestyle", "Debug"},
+    "RENDER": {
+        "Sampling",
+        "Light Paths",
+        "Volumes",
+        "Curves",
+        "Subdivision",
+        "Motion Blur",
+        "Film",
+        "Performance",
+        "Bake",
+        "Freestyle",
+        "Debug",
+    },
     "VIEW_LAYER": {"Filter", "Override"},
     "WORLD": {"Preview", "Volume", "Settings"},
     "OBJECT": {"Shading", "Motion Blur"},
@@ -111,8 +130,9 @@ def test_a_panorama_can_be_chosen(artist):
         artist.do("scene.camera.data.type = 'PERSP'")
 
 
-@pytest.mark.parametrize("kind, tree", [
-    ("OBJECT", "bpy.data.materials['Ball'].node_tree"), ("WORLD", "world.node_tree")])
+@pytest.mark.parametrize(
+    "kind, tree", [("OBJECT", "bpy.data.materials['Ball'].node_tree"), ("WORLD", "world.node_tree")]
+)
 def test_the_shader_editor_shows_the_nodes(artist, kind, tree):
     artist.do("world = scene.world; show('OBJECT', 'Ball'); viewport = area('VIEW_3D')")
     try:
@@ -122,7 +142,7 @@ def test_the_shader_editor_shows_the_nodes(artist, kind, tree):
         artist.until(f"viewport.spaces.active.edit_tree == {tree}")
         artist.do("with over(viewport): bpy.ops.node.view_all()")
         left, top, right, bottom = artist.box("NODE_EDITOR")
-        shown = artist.shot(f"shader-editor-{kind.lower()}")[top + 60:bottom - 20, left + 20:right - 20]
+        shown = artist.shot(f"shader-editor-{kind.lower()}")[top + 60 : bottom - 20, left + 20 : right - 20]
         # Nodes, brighter than the grid.
         assert (shown.max(axis=2) > 200).sum() > 500
     finally:
@@ -153,11 +173,11 @@ def test_sentences_are_wrapped_at_the_width_of_the_editor(artist):
     rows = rows[:, 68:]
     lines, full, widest = np.flatnonzero(rows.sum(axis=1) > 20), 0, 0
     for line in np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1):
-        lit = rows[line[0]:line[-1] + 1]
+        lit = rows[line[0] : line[-1] + 1]
         tall = np.flatnonzero(lit.sum(axis=0) >= 7)
         # Full lines: an H has two tall columns. Nothing, such as three dots, comes after the last one.
         if np.count_nonzero(np.diff(tall) > 1) > 20:
-            assert not lit[:, tall[-1] + 2:tall[-1] + 14].any()
+            assert not lit[:, tall[-1] + 2 : tall[-1] + 14].any()
             full, widest = full + 1, max(widest, np.ptp(tall))
     assert full >= 6
     assert widest > 0.55 * (right - left)
@@ -199,9 +219,11 @@ def test_the_default_scene_names_what_is_not_rendered(window):
     """In the panel without a click, in the viewport, and in a render's last report."""
     window.do(DEFAULT)
     try:
-        window.do("import gc, sys, threading\n"
-                  "own = lambda name: next(m for n, m in sys.modules.items() if n.endswith('.mrpnn.' + name))\n"
-                  "missing = own('mrpnn_addon.scene.unrendered').unrendered(bpy.context.evaluated_depsgraph_get())")
+        window.do(
+            "import gc, sys, threading\n"
+            "own = lambda name: next(m for n, m in sys.modules.items() if n.endswith('.mrpnn.' + name))\n"
+            "missing = own('mrpnn_addon.scene.unrendered').unrendered(bpy.context.evaluated_depsgraph_get())"
+        )
         assert window.do("print(missing.summary)") == 'Not rendered: light "Light", surface "Cube"'
         window.shot("default-scene-panel", window.box("PROPERTIES"))
         window.do("area('VIEW_3D').spaces.active.shading.type = 'RENDERED'")
@@ -217,16 +239,20 @@ def test_the_default_scene_names_what_is_not_rendered(window):
             window.mouse("mousemove", *place)
             time.sleep(1.0)
         window.shot("default-scene-render")
-        window.do("for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:\n"
-                  "    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()\n"
-                  "area('VIEW_3D').type = 'INFO'")
-        window.do("with over(area('INFO')):\n"
-                  "    bpy.ops.info.select_all(action='SELECT'); bpy.ops.info.report_copy()\n"
-                  "said = bpy.context.window_manager.clipboard")
+        window.do(
+            "for other in [one for one in bpy.context.window_manager.windows if one.screen.is_temporary]:\n"
+            "    with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()\n"
+            "area('VIEW_3D').type = 'INFO'"
+        )
+        window.do(
+            "with over(area('INFO')):\n"
+            "    bpy.ops.info.select_all(action='SELECT'); bpy.ops.info.report_copy()\n"
+            "said = bpy.context.window_manager.clipboard"
+        )
         said = window.do("print(said)")
-        assert "mesh object \"Cube\" only hides" in said and "light \"Light\" (point) is left out" in said
+        assert 'mesh object "Cube" only hides' in said and 'light "Light" (point) is left out' in said
         last = [line for line in said.splitlines() if "rendered" in line or "left out" in line][-1]
-        assert last.startswith("Not rendered: light \"Light\", surface \"Cube\"; Composite over Cycles")
+        assert last.startswith('Not rendered: light "Light", surface "Cube"; Composite over Cycles')
     finally:
         window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
         window.until(f"not {THREADS}")

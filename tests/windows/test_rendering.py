@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rendering in Blender's window: buttons, F12, Esc, the preview, the panels."""
 
 import contextlib
@@ -26,8 +27,10 @@ def test_the_panels_draw_without_console_output(window):
 
 def test_the_preferences_draw_without_console_output(window):
     before = window.console
-    window.do("bpy.context.window_manager.addon_search = 'MRPNN'; bpy.ops.screen.userpref_show(section='ADDONS')\n"
-              "own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))")
+    window.do(
+        "bpy.context.window_manager.addon_search = 'MRPNN'; bpy.ops.screen.userpref_show(section='ADDONS')\n"
+        "own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))"
+    )
     closed = window.shot("preferences-closed").astype(int)
     window.do("bpy.ops.preferences.addon_expand(module=own)")
     opened = window.shot("preferences").astype(int)
@@ -39,15 +42,20 @@ def test_the_preferences_draw_without_console_output(window):
     assert window.console == before
 
 
-@pytest.mark.parametrize("sought, lit, grey", [
-    ("World Directions", "scene.world = world", "scene.world = None"),
-    ("File", "scene.mrpnn.use_exr = True", "scene.mrpnn.use_exr = False"),
-    ("Composite", "addon_utils.enable('cycles')", "addon_utils.disable('cycles')"),
-])
+@pytest.mark.parametrize(
+    "sought, lit, grey",
+    [
+        ("World Directions", "scene.world = world", "scene.world = None"),
+        ("File", "scene.mrpnn.use_exr = True", "scene.mrpnn.use_exr = False"),
+        ("Composite", "addon_utils.enable('cycles')", "addon_utils.disable('cycles')"),
+    ],
+)
 def test_settings_that_do_not_apply_are_greyed_out(window, sought, lit, grey):
     """The editor's search opens the setting's panel: where the picture differs, it has less contrast."""
-    window.do("import addon_utils; scene = bpy.context.scene; world = scene.world\n"
-              f"p = area('PROPERTIES').spaces.active; p.context = 'RENDER'; p.search_filter = '{sought}'")
+    window.do(
+        "import addon_utils; scene = bpy.context.scene; world = scene.world\n"
+        f"p = area('PROPERTIES').spaces.active; p.context = 'RENDER'; p.search_filter = '{sought}'"
+    )
     try:
         shots = []
         for state, name in ((lit, "lit"), (grey, "grey")):
@@ -121,13 +129,17 @@ def test_a_comparison_runs_beside_the_interface_and_esc_keeps_finished_renders(w
     folder = window.work / "comparison"
     shutil.rmtree(folder, ignore_errors=True)
     window.do("import bpy\n" + inspect.getsource(state_of_file))
-    window.do("import sys; compare = next(m for n, m in sys.modules.items() if n.endswith('mrpnn.operators.compare'))\n"
-              "job = lambda: compare.MRPNN_OT_compare._run and compare.MRPNN_OT_compare._run.job\n"
-              "before = state_of_file()")
+    window.do(
+        "import sys; compare = next(m for n, m in sys.modules.items() if n.endswith('mrpnn.operators.compare'))\n"
+        "job = lambda: compare.MRPNN_OT_compare._run and compare.MRPNN_OT_compare._run.job\n"
+        "before = state_of_file()"
+    )
     said = window.console
     window.mouse("mousemove", 600, 400)
-    window.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.compare('INVOKE_DEFAULT', samples=65536, ladder=1, "
-              "denoised=False, bounces=8, scale=10, budget=0, folder=WORK + '/comparison')")
+    window.do(
+        "with over(area('VIEW_3D')): bpy.ops.mrpnn.compare('INVOKE_DEFAULT', samples=65536, ladder=1, "
+        "denoised=False, bounces=8, scale=10, budget=0, folder=WORK + '/comparison')"
+    )
     time.sleep(1.0)
     window.shot("compare-dialog")
     with usable(window):
@@ -154,9 +166,11 @@ def test_a_comparison_runs_beside_the_interface_and_esc_keeps_finished_renders(w
     assert left == ({"images": 4, "texts": 1} if trusted else {}), left
     assert len(list(folder.glob("passes/*/reference-*.npz"))) >= (2 if trusted else 0)
     assert (folder / "report.html").exists() == trusted
-    assert "Traceback" not in window.console[len(said):]
-    window.do("for image in [i for i in bpy.data.images if i.name.startswith('MRPNN')]: bpy.data.images.remove(image)\n"
-              "for text in list(bpy.data.texts): bpy.data.texts.remove(text)")
+    assert "Traceback" not in window.console[len(said) :]
+    window.do(
+        "for image in [i for i in bpy.data.images if i.name.startswith('MRPNN')]: bpy.data.images.remove(image)\n"
+        "for text in list(bpy.data.texts): bpy.data.texts.remove(text)"
+    )
 
 
 # A cube with a procedural shader.
@@ -179,31 +193,37 @@ mesh.materials.append(material)
 def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
     """320^3 voxels, in a shape that Blender itself does not draw, since software OpenGL takes seconds for it. Beside
     them a cube of fog whose noise takes seconds to evaluate."""
-    window.do("import numpy\n"
-              "try: import openvdb\n"
-              "except ImportError: import pyopenvdb as openvdb\n"
-              "grid = openvdb.FloatGrid(); grid.name = 'density'\n"
-              "grid.transform = openvdb.createLinearTransform(4 / 320)\n"
-              "for low in ((-160,) * 3, (60,) * 3):\n"
-              "    grid.copyFromArray(numpy.random.default_rng(0).random((100,) * 3, numpy.float32), ijk=low)\n"
-              "openvdb.write(WORK + '/large.vdb', grids=[grid])\n"
-              "area('VIEW_3D').type = 'IMAGE_EDITOR'\n"
-              "bpy.data.volumes['Ball'].filepath = WORK + '/large.vdb'")
+    window.do(
+        "import numpy\n"
+        "try: import openvdb\n"
+        "except ImportError: import pyopenvdb as openvdb\n"
+        "grid = openvdb.FloatGrid(); grid.name = 'density'\n"
+        "grid.transform = openvdb.createLinearTransform(4 / 320)\n"
+        "for low in ((-160,) * 3, (60,) * 3):\n"
+        "    grid.copyFromArray(numpy.random.default_rng(0).random((100,) * 3, numpy.float32), ijk=low)\n"
+        "openvdb.write(WORK + '/large.vdb', grids=[grid])\n"
+        "area('VIEW_3D').type = 'IMAGE_EDITOR'\n"
+        "bpy.data.volumes['Ball'].filepath = WORK + '/large.vdb'"
+    )
     window.do(FOG)
     try:
         with usable(window):
             window.do("with over(area('IMAGE_EDITOR')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')")
             window.until("'MRPNN' in bpy.data.images")
     finally:
-        window.do("area('IMAGE_EDITOR').type = 'VIEW_3D'\n"
-                  "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'; bpy.data.objects.remove(fog)\n"
-                  "for image in [i for i in bpy.data.images if i.name == 'MRPNN']: bpy.data.images.remove(image)")
+        window.do(
+            "area('IMAGE_EDITOR').type = 'VIEW_3D'\n"
+            "bpy.data.volumes['Ball'].filepath = WORK + '/window.vdb'; bpy.data.objects.remove(fog)\n"
+            "for image in [i for i in bpy.data.images if i.name == 'MRPNN']: bpy.data.images.remove(image)"
+        )
         window.until(f"not {THREADS}")
 
 
 def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
-    window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'SOLID'\n"
-              "s.overlay.show_overlays = False")
+    window.do(
+        "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'SOLID'\n"
+        "s.overlay.show_overlays = False"
+    )
     window.do("s.shading.type = 'RENDERED'; area('PROPERTIES').spaces.active.context = 'RENDER'")
     left, top, right, bottom = window.box("VIEW_3D")
     # Threads read and refine; none is left once the last picture is there.
@@ -216,8 +236,10 @@ def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
     window.shot("viewport")
     # Turned while it refines.
     for angle in range(5):
-        window.do("r = area('VIEW_3D').spaces.active.region_3d; r.view_perspective = 'PERSP'\n"
-                  f"r.view_rotation = (1.0, 0.1 * {angle}, 0.0, 0.0)")
+        window.do(
+            "r = area('VIEW_3D').spaces.active.region_3d; r.view_perspective = 'PERSP'\n"
+            f"r.view_rotation = (1.0, 0.1 * {angle}, 0.0, 0.0)"
+        )
     window.do("s.shading.type = 'SOLID'")
     window.until(f"not {THREADS}")
 
@@ -290,7 +312,9 @@ NO_SKY = "bpy.context.scene.world, lamp.hide_render, lamp.hide_viewport = world,
 
 
 def test_a_sky_is_rendered_by_cycles_beside_the_interface(window):
-    window.do("s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.overlay.show_overlays = False")
+    window.do(
+        "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.overlay.show_overlays = False"
+    )
     window.do(LOOKS)
     window.do(SKY.replace("ELEVATION", "0.6"))
     window.do("s.shading.type = 'RENDERED'")
@@ -336,8 +360,10 @@ def test_loading_a_file_during_a_render_ends_the_render(window):
     """By the operator and by the render engine; the next render works."""
     load = "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend'); scene = bpy.context.scene"
     window.do(f"import threading; {load}")
-    for begin in ("with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')",
-                  "bpy.ops.render.render('INVOKE_DEFAULT')"):
+    for begin in (
+        "with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')",
+        "bpy.ops.render.render('INVOKE_DEFAULT')",
+    ):
         window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 64; scene.mrpnn.threads = 1")
         window.do(begin)
         window.until(f"{THREADS} or {RENDERING}")
@@ -352,9 +378,11 @@ def test_loading_a_file_during_a_render_ends_the_render(window):
     window.until(f"not {THREADS}")
 
 
-LEFT_BEHIND = ("sum(len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) "
-               "if isinstance(getattr(bpy.app.handlers, n), list)), threading.active_count(), len(bpy.data.images), "
-               "len(bpy.data.scenes), len(win().screen.areas)")
+LEFT_BEHIND = (
+    "sum(len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) "
+    "if isinstance(getattr(bpy.app.handlers, n), list)), threading.active_count(), len(bpy.data.images), "
+    "len(bpy.data.scenes), len(win().screen.areas)"
+)
 
 
 def test_fifty_switches_of_engine_scene_and_file_leave_nothing_behind(window):
@@ -367,12 +395,16 @@ def test_fifty_switches_of_engine_scene_and_file_leave_nothing_behind(window):
     window.until(f"not {THREADS}")
     before, said = window.do(f"print({LEFT_BEHIND})"), window.console
     for turn in range(50):
-        window.do(("bpy.context.scene.render.engine = 'BLENDER_WORKBENCH'",
-                   "bpy.context.scene.render.engine = 'MRPNN'",
-                   "s = bpy.data.scenes.new('other'); win().scene = s",
-                   "bpy.data.scenes.remove(bpy.data.scenes['other'])",
-                   "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")[turn % 5])
+        window.do(
+            (
+                "bpy.context.scene.render.engine = 'BLENDER_WORKBENCH'",
+                "bpy.context.scene.render.engine = 'MRPNN'",
+                "s = bpy.data.scenes.new('other'); win().scene = s",
+                "bpy.data.scenes.remove(bpy.data.scenes['other'])",
+                "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')",
+            )[turn % 5]
+        )
     window.until(f"not {THREADS}")
     assert window.do(f"print({LEFT_BEHIND})") == before
-    said = window.console[len(said):]
+    said = window.console[len(said) :]
     assert not [line for line in said.splitlines() if "Read blend" not in line and line.strip()], said

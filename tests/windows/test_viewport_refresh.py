@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rendered shading follows hiding, local view, linked files, regions and loading, in Blender's window."""
 
 import time
@@ -35,11 +36,11 @@ a = area('VIEW_3D'); r = region(a)
 points = [location_3d_to_region_2d(r, a.spaces.active.region_3d, (x, 0, 0)) for x in (-2, 2)]
 print([(round(r.x + p.x), round(win().height - r.y - p.y)) for p in points])
 """
-STATUS = ("next((v.status for v in gc.get_objects() if type(v).__name__ == 'Viewport' and hasattr(v, 'status')), '')")
+STATUS = "next((v.status for v in gc.get_objects() if type(v).__name__ == 'Viewport' and hasattr(v, 'status')), '')"
 
 
 @pytest.fixture
-def two(window):  # noqa: F811
+def two(window):
     window.do(TWO)
     window.places = eval(window.do(PLACES))
     until_shown(window, (True, True))
@@ -48,17 +49,17 @@ def two(window):  # noqa: F811
     window.until(f"not {THREADS}")
 
 
-def shown(window, places=None):  # noqa: F811
+def shown(window, places=None):
     """Whether each ball's red light is visible."""
     # Two answers from the main loop lie two drawings apart.
     window.do("area('VIEW_3D').tag_redraw()")
     window.do("pass")
     picture = window.screen().astype(int)
-    found = [picture[y - 4:y + 5, x - 4:x + 5].mean(axis=(0, 1)) for x, y in places or window.places]
+    found = [picture[y - 4 : y + 5, x - 4 : x + 5].mean(axis=(0, 1)) for x, y in places or window.places]
     return tuple(bool(red > blue + 10) for red, _, blue in found)
 
 
-def until_shown(window, expected, places=None):  # noqa: F811
+def until_shown(window, expected, places=None):
     """Wait until the viewport shows this, and still does once no thread is at work."""
     start = time.monotonic()
     while shown(window, places) != expected:
@@ -70,12 +71,17 @@ def until_shown(window, expected, places=None):  # noqa: F811
 CASES = {
     "the eye": ("other.hide_set(True)", "other.hide_set(False)", (True, False)),
     "the monitor": ("other.hide_viewport = True", "other.hide_viewport = False", (True, False)),
-    "local view": ("only('Other', 'Sun'); run(bpy.ops.view3d.localview, frame_selected=False)",
-                   "run(bpy.ops.view3d.localview, frame_selected=False)", (False, True)),
+    "local view": (
+        "only('Other', 'Sun'); run(bpy.ops.view3d.localview, frame_selected=False)",
+        "run(bpy.ops.view3d.localview, frame_selected=False)",
+        (False, True),
+    ),
     "out of local view": (
         "only('Ball', 'Other', 'Sun'); run(bpy.ops.view3d.localview, frame_selected=False); only('Ball')\n"
         "run(bpy.ops.view3d.localview_remove_from)",
-        "run(bpy.ops.view3d.localview, frame_selected=False)", (False, True)),
+        "run(bpy.ops.view3d.localview, frame_selected=False)",
+        (False, True),
+    ),
     "a collection excluded": ("child.exclude = True", "child.exclude = False", (True, False)),
     "a collection's eye": ("child.hide_viewport = True", "child.hide_viewport = False", (True, False)),
     "a collection's monitor": ("apart.hide_viewport = True", "apart.hide_viewport = False", (True, False)),
@@ -83,11 +89,17 @@ CASES = {
     "a collection's holdout": ("child.holdout = True", "child.holdout = False", (True, False)),
     "an object's holdout": ("other.is_holdout = True", "other.is_holdout = False", (True, False)),
     "the camera's rays": ("other.visible_camera = False", "other.visible_camera = True", (True, False)),
-    "types of objects": ("space.show_object_viewport_volume = False", "space.show_object_viewport_volume = True",
-                         (False, False)),
+    "types of objects": (
+        "space.show_object_viewport_volume = False",
+        "space.show_object_viewport_volume = True",
+        (False, False),
+    ),
     "scale 0": ("other.scale = 0, 0, 0", "other.scale = 1, 1, 1", (True, False)),
-    "a missing file": ("other.data.filepath = WORK + '/gone.vdb'", "other.data.filepath = WORK + '/window.vdb'",
-                       (True, False)),
+    "a missing file": (
+        "other.data.filepath = WORK + '/gone.vdb'",
+        "other.data.filepath = WORK + '/window.vdb'",
+        (True, False),
+    ),
 }
 
 
@@ -99,7 +111,7 @@ def test_the_viewport_follows(two):
         until_shown(two, expected)
         two.do(show)
         until_shown(two, (True, True))
-    said = two.console[len(said):]
+    said = two.console[len(said) :]
     assert "Warning" not in said and "Traceback" not in said, said
 
 
@@ -109,10 +121,12 @@ def test_h_and_alt_h(two):
     two.press("h")
     until_shown(two, (True, False))
     assert two.do(f"print({STATUS})") == ""
-    two.do("scene.render.filepath = WORK + '/hidden.png'; bpy.ops.render.render(write_still=True)\n"
-           "import numpy; image = bpy.data.images.load(WORK + '/hidden.png', check_existing=False)\n"
-           "pixels = numpy.array(image.pixels).reshape(120, 240, 4)[60]; bpy.data.images.remove(image)\n"
-           "sides = [bool(side[:, 0].max() > side[:, 2].max() + 0.04) for side in (pixels[:120], pixels[120:])]")
+    two.do(
+        "scene.render.filepath = WORK + '/hidden.png'; bpy.ops.render.render(write_still=True)\n"
+        "import numpy; image = bpy.data.images.load(WORK + '/hidden.png', check_existing=False)\n"
+        "pixels = numpy.array(image.pixels).reshape(120, 240, 4)[60]; bpy.data.images.remove(image)\n"
+        "sides = [bool(side[:, 0].max() > side[:, 2].max() + 0.04) for side in (pixels[:120], pixels[120:])]"
+    )
     assert two.do("print(sides)") == "[True, True]"
     two.press("alt+h")
     until_shown(two, (True, True))
@@ -142,9 +156,11 @@ def test_with_all_hidden_it_is_empty_and_without_light_black(two):
 
 
 def test_another_world_lights_the_volumes(two):
-    two.do("red, dark = bpy.data.worlds.new('Red'), scene.world; red.use_nodes = True\n"
-           "red.node_tree.nodes['Background'].inputs['Color'].default_value = 1, 0.1, 0.05, 1\n"
-           "scene.render.film_transparent = True; bpy.data.objects['Sun'].hide_viewport = True")
+    two.do(
+        "red, dark = bpy.data.worlds.new('Red'), scene.world; red.use_nodes = True\n"
+        "red.node_tree.nodes['Background'].inputs['Color'].default_value = 1, 0.1, 0.05, 1\n"
+        "scene.render.film_transparent = True; bpy.data.objects['Sun'].hide_viewport = True"
+    )
     until_shown(two, (False, False))
     two.do("scene.world = red")
     until_shown(two, (True, True))
@@ -163,7 +179,7 @@ def test_an_invalid_volume_is_named_in_the_viewport_that_shows_the_others(two):
     until_shown(two, (True, False))
     two.shot("bad-volume")
     said = two.do(f"print({STATUS})")
-    assert "\"Other\": file not found" in said and "gone.vdb" in said
+    assert '"Other": file not found' in said and "gone.vdb" in said
 
 
 def test_a_render_region_drawn_with_ctrl_b(two):
@@ -185,7 +201,8 @@ def test_a_render_region_drawn_with_ctrl_b(two):
         until_shown(two, (True, False), places)
         two.shot(f"region-{view.lower()}")
         assert two.do("print(scene.render.use_border, space.use_render_border)") == (
-            "True False" if view == "CAMERA" else "False True")
+            "True False" if view == "CAMERA" else "False True"
+        )
         # What lies inside is where it was: its edge's pixels, too.
         two.do("scene.render.use_border = space.use_render_border = False; area('VIEW_3D').tag_redraw()")
         until_shown(two, (True, True), places)
@@ -218,11 +235,15 @@ def test_a_linked_library_that_is_reloaded(two, how):
     two.do(LIBRARY)
     until_shown(two, (True, False))
     if how == "instance":
-        two.do("empty = bpy.data.objects.new('At', None); scene.collection.objects.link(empty); empty.location.x = 2\n"
-               "empty.instance_type = 'COLLECTION'; empty.instance_collection = link()")
+        two.do(
+            "empty = bpy.data.objects.new('At', None); scene.collection.objects.link(empty); empty.location.x = 2\n"
+            "empty.instance_type = 'COLLECTION'; empty.instance_collection = link()"
+        )
     else:
-        two.do("made = link().override_hierarchy_create(scene, layer)\n"
-               "next(o for o in scene.objects if o.override_library).location.x = 2")
+        two.do(
+            "made = link().override_hierarchy_create(scene, layer)\n"
+            "next(o for o in scene.objects if o.override_library).location.x = 2"
+        )
     until_shown(two, (True, True))
     two.do(CHANGE % "0.0")
     until_shown(two, (True, False))
@@ -233,18 +254,22 @@ def test_a_linked_library_that_is_reloaded(two, how):
 @pytest.mark.parametrize("interface", [True, False])
 def test_loading_another_file_clears_the_former_ones_messages(two, interface):
     """In the panel and in the viewport, whether or not the file's interface is loaded."""
-    two.do("bpy.ops.wm.save_as_mainfile(filepath=WORK + '/good.blend'); other.data.filepath = WORK + '/gone.vdb'\n"
-           "bpy.ops.mrpnn.render(); bpy.ops.mrpnn.check()\n"
-           "import sys; said = lambda name: getattr(next(m for n, m in sys.modules.items() "
-           "if n.endswith('mrpnn_addon.status.' + name)), name.replace('scene', 'last'))()")
+    two.do(
+        "bpy.ops.wm.save_as_mainfile(filepath=WORK + '/good.blend'); other.data.filepath = WORK + '/gone.vdb'\n"
+        "bpy.ops.mrpnn.render(); bpy.ops.mrpnn.check()\n"
+        "import sys; said = lambda name: getattr(next(m for n, m in sys.modules.items() "
+        "if n.endswith('mrpnn_addon.status.' + name)), name.replace('scene', 'last'))()"
+    )
     # The picture's window lies over the viewport.
     two.until("len(bpy.context.window_manager.windows) > 1")
     two.do(CLOSE)
     until_shown(two, (True, False))
     assert two.do("print(bool(said('last_render').warnings), bool(said('scene_check').warnings))") == "True True"
-    two.do(f"bpy.ops.wm.open_mainfile(filepath=WORK + '/good.blend', load_ui={interface})\n"
-           # Files are loaded in Solid shading.
-           "space = area('VIEW_3D').spaces.active; space.shading.type = 'RENDERED'")
+    two.do(
+        f"bpy.ops.wm.open_mainfile(filepath=WORK + '/good.blend', load_ui={interface})\n"
+        # Files are loaded in Solid shading.
+        "space = area('VIEW_3D').spaces.active; space.shading.type = 'RENDERED'"
+    )
     until_shown(two, (True, True))
     assert two.do("print(said('last_render'), said('scene_check'))") == "None None"
     two.do("gc.collect()")

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The World behind Rendered shading in Blender's window, against Cycles."""
 
 import time
@@ -25,7 +26,7 @@ WORLDS = {
     "colour": "background.inputs[0].default_value = 0.05, 0.4, 0.9, 1.0; background.inputs[1].default_value = 0.6",
     "directions": "tree.links.new(tree.nodes.new('ShaderNodeTexCoord').outputs['Generated'], background.inputs[0])",
     "sky": "tree.links.new(tree.nodes.new('ShaderNodeTexSky').outputs[0], background.inputs[0])\n"
-           "background.inputs[1].default_value = 0.1",
+    "background.inputs[1].default_value = 0.1",
 }
 VIEWS = {
     "perspective": "view.view_perspective = 'PERSP'; view.view_rotation = Euler((1.7, 0.0, 0.4)).to_quaternion()",
@@ -62,10 +63,17 @@ def still(window, name):
     return now
 
 
-@pytest.mark.parametrize("world, view", [
-    ("colour", "camera"), ("directions", "perspective"), ("directions", "orthographic"), ("directions", "camera"),
-    ("sky", "perspective")])
-def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):  # noqa: F811
+@pytest.mark.parametrize(
+    "world, view",
+    [
+        ("colour", "camera"),
+        ("directions", "perspective"),
+        ("directions", "orthographic"),
+        ("directions", "camera"),
+        ("sky", "perspective"),
+    ],
+)
+def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):
     window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
     window.do(SETTINGS + WORLDS[world] + "\n" + VIEWS[view])
     window.do("s.shading.type = 'SOLID'; scene.render.engine = 'MRPNN'")
@@ -81,7 +89,7 @@ def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):  
     window.until(f"not {THREADS}")
 
 
-def test_a_transparent_film_looks_as_in_cycles(window):  # noqa: F811
+def test_a_transparent_film_looks_as_in_cycles(window):
     window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
     window.do(SETTINGS + WORLDS["colour"] + "\n" + VIEWS["perspective"])
     window.do("s.shading.type = 'RENDERED'")
@@ -98,8 +106,10 @@ def test_a_transparent_film_looks_as_in_cycles(window):  # noqa: F811
     window.do("s.shading.type = 'RENDERED'")
     assert agreed(window, "world-opaque-again", opaque) <= 1.0
     # Another World, and what its nodes hold.
-    window.do("other = bpy.data.worlds.new('Other'); other.use_nodes = True\n"
-              "node = other.node_tree.nodes['Background']; node.inputs[0].default_value = 0.8, 0.1, 0.1, 1.0")
+    window.do(
+        "other = bpy.data.worlds.new('Other'); other.use_nodes = True\n"
+        "node = other.node_tree.nodes['Background']; node.inputs[0].default_value = 0.8, 0.1, 0.1, 1.0"
+    )
     window.do("scene.world = other")
     time.sleep(2.0)
     red = still(window, "world-other")

@@ -1,10 +1,12 @@
-"""Descriptors of many points with an optical density each, for training data.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Descriptors of many points with an extinction each, for training data.
 
-The same features as inference.descriptors, computed the other way round: instead of one
-lookup in a prepared lattice, each point is moved to the centre of its fine cell and
-density and optical depth are interpolated there. No lattice is built, so every point
-can have its own optical density.
+The same features as `inference.features.descriptors`, computed the other way round: instead of one lookup in a prepared
+lattice, each point is moved to the centre of its fine cell, where density and optical depth are interpolated. No
+lattice is built, so every point can have its own extinction.
 """
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,16 +17,42 @@ from inference.features.stencil import Stencil
 from inference.plan.resolution import LEVEL0_CELLS
 
 
-def _flatten(grids):
-    """Grids one after the other, with the offset and edge of each."""
+class Levels(NamedTuple):
+    """What descriptors read, on padded grids of the cube's frame.
+
+    density: mips 0..7, from `padded_levels`; sun_depths: optical depth towards the sun for extinction 1 per cube edge
+    through mips 1..7, from `unit_optical_depths`, both in `inference.features.mip_lattices`.
+    """
+
+    density: list[np.ndarray]
+    sun_depths: list[np.ndarray]
+
+
+class _FlatGrids(NamedTuple):
+    """Cubic grids one after the other: values float32, and offset and edge of each."""
+
+    values: np.ndarray
+    offsets: np.ndarray
+    edges: np.ndarray
+
+
+class _FineCells(NamedTuple):
+    """Mip of each stencil point; margin in cells, and fine cells per cell, of each mip."""
+
+    mips: np.ndarray
+    margins: np.ndarray
+    fine: np.ndarray
+
+
+def _flatten(grids) -> _FlatGrids:
     edges = np.array([g.shape[0] for g in grids])
     offsets = np.concatenate([[0], np.cumsum(edges**3)[:-1]])
-    return np.concatenate([g.ravel() for g in grids]), offsets, edges
+    return _FlatGrids(np.concatenate([g.ravel() for g in grids]), offsets, edges)
 
 
 @numba.njit(fastmath=True, cache=True)
 def _interpolate(flat, offset, edge, x, y, z):
-    """Trilinear at continuous cell indices, clamped at the rim."""
+    """Trilinear at continuous cell indices of the grid at `offset`, clamped at its border."""
     last = edge - 1.0
     x, y, z = min(max(x, 0.0), last), min(max(y, 0.0), last), min(max(z, 0.0), last)
     i, j, k = min(int(x), edge - 2), min(int(y), edge - 2), min(int(z), edge - 2)
@@ -40,47 +68,49 @@ def _interpolate(flat, offset, edge, x, y, z):
 
 
 @numba.njit(parallel=True, fastmath=True, cache=True)
-def _describe(points, mips, sigma_hat, density, density_at, density_edge, depth, depth_at, depth_edge, margin, fine):
+def _describe(points, sigma_hat, cells, density, sun_depths):
+    """Features float32 (2, N, stencil) at the stencil points (N, stencil, 3) of media of extinction sigma_hat (N,)."""
     count, stencil = points.shape[0], points.shape[1]
+    # Unpacked once: reading an array from a tuple counts a reference, which would cost half as much again in the loop.
+    mips, margins, fines = cells
+    values, offsets, edges = density
+    depths, depth_offsets, depth_edges = sun_depths
     features = np.empty((2, count, stencil), np.float32)
     for r in numba.prange(count):
         for q in range(stencil):
             m = mips[q]
-            n = LEVEL0_CELLS >> m
-            cells = (n + 2 * margin[m]) * fine[m]
+            n, margin, fine = LEVEL0_CELLS >> m, margins[m], fines[m]
+            across = (n + 2 * margin) * fine
             # Centre of the fine cell that holds the point, in cube coordinates.
             x = np.empty(3)
             for axis in range(3):
-                cell = np.floor((points[r, q, axis] + 0.5) * (n * fine[m]) + margin[m] * fine[m])
-                cell = min(max(cell, 0.0), cells - 1.0)
-                x[axis] = (cell + 0.5) / (n * fine[m]) - margin[m] / n
+                cell = np.floor((points[r, q, axis] + 0.5) * (n * fine) + margin * fine)
+                cell = min(max(cell, 0.0), across - 1.0)
+                x[axis] = (cell + 0.5) / (n * fine) - margin / n
             a = n
-            b = margin[m] - 0.5
-            mu = _interpolate(density, density_at[m], density_edge[m], x[0] * a + b, x[1] * a + b, x[2] * a + b)
+            b = margin - 0.5
+            mu = _interpolate(values, offsets[m], edges[m], x[0] * a + b, x[1] * a + b, x[2] * a + b)
+            # Mips 0 and 1 share the first transmittance field.
             source = max(m, 1)
             a = LEVEL0_CELLS >> source
-            b = margin[source] - 0.5
-            tau = _interpolate(
-                depth, depth_at[source - 1], depth_edge[source - 1], x[0] * a + b, x[1] * a + b, x[2] * a + b
-            )
+            b = margins[source] - 0.5
+            offset, edge = depth_offsets[source - 1], depth_edges[source - 1]
+            tau = _interpolate(depths, offset, edge, x[0] * a + b, x[1] * a + b, x[2] * a + b)
             features[0, r, q] = np.log1p(sigma_hat[r] * mu / DENSITY_SCALE)
             features[1, r, q] = np.exp(-sigma_hat[r] * BETA**source * tau)
     return features
 
 
-def describe_points(stencil: Stencil, padded, unit_depths, positions, omega, sun, sigma_hat):
-    """Features mu and S: float32 (2, N, 192).
+def describe_points(stencil: Stencil, levels: Levels, positions, omega, sun, sigma_hat) -> np.ndarray:
+    """Features mu and S of A.2: float32 (2, N, 192).
 
-    padded, unit_depths: from inference.features.mip_lattices; positions, omega: (N, 3) in the cube's frame;
-    sun: (3,); sigma_hat: (N,) optical density of each point's medium.
+    positions: (N, 3) and omega: (N, 3), camera-ray directions, in the cube's frame; sun: (3,) unit vector;
+    sigma_hat: (N,) extinction per cube edge of each point's medium.
     """
-    points = stencil_points(stencil, positions, omega, np.asarray(sun, np.float64))
     return _describe(
-        points,
-        stencil.mips,
+        stencil_points(stencil, positions, omega, np.asarray(sun, np.float64)),
         np.asarray(sigma_hat, np.float64),
-        *_flatten(padded),
-        *_flatten(unit_depths),
-        np.array(margins(stencil)),
-        np.array(FINE),
+        _FineCells(stencil.mips, np.array(margins(stencil)), np.array(FINE)),
+        _flatten(levels.density),
+        _flatten(levels.sun_depths),
     )

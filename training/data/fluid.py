@@ -1,8 +1,9 @@
-"""A small smoke simulation, for volumes with the look of real ones.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A small smoke simulation, for volumes that look like simulated ones.
 
-Stable fluids (Stam 1999) on a periodic box: semi-Lagrangian velocity, pressure
-solved exactly in Fourier space, buoyancy, turbulent forcing; density is carried on
-a grid twice as fine by MacCormack advection (Selle et al. 2008), which keeps edges.
+Stable fluids (Stam 1999) in a periodic box: semi-Lagrangian advection of velocity, pressure projected exactly in
+Fourier space, buoyancy, turbulent forcing. Density is advected on a grid twice as fine by MacCormack's scheme (Selle
+et al. 2008), which keeps edges sharp.
 """
 
 import numba
@@ -12,7 +13,7 @@ import scipy.fft
 
 @numba.njit(cache=True, fastmath=True, inline="always")
 def _neighbours(x, n):
-    """Periodic index of the lower neighbour of x (cell units, |x| < a few n), the upper one, fraction."""
+    """Periodic indices of the lower and upper neighbours of x, in cells and |x| below a few n, and the fraction."""
     low = np.floor(x)
     i = int(low)
     while i < 0:
@@ -23,10 +24,10 @@ def _neighbours(x, n):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _carry(grid, velocity, ratio, dt, top):
-    """`grid` (nx, ny, nz, channels) moved along `velocity` (..., 3), below layer `top`.
+def _advect(grid, velocity, ratio, dt, top):
+    """`grid` (nx, ny, nz, channels) advected along `velocity` (..., 3), below layer `top`.
 
-    One velocity cell is `ratio` cells of the grid wide; velocity in its own cells a step.
+    A velocity cell is as wide as `ratio` cells of the grid; velocity is in its own cells per step.
     """
     nx, ny, nz, channels = grid.shape
     mx, my, mz, _ = velocity.shape
@@ -66,13 +67,13 @@ def _carry(grid, velocity, ratio, dt, top):
     return out
 
 
-def _carry_sharp(grid, velocity, ratio, top):
-    """MacCormack: forth, back, and half the error returned, without new extrema below 0."""
+def _advect_sharp(grid, velocity, ratio, top):
+    """MacCormack's scheme: forward, backward, and half the error corrected, without new values below 0."""
     grid = grid[..., None]
-    forth = _carry(grid, velocity, ratio, 1.0, top)
-    back = _carry(forth, velocity, ratio, -1.0, top)
+    forth = _advect(grid, velocity, ratio, 1.0, top)
+    back = _advect(forth, velocity, ratio, -1.0, top)
     sharp = forth + np.float32(0.5) * (grid - back)
-    # where the correction leaves the plausible range keep the first-order value
+    # Where the correction overshoots, keep the first-order value.
     return np.where((sharp < 0) | (sharp > forth * 2 + 1e-3), forth, sharp)[..., 0]
 
 
@@ -114,7 +115,7 @@ def simulate_smoke(rng, cells=32, steps=44):
         if step < stop:
             strength = 1 + puffing * np.sin(step * 0.9 + phases[3])
             for px, py in places:
-                # a wandering disc with a lumpy rim, so that every simulation breaks its symmetry
+                # A wandering disc with a lumpy rim, so that every simulation breaks its symmetry.
                 cx = cells / 2 + px + 0.3 * radius * np.sin(step * 0.35 + phases[0])
                 cy = cells / 2 + py + 0.3 * radius * np.cos(step * 0.27 + phases[1])
                 part = grid[:, :, :, : max(6, int(0.14 * density.shape[2]))]
@@ -128,13 +129,13 @@ def simulate_smoke(rng, cells=32, steps=44):
         velocity[1] += wind * 0.1 * np.sin(heading) * np.linspace(0, 1, shape[2], dtype=np.float32)
         velocity += turbulence * rng.standard_normal(velocity.shape, dtype=np.float32) * (coarse > 0.005) * 4
         velocity = _project(velocity) * sponge
-        # a stable, not an accurate, limit: at most four cells a step
+        # A limit for stability, not accuracy: at most four cells per step.
         velocity = np.clip(velocity, -4, 4)
-        # nothing moves faster than four coarse cells a step: leave the empty top alone
+        # Nothing moves faster than four coarse cells per step: skip the empty top.
         top = 2 * int(np.flatnonzero(coarse.max(axis=(0, 1)) > 1e-5)[-1] + 6)
         flow = np.ascontiguousarray(np.moveaxis(velocity, 0, -1))
-        density = _carry_sharp(density, flow, 2.0, top) * np.float32(decay)
-        velocity = np.ascontiguousarray(np.moveaxis(_carry(flow, flow, 1.0, 1.0, shape[2]), -1, 0))
+        density = _advect_sharp(density, flow, 2.0, top) * np.float32(decay)
+        velocity = np.ascontiguousarray(np.moveaxis(_advect(flow, flow, 1.0, 1.0, shape[2]), -1, 0))
     below_top = (density.shape[2] - np.arange(density.shape[2])) / (0.1 * density.shape[2])
     density *= np.clip(below_top, 0, 1).astype(np.float32)
     return np.maximum(density, 0).astype(np.float32)

@@ -1,36 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN's inputs for the rows of training data that it can learn from.
 
-    python -m training.data.lattice_rows --data data/train --out data/rpnn
+    python -m training.data.lattice_rows --data data/train --out data/rpnn-train
 
-Reads the files of training.data.targets and writes one of the same name for each, with the rows of RPNN's one
-anisotropy and, of their albedos, exactly 1: the arrays `lattice` float16 (rows, 10, 225), `gamma`,
-`anisotropy`, `sigma_hat`, `albedo` (rows, 1) and `radiance` (rows, halves, 1), so that the trainer reads
-them as it reads the others. Each volume is made anew from its seed. Files that are there already are skipped.
+Reads the files of training.data.targets and writes one of the same name for each that has rows of RPNN's anisotropy,
+with these rows and, of their albedos, the one that is 1: the arrays `lattice` float16 (rows, 10, 225), `gamma`,
+`anisotropy`, `sigma_hat`, `albedo` (rows, 1) and `radiance` (rows, halves, 1), which the trainer reads as it reads
+the others'. Volumes are generated again from their seeds. Files that exist are left alone.
 """
 
 import argparse
-import os
 import pathlib
-import time
 
 import numpy as np
 
-from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
-from inference.network.lattice_predictor import density_feature
 from inference.features.rpnn_lattice import make_sun_lattice, read_lattices, refined_levels
-from training.networks import RPNN
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.network.lattice_predictor import density_feature
 from training.data.seeded_volume import seeded_volume
+from training.files import write_rows
+from training.networks import RPNN
 
 ANISOTROPY = np.float32(RPNN.ranges["anisotropy_range"][0])
-#: Half precision keeps 11 bits.
+#: Relative rounding of half precision, which keeps 11 bits.
 HALF_STEP = 2.0**-10
 
 
 def lattice_rows(seed: int, data) -> dict:
-    """Arrays of the rows in `data`, a file of training.data.targets, that hold RPNN's anisotropy.
+    """Arrays of the rows in `data`, a file of training.data.targets, that have RPNN's anisotropy.
 
-    Raises ValueError where the volume of the seed is not the one that the rows are about.
+    Raises ValueError where the seed's volume is not the one that the rows were made from.
     """
     rows = np.flatnonzero(data["anisotropy"] == ANISOTROPY)
     volume, _ = seeded_volume(seed)
@@ -38,16 +38,19 @@ def lattice_rows(seed: int, data) -> dict:
     levels = refined_levels(density_pyramid(level0_density(volume, cube)))
     lattice = make_sun_lattice()
     density = read_lattices(
-        lattice, levels, cube.positions(data["position"][rows]), cube.directions(data["omega"][rows]),
+        lattice,
+        levels,
+        cube.positions(data["position"][rows]),
+        cube.directions(data["omega"][rows]),
         cube.directions(data["sun"][rows]),
     )
     sigma_hat = data["sigma_hat"][rows]
     features = density_feature(sigma_hat[:, None, None], density)
-    # Both stencil and smallest lattice read mip 0 at the point itself.
+    # Stencil and smallest lattice both read mip 0 at the point itself.
     centre = np.abs(lattice.points).sum(axis=1).argmin()
-    seen = data["features"][rows, 0, 0]
+    stored = data["features"][rows, 0, 0]
     # A point within rounding of a cell's border may fall on either side.
-    if not (np.isclose(features[:, 0, centre], seen, rtol=HALF_STEP, atol=1e-4).mean() > 0.99):
+    if not (np.isclose(features[:, 0, centre], stored, rtol=HALF_STEP, atol=1e-4).mean() > 0.99):
         raise ValueError("the seed no longer gives the volume that these rows are about; make the data anew")
     if not np.all(data["albedo"][rows, 0] == 1.0):
         raise ValueError("the first albedo of these rows is not 1")
@@ -68,22 +71,12 @@ def main(options=None):
     arguments = parser.parse_args(options)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for file in sorted(arguments.data.glob("*.npz")):
-        target = arguments.out / file.name
-        if target.exists():
-            continue
-        start = time.perf_counter()
         with np.load(file) as data:
-            if not np.any(data["anisotropy"] == ANISOTROPY):
-                continue
-            try:
-                rows = lattice_rows(int(file.stem), data)
-            except ValueError as error:
-                parser.error(f"{file}: {error}")
-        partial = target.with_suffix(".partial")
-        with open(partial, "wb") as output:
-            np.savez(output, **rows)
-        os.replace(partial, target)
-        print(f"{target.name}: {len(rows['gamma'])} rows in {time.perf_counter() - start:.1f} s", flush=True)
+            if np.any(data["anisotropy"] == ANISOTROPY):
+                try:
+                    write_rows(arguments.out / file.name, lambda: lattice_rows(int(file.stem), data))
+                except ValueError as error:
+                    parser.error(f"{file}: {error}")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""Band-limited noise and its uses: fractal sums, curl-noise advection, grid look-up.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Band-limited noise and its uses: fractal sums, curl-noise advection, grid lookup.
 
-Points are float32 (M, 3). Noise comes from one periodic tile of Gaussian noise
-whose energy lies around one wavelength every `CELLS` tile cells; it is looked up
-trilinearly, so one octave costs one look-up. The vector tile is the curl of
-three such fields: it has no divergence and keeps densities from piling up
-(Bridson et al. 2007, "Curl-noise for procedural fluid flow").
+Points are float32 (M, 3). Noise comes from one periodic tile of Gaussian noise with a wavelength around `CELLS` tile
+cells, looked up trilinearly: one lookup per octave. The vector tile is the curl of three such fields, free of
+divergence, so that advection does not pile density up (Bridson et al. 2007, "Curl-noise for procedural fluid flow").
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,13 +15,19 @@ import scipy.fft
 
 TILE = 128
 CELLS = 8.0
-OCTAVE_ROTATION = np.linalg.qr(
-    np.array([[0.3, 0.8, -0.5], [-0.7, 0.5, 0.4], [0.6, 0.1, 0.8]])
-)[0].astype(np.float32)
+OCTAVE_ROTATION = np.linalg.qr(np.array([[0.3, 0.8, -0.5], [-0.7, 0.5, 0.4], [0.6, 0.1, 0.8]]))[0].astype(np.float32)
+
+
+class _Octaves(NamedTuple):
+    """Octaves of a tile: offsets float32 (octaves, 3), frequency of the first, amplitude ratio of successive ones."""
+
+    offset: np.ndarray
+    frequency: float
+    gain: float
 
 
 def _band_limited(rng, count):
-    """`count` Fourier-space fields (count, TILE, TILE, TILE//2+1) and their wave vectors."""
+    """`count` spectra (count, TILE, TILE, TILE // 2 + 1) and their wave vectors."""
     k = scipy.fft.fftfreq(TILE) * TILE
     wave = np.stack(np.meshgrid(k, k, k[: TILE // 2 + 1], indexing="ij")).astype(np.float32)
     length = np.sqrt((wave**2).sum(axis=0)) + 1e-6
@@ -58,14 +64,15 @@ def _corner(x):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _fractal(points, tile, offset, rotation, frequency, octaves, gain, billow):
+def _fractal(points, tile, octaves, rotation, billow):
+    offset, frequency, gain = octaves
     out = np.empty(points.shape[0], np.float32)
     for m in range(points.shape[0]):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         total = np.float32(0.0)
         amplitude = np.float32(1.0)
         scale = np.float32(frequency * CELLS)
-        for o in range(octaves):
+        for o in range(offset.shape[0]):
             i0, i1, u = _corner(x * scale + offset[o, 0])
             j0, j1, v = _corner(y * scale + offset[o, 1])
             k0, k1, w = _corner(z * scale + offset[o, 2])
@@ -77,12 +84,12 @@ def _fractal(points, tile, offset, rotation, frequency, octaves, gain, billow):
             c += v * (d - c)
             n = a + u * (c - a)
             if billow:
-                # |n| has creases where n changes sign: cauliflower when subtracted
+                # |n| has creases where n changes sign: a billowing surface when subtracted.
                 n = (abs(n) - np.float32(0.8)) * np.float32(1.66)
             total += amplitude * n
             amplitude *= gain
             scale *= np.float32(2.03)
-            # turn every octave so that the lattices do not line up
+            # Rotate every octave so that the lattices do not align.
             x, y, z = (
                 rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
                 rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
@@ -93,17 +100,18 @@ def _fractal(points, tile, offset, rotation, frequency, octaves, gain, billow):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _advect(points, tile, offset, frequency, octaves, gain, distance, steps):
+def _advect(points, tile, octaves, distance, steps):
+    offset, frequency, gain = octaves
     out = np.empty_like(points)
     for m in range(points.shape[0]):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         step = distance[m] / np.float32(steps)
         if step != 0.0:
-            for s in range(steps):
+            for _ in range(steps):
                 scale = np.float32(frequency * CELLS)
                 amplitude = step
                 dx = dy = dz = np.float32(0.0)
-                for o in range(octaves):
+                for o in range(offset.shape[0]):
                     i0, i1, u = _corner(x * scale + offset[o, 0])
                     j0, j1, v = _corner(y * scale + offset[o, 1])
                     k0, k1, w = _corner(z * scale + offset[o, 2])
@@ -126,7 +134,7 @@ def _advect(points, tile, offset, frequency, octaves, gain, distance, steps):
 
 @numba.njit(cache=True, fastmath=True)
 def sample_grid(points, grid, low, size):
-    """Trilinear look-up of `grid` (nx, ny, nz) whose cells of edge `size` start at `low` (3,).
+    """Trilinear lookup of `grid` (nx, ny, nz) whose cells of edge `size` start at `low` (3,).
 
     Returns float32 (M,), 0 beyond the grid.
     """
@@ -151,38 +159,37 @@ def sample_grid(points, grid, low, size):
 
 
 class Fractal:
-    """A fractal sum of noise octaves with its own random place in the tile.
+    """A fractal sum of noise octaves at random offsets in the tile.
 
-    frequency: waves per unit length of the first octave; gain: amplitude ratio of
-    one octave to the one before; billow: fold each octave (creased lumps).
-    Calling it returns float32 (M,), roughly mean 0 and standard deviation 1.
+    frequency: waves per unit length of the first octave; gain: amplitude ratio of successive octaves; billow: take
+    absolute values of octaves, for creased lumps. Calling it with points (M, 3) returns float32 (M,), of mean about 0
+    and standard deviation about 1.
     """
 
     def __init__(self, rng, frequency, octaves=5, gain=0.5, billow=False):
-        self._offset = (rng.random((octaves, 3)) * TILE).astype(np.float32)
-        self._shape = (np.float32(frequency), octaves, np.float32(gain), billow)
+        offset = (rng.random((octaves, 3)) * TILE).astype(np.float32)
+        self._octaves, self._billow = _Octaves(offset, np.float32(frequency), np.float32(gain)), billow
         self._norm = np.float32(1.0 / np.sqrt(sum(gain ** (2 * o) for o in range(octaves))))
 
     def __call__(self, points):
         points = np.ascontiguousarray(points, dtype=np.float32)
-        noise = _fractal(points, scalar_tile(), self._offset, OCTAVE_ROTATION, *self._shape)
+        noise = _fractal(points, scalar_tile(), self._octaves, OCTAVE_ROTATION, self._billow)
         noise *= self._norm
         return noise
 
 
 class Swirl:
-    """Carries points along a frozen curl-noise flow.
+    """Advects points along a frozen curl-noise flow.
 
-    Called with points (M, 3) and a travelled distance, scalar or (M,), in units of
-    length (root mean square of the first octave); returns the moved points.
+    Called with points (M, 3) and a distance, scalar or (M,), the root mean square of the first octave's displacement;
+    returns the moved points float32 (M, 3).
     """
 
     def __init__(self, rng, frequency, octaves=2, gain=0.6, steps=8):
-        self._offset = (rng.random((octaves, 3)) * TILE).astype(np.float32)
-        self._shape = (np.float32(frequency), octaves, np.float32(gain))
-        self._steps = steps
+        offset = (rng.random((octaves, 3)) * TILE).astype(np.float32)
+        self._octaves, self._steps = _Octaves(offset, np.float32(frequency), np.float32(gain)), steps
 
     def __call__(self, points, distance):
         points = np.ascontiguousarray(points, dtype=np.float32)
         distance = np.broadcast_to(np.asarray(distance, np.float32), (len(points),))
-        return _advect(points, curl_tile(), self._offset, *self._shape, distance, self._steps)
+        return _advect(points, curl_tile(), self._octaves, distance, self._steps)

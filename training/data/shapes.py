@@ -1,4 +1,5 @@
-"""Signed distances of solids, evaluated at points (M, 3); negative inside."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Signed distances of solids at points (M, 3), negative inside; and random rotations."""
 
 import numba
 import numpy as np
@@ -62,7 +63,9 @@ def constructive_solid(points, kinds, centres, frames, sizes, removed):
                 f[0, 0] * x + f[0, 1] * y + f[0, 2] * z,
                 f[1, 0] * x + f[1, 1] * y + f[1, 2] * z,
                 f[2, 0] * x + f[2, 1] * y + f[2, 2] * z,
-                sizes[s, 0], sizes[s, 1], sizes[s, 2],
+                sizes[s, 0],
+                sizes[s, 1],
+                sizes[s, 2],
             )
             if removed[s]:
                 cut = min(cut, e)

@@ -1,7 +1,8 @@
-"""Solids filled with even fog, as artists fill meshes: hard faces, a density that is constant inside or nearly so.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Solids filled with homogeneous fog, as artists fill meshes: hard faces, density constant inside or nearly so.
 
-Entries of SOLIDS are as those of `volume_kinds.KINDS`: each takes a numpy Generator and returns a density of points
-(M, 3). What makes a solid here is its distance, a function of points, negative inside.
+Entries of SOLIDS are like those of `volume_kinds.KINDS`: each takes a numpy Generator and returns the density as a
+function of points (M, 3). A solid is defined by its signed distance, a function of points, negative inside.
 """
 
 import numpy as np
@@ -11,7 +12,7 @@ from .shapes import BOX, CYLINDER, constructive_solid, random_rotation
 
 
 def _filled(rng, distance):
-    """Fog inside the faces of a distance: even or slightly uneven, ending at once or within a voxel or two."""
+    """Fog inside a signed distance: homogeneous or slightly uneven, ending at once or within a voxel or two."""
     strength = rng.choice([0.0, 0.1, 0.3], p=[0.6, 0.2, 0.2])
     noise = Fractal(rng, rng.uniform(0.5, 4.0), 3, 0.5)
     edge = rng.choice([1e-5, rng.uniform(0.005, 0.03)], p=[0.6, 0.4])
@@ -35,7 +36,7 @@ def _joined(rng, kinds, centres, sizes, removed, turned):
 
 
 def single_solid(rng):
-    """A box, ellipsoid, ring, capsule or cylinder: three in ten as long as wide, others thin."""
+    """A box, ellipsoid, torus, capsule or cylinder: three in ten with equal sizes, the others thin."""
     low = rng.choice([1.0, 0.5, 0.1], p=[0.3, 0.4, 0.3])
     sizes = 0.8 * np.exp(rng.uniform(np.log(low), 0.0, (1, 3)))
     kinds = rng.integers(BOX, CYLINDER + 1, 1)
@@ -43,7 +44,7 @@ def single_solid(rng):
 
 
 def joined_solids(rng):
-    """Several solids that meet, stand apart or are cut from one another."""
+    """Several solids that overlap, stand apart or are cut from one another."""
     count = int(rng.integers(2, 8))
     removed = rng.random(count) < 0.25
     removed[0] = False
@@ -54,7 +55,7 @@ def joined_solids(rng):
 
 
 def polyhedron(rng):
-    """A convex body between planes."""
+    """A convex polyhedron."""
     count = int(rng.integers(5, 24))
     normals = rng.standard_normal((count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -72,7 +73,7 @@ def polyhedron(rng):
 
 
 def figure(rng):
-    """A smooth body with limbs and hollows, as a sculpted mesh: a ball whose radius follows from noise."""
+    """A smooth body with limbs and hollows, like a sculpted mesh: a ball whose radius is displaced by noise."""
     lumps = Fractal(rng, rng.uniform(0.7, 2.0), int(rng.integers(1, 4)), 0.5)
     height = rng.uniform(0.08, 0.3)
     squeeze = rng.uniform(1.0, 2.5, 3).astype(np.float32)

@@ -1,6 +1,7 @@
-"""The points of the stencil of A.2: how they were found, and those that all data and weights were made with.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of A.2's stencil: those that all data and weights were made with, and how they were found.
 
-    python -m training.data.stencil FILE.npz    # makes others
+python -m training.data.stencil FILE.npz    # relaxes new ones
 """
 
 import functools
@@ -41,9 +42,8 @@ def fibonacci_sphere(count: int) -> np.ndarray:
 def relax(points: np.ndarray, onto_domain, iterations: int = 4000) -> np.ndarray:
     """Spread points by ascent on the mean mutual minimum distance R (eq. 1).
 
-    Each point and its nearest neighbour move apart along the line between them, by a
-    step that shrinks; `onto_domain` brings the points back to the sphere or into the ball. Returns
-    the best set met.
+    Each point and its nearest neighbour move apart along the line between them, in shrinking steps; `onto_domain`
+    projects points back onto the sphere or into the ball. Returns the best set found.
     """
     best, best_r = points, mutual_minimum_distances(points).mean()
     for step in np.geomspace(0.05, 1e-4, iterations):
@@ -77,7 +77,7 @@ def unit_layer(layer: int) -> np.ndarray:
         return np.concatenate([np.zeros((1, 3)), relax(fibonacci_sphere(count - 1), _on_sphere)])
     if layer <= 5:
         return relax(fibonacci_sphere(count), _on_sphere)
-    # A seed a layer, so that the three balls differ.
+    # One seed per layer, so that the three balls differ.
     random = np.random.default_rng(layer)
     directions = _on_sphere(random.normal(size=(count, 3)))
     return relax(directions * random.random((count, 1)) ** (1 / 3), _in_ball)
@@ -102,8 +102,9 @@ def high_frequency_distances() -> np.ndarray:
 def relaxed_stencil() -> Stencil:
     """The stencil from scratch, in a few seconds.
 
-    Each step of `relax` asks which point is nearest. Where two are equally near the last bit decides, and that differs
-    from processor to processor: the result is as good everywhere but the same only on one.
+    Each step of `relax` looks for the nearest point. Ties are decided by the last bit, which differs between
+    processors:
+    the result is equally good everywhere but not the same.
     """
     low = []
     for layer in range(1, LOW_LAYERS + 1):

@@ -1,56 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Training data: descriptors and path-traced radiance at points where camera rays scatter.
 
     nice python -m training.data.targets --out data/train --volumes 0-399
 
-One file a volume, written through a temporary name and left alone when it exists: the
-command can be stopped and started again. Everything follows from the volume's seed.
+Writes one file per volume, `data/train/0000000.npz` and so on; files that exist are left alone, so that the command
+can be stopped and started again. Everything follows from the volume's seed. A row is a point and one sun:
 
-Every walk is connected to all suns of its volume and weighted with all albedos of its
-point: one walk serves SUNS * ALBEDOS targets. A volume is seen as several media, each with
-its points; what the network sees of them comes from the functions that rendering uses.
+| array | dtype and shape | content |
+|---|---|---|
+| features | float16 (rows, 2, 192) | density feature mu and scaled transmittance S at the stencil's points (A.2, A.3) |
+| ray | float32 (rows, `ray_features.COLUMNS`) | light along the camera ray |
+| around | float32 (rows, `scattered_fluence.COLUMNS`) | fluence and flux around the point |
+| position, omega, sun | float32 (rows, 3) | point, ray direction and direction to the sun, in cube units |
+| gamma, anisotropy, sigma_hat | float32 (rows,) | angle to the sun, mean cosine, extinction per cube edge |
+| albedo | float32 (rows, ALBEDOS) | the first is 1 |
+| radiance | float32 (rows, 2, ALBEDOS) | path-traced targets in two independent halves, 1/sr |
+
+Every path is connected to all suns of its volume and weighted with all albedos of its point: one path serves
+SUNS * ALBEDOS targets. A volume is seen as several media, each with its own points. What networks read is computed by
+the functions that rendering uses.
 """
 
 import argparse
-import os
 import pathlib
-import time
+from dataclasses import dataclass
 
 import numpy as np
 
 from inference import Medium
-from inference.grids.bound_medium import BoundMedium
-from inference.grids.working_cube import fit_cube, level0_density
-from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
-from inference.transport.scattered_fluence import ScatteredFluence, fluence_lattice, fluence_and_flux, read_fluence
+from inference.features.descriptors import angle_to_sun
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
+from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
+from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
-from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
-from inference.grids.optical_depth_sweep import sun_optical_depth
-from training.data.descriptors import describe_points
-from training.tracer.path_tracer import sample_scattering_points, trace_points
+from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
+from inference.transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
+from training.data.descriptors import Levels, describe_points
 from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
-from training.tracer.transport import prepare
+from training.files import write_rows
+from training.tracer.path_tracer import Sampling, Scene, Vertices, sample_scattering_points, trace_points
 
+#: Extinction per cube edge where density is 1.
 SIGMA_HAT_RANGE = (1.0, 2000.0)
 ANISOTROPY_RANGE = (-0.3, 0.95)
 SUNS = 4
 ALBEDOS = 4
-# Optical densities with a value of G each, a volume.
+#: Media per volume, each an extinction and a mean cosine.
 MEDIA = 8
+#: Points per volume, and paths per point.
 POINTS = 1024
 PATHS = 64
 
 
+@dataclass(frozen=True)
+class ScatteringPoints:
+    """Where camera rays scatter: positions and ray directions omega (N, 3) in the world, and each point's medium.
+
+    medium: int (N,), number of the medium; albedos: (N, ALBEDOS).
+    """
+
+    positions: np.ndarray
+    omega: np.ndarray
+    medium: np.ndarray
+    albedos: np.ndarray
+
+
 def unit_vectors(random, count: int) -> np.ndarray:
+    """(count, 3) directions, uniform over the sphere."""
     v = random.normal(size=(count, 3))
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def rays_towards(random, suns: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) ray directions at angles to one of the suns that are even in gamma."""
+    """(count, 3) ray directions whose angle gamma to one of the suns, (S, 3), is uniform in [0, pi]."""
     axis = suns[random.integers(len(suns), size=count)]
     across = np.cross(axis, unit_vectors(random, count))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -59,22 +86,25 @@ def rays_towards(random, suns: np.ndarray, count: int) -> np.ndarray:
 
 
 def draw_sigma(random, count: int) -> np.ndarray:
-    """Extinctions per cube edge, even in the logarithm: one in each of as many equal parts of the range, in any order."""
+    """(count,) extinctions per cube edge, log-uniform and stratified over SIGMA_HAT_RANGE, in random order."""
     low, high = np.log(SIGMA_HAT_RANGE)
     return np.exp(low + (high - low) * random.permutation((np.arange(count) + random.random(count)) / count))
 
 
-def draw_anisotropy(random, groups: int) -> np.ndarray:
-    """Mean cosines on a grid of 0.005: even over the range, with more of the strongest and of those most used."""
-    even = random.uniform(*ANISOTROPY_RANGE, groups)
-    strong = random.uniform(0.8, ANISOTROPY_RANGE[1], groups)
-    kind = random.choice(5, groups, p=[0.5, 0.2, 0.18, 0.06, 0.06])
-    usual = np.choose(kind, [even, strong, np.full(groups, 0.857), np.zeros(groups), np.full(groups, 0.5)])
+def draw_anisotropy(random, count: int) -> np.ndarray:
+    """(count,) mean cosines: half uniform over the range, a fifth in 0.8 to 0.95, the others 0.857, 0 or 0.5.
+
+    Uniform ones are rounded to multiples of 0.005, so that tables of the phase function can be reused.
+    """
+    even = random.uniform(*ANISOTROPY_RANGE, count)
+    strong = random.uniform(0.8, ANISOTROPY_RANGE[1], count)
+    kind = random.choice(5, count, p=[0.5, 0.2, 0.18, 0.06, 0.06])
+    usual = np.choose(kind, [even, strong, np.full(count, 0.857), np.zeros(count), np.full(count, 0.5)])
     return np.where(kind < 2, np.round(usual / 0.005) * 0.005, usual)
 
 
 def draw_albedos(random, count: int) -> np.ndarray:
-    """(count, ALBEDOS): exactly 1, one close to 1, and the rest over the whole range."""
+    """(count, ALBEDOS): exactly 1, one close to 1, and two over wider ranges."""
     albedos = np.ones((count, ALBEDOS))
     albedos[:, 1] = 1.0 - 10.0 ** random.uniform(-3.0, -0.7, count)
     albedos[:, 2] = random.uniform(0.7, 1.0, count)
@@ -82,106 +112,105 @@ def draw_albedos(random, count: int) -> np.ndarray:
     return albedos
 
 
-def make_targets(seed: int, points: int = POINTS, paths: int = PATHS):
-    """Descriptors and targets of one volume: a dict of arrays with one row a (point, sun)."""
-    stencil = load_stencil()
-    volume, random = seeded_volume(seed)
-    density = volume.density
-    n = density.shape[0]
-    cube = fit_cube(volume)
-
-    suns = unit_vectors(random, SUNS)
-    sun_tau = np.stack([sun_optical_depth(density, l * n, 1.0) for l in suns])
-    media = np.stack([draw_sigma(random, MEDIA), draw_anisotropy(random, MEDIA)], axis=1)
-    medium = np.sort(random.integers(MEDIA, size=points))
-    omega = rays_towards(random, suns, points)
-    albedos = draw_albedos(random, points)
+def draw_points(random, density, suns, media, count: int, seed: int) -> ScatteringPoints:
+    """Up to `count` points where rays scatter in media (M, 2), extinction per cube edge and mean cosine."""
+    medium = np.sort(random.integers(MEDIA, size=count))
+    omega = rays_towards(random, suns, count)
+    albedos = draw_albedos(random, count)
     positions, valid = sample_scattering_points(
         density, media[medium, 0].astype(np.float32), omega.astype(np.float32), seed
     )
-    medium, omega, albedos, positions = (a[valid] for a in (medium, omega, albedos, positions))
-    sigma, anisotropy = media[medium].T
-    grid = prepare(density)
-    # Two independent halves, so that errors can be measured without the targets' own noise.
-    radiance = np.stack([
-        trace_points(grid, suns, sun_tau, positions, omega, sigma, anisotropy, albedos, paths // 2, 2 * seed + half)
-        for half in range(2)
-    ], axis=2)
+    return ScatteringPoints(positions[valid], omega[valid], medium[valid], albedos[valid])
 
-    x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
+
+def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
+    """Rows of one volume: a dict of the arrays that the module describes, sun after sun."""
+    stencil = load_stencil()
+    volume, random = seeded_volume(seed)
+    density, cube = volume.density, fit_cube(volume)
+
+    suns = unit_vectors(random, SUNS)
+    media = np.stack([draw_sigma(random, MEDIA), draw_anisotropy(random, MEDIA)], axis=1)
+    at = draw_points(random, density, suns, media, points, seed)
+    sigma, anisotropy = media[at.medium].T
+    scene = Scene(density, suns, sun_depths(density, suns))
+    vertices = Vertices(at.positions, at.omega, sigma, anisotropy, at.albedos)
+    # Two independent halves, so that errors can be measured without the targets' own noise.
+    halves = [trace_points(scene, vertices, Sampling(paths // 2, 2 * seed + half)) for half in range(2)]
+    radiance = np.stack(halves, axis=2)
+
+    x, w, l = cube.positions(at.positions), cube.directions(at.omega), cube.directions(suns)
     pyramid = density_pyramid(level0_density(volume, cube))
-    ray, around = describe_light(volume, cube, pyramid[LEVEL], suns, media, medium, positions, omega)
+    ray, around = describe_light(volume, cube, pyramid[LEVEL], suns, media, at)
     padded = padded_levels(pyramid, stencil)
     sigma_hat = sigma * cube.edge
     rows = []
     for k, sun in enumerate(suns):
-        features = describe_points(stencil, padded, unit_optical_depths(padded, l[k]), x, w, l[k], sigma_hat)
+        levels = Levels(padded, unit_optical_depths(padded, l[k]))
+        features = describe_points(stencil, levels, x, w, l[k], sigma_hat)
         rows.append(
             {
                 "features": features.astype(np.float16).transpose(1, 0, 2),
-                "position": positions,
-                "omega": omega.astype(np.float32),
+                "position": at.positions,
+                "omega": at.omega.astype(np.float32),
                 "sun": np.broadcast_to(sun, (len(x), 3)).astype(np.float32),
-                "gamma": np.arccos(np.clip(w @ l[k], -1.0, 1.0)).astype(np.float32),
+                "gamma": angle_to_sun(w, l[k]),
                 "anisotropy": anisotropy.astype(np.float32),
                 "sigma_hat": sigma_hat.astype(np.float32),
                 "ray": ray[:, k],
                 "around": around[:, k],
-                "albedo": albedos.astype(np.float32),
+                "albedo": at.albedos.astype(np.float32),
                 "radiance": radiance[:, k].astype(np.float32),
             }
         )
     return {key: np.concatenate([r[key] for r in rows]) for key in rows[0]}
 
 
-def describe_light(volume, cube, coarse, suns, media, medium, positions, omega):
-    """What a network sees of light: along rays (N, S, ray_features.COLUMNS), and around points (N, S, scattered_fluence.COLUMNS).
+def sun_depths(density: np.ndarray, suns: np.ndarray) -> np.ndarray:
+    """Optical depths float32 (S, N, N, N) through a density (N, N, N) to suns (S, 3), for extinction 1 per edge."""
+    return np.stack([sun_optical_depth(density, sun * len(density), 1.0) for sun in suns])
 
-    coarse: level `ordinates.LEVEL` of the volume's pyramid; suns: (S, 3); media: (M, 2) extinction per cube edge and G;
-    medium: (N,) number of each point's; positions, omega: (N, 3), in the world.
+
+def describe_light(volume, cube, coarse, suns, media, points: ScatteringPoints):
+    """What networks read of light: along rays (N, S, RAY_COLUMNS) and around points (N, S, AROUND_COLUMNS), float32.
+
+    coarse: level `discrete_ordinates.LEVEL` of the volume's density pyramid; suns: (S, 3), and media: (M, 2),
+    extinction per cube edge and mean cosine, in the world.
     """
     grid = Grid(volume)
-    sun_depths = grid.sun_depths(suns)
-    x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
+    depths = grid.sun_depths(suns)
+    x, w, l = cube.positions(points.positions), cube.directions(points.omega), cube.directions(suns)
     ray = np.empty((len(x), len(suns), RAY_COLUMNS), np.float32)
     around = np.empty((len(x), len(suns), AROUND_COLUMNS), np.float32)
-    for number in np.unique(medium):
+    for number in np.unique(points.medium):
         sigma, anisotropy = media[number]
-        own = np.flatnonzero(medium == number)
+        own = np.flatnonzero(points.medium == number)
         ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy)
-        cells = [fluence_lattice(ordinates.light(sun)) for sun in l]
-        for k, values in enumerate(cells):
+        lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
+        for k, values in enumerate(lattices):
             around[own, k] = read_fluence(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
-        fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in cells], anisotropy)
-        bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, sun_depths)
-        ray[own] = ray_features_at(bound, positions[own], omega[own], fluence).values[:, 0]
+        fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in lattices], anisotropy)
+        bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, depths)
+        ray[own] = ray_features_at(bound, points.positions[own], points.omega[own], fluence).values[:, 0]
     return ray, around
 
 
 def parse_range(text: str) -> range:
+    """FIRST-LAST, both included, or a single number."""
     first, _, last = text.partition("-")
     return range(int(first), int(last or first) + 1)
 
 
-def main():
+def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True)
     parser.add_argument("--volumes", type=parse_range, required=True, help="seeds, FIRST-LAST")
     parser.add_argument("--points", type=int, default=POINTS)
     parser.add_argument("--paths", type=int, default=PATHS)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(options)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for seed in arguments.volumes:
-        target = arguments.out / f"{seed:07d}.npz"
-        if target.exists():
-            continue
-        start = time.perf_counter()
-        rows = make_targets(seed, arguments.points, arguments.paths)
-        partial = target.with_suffix(".partial")
-        with open(partial, "wb") as file:
-            np.savez(file, **rows)
-        os.replace(partial, target)
-        print(f"{target.name}: {len(rows['gamma'])} rows in {time.perf_counter() - start:.1f} s", flush=True)
+        write_rows(arguments.out / f"{seed:07d}.npz", lambda: make_targets(seed, arguments.points, arguments.paths))
 
 
 if __name__ == "__main__":

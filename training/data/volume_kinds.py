@@ -1,8 +1,8 @@
-"""Density fields of many characters, as functions of position.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Procedural density fields: clouds, smoke, solids and others, as functions of position.
 
-Each entry of KINDS takes a numpy Generator, draws its parameters and returns a
-function: points float32 (M, 3) -> density float32 (M,), >= 0, in a frame of its own
-in which axis 2 is up and everything of interest lies within about 1.2 of the origin.
+Each entry of KINDS takes a numpy Generator, draws its parameters and returns a function from points float32 (M, 3) to
+density float32 (M,), >= 0, in a frame of its own: axis 2 is up, and the density lies within about 1.2 of the origin.
 """
 
 import numpy as np
@@ -17,13 +17,13 @@ def _log_uniform(rng, low, high):
 
 
 def _ramp(x, low, high):
-    """0 below `low`, 1 above `high`, smooth in between."""
+    """Smoothstep from 0 below `low` to 1 above `high`."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 def _interior(rng):
-    """Density inside a solid: constant, or uneven in one of three strengths."""
+    """Density inside a solid: constant, or uneven with one of three strengths."""
     strength = rng.choice([0.0, 0.3, 0.8, 1.5])
     noise = Fractal(rng, rng.uniform(1, 4), 4, rng.uniform(0.4, 0.7))
     if strength == 0.0:
@@ -32,7 +32,7 @@ def _interior(rng):
 
 
 def _cumulus_balls(rng):
-    """Centres and radii of lumps upon lumps, standing on the plane z = 0."""
+    """Centres and radii of balls with smaller balls on them, based on the plane z = 0."""
     centres, radii = [], []
     spread = rng.uniform(0.1, 0.8, 2)
     for _ in range(rng.integers(2, 8)):
@@ -228,7 +228,7 @@ def homogeneous(rng):
 
 
 def blobs(rng):
-    """Sums of Gaussians, in part on a slope."""
+    """Sums of Gaussians with a linear gradient."""
     count = int(rng.integers(1, 7))
     centres = rng.uniform(-0.5, 0.5, (count, 3)).astype(np.float32) * (count > 1)
     frames = [(random_rotation(rng) / rng.uniform(0.08, 0.4, (3, 1))).astype(np.float32) for _ in range(count)]
@@ -333,8 +333,19 @@ def trail(rng):
     return density
 
 
-# share of each kind among the seeds
+#: Share of each kind among the seeds.
 KINDS = {
-    cumulus: 0.20, simulation: 0.18, plume: 0.12, puff: 0.06, wisps: 0.07, stratus: 0.06, model: 0.08,
-    blobs: 0.05, homogeneous: 0.03, pieces: 0.05, sheets: 0.03, nebula: 0.04, trail: 0.03,
+    cumulus: 0.20,
+    simulation: 0.18,
+    plume: 0.12,
+    puff: 0.06,
+    wisps: 0.07,
+    stratus: 0.06,
+    model: 0.08,
+    blobs: 0.05,
+    homogeneous: 0.03,
+    pieces: 0.05,
+    sheets: 0.03,
+    nebula: 0.04,
+    trail: 0.03,
 }

@@ -1,9 +1,9 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural volumes to train on, each drawn from a seed.
 
-A volume lies in the working cube: cell (i, j, k) of N^3 has its centre at
-((i, j, k) + 0.5) / N - 0.5, axis 2 is up, the outermost layer of cells is empty.
-Where its active part is elongated it is centred and fills the cube along its
-longest axis, as a real file fitted to its cube does.
+A volume lies in the working cube: cell (i, j, k) of N^3 has its centre at ((i, j, k) + 0.5) / N - 0.5, axis 2 is up,
+and the outermost layer of cells is empty. Its active part is centred and fills the cube along its longest axis, as a
+real file fitted to its cube does.
 
     python -m training.data.volumes --seeds 0-23 --out FOLDER
 """
@@ -20,30 +20,31 @@ from .shapes import random_rotation
 from .solids import SOLIDS
 from .volume_kinds import KINDS
 
-#: Seeds kept for measuring what a network makes of volumes it was not trained on.
+#: Held-back seeds: to measure with, never to train on.
 HELD_BACK = range(1_000_000, 1_001_000)
-#: Seeds that give solids filled with even fog, to train on and to measure with.
+#: Seeds of solids filled with homogeneous fog, to train on and to measure with.
 SOLID_SEEDS = range(500_000, 600_000)
 HELD_BACK_SOLIDS = range(1_500_000, 1_501_000)
-#: Seeds that give the same kinds as others, with their denser parts made even, and the same to measure with.
+#: Seeds of the usual kinds with their denser parts evened out, to train on and to measure with.
 SATURATED_SEEDS = range(600_000, 700_000)
 HELD_BACK_SATURATED = range(1_600_000, 1_601_000)
 
-_COARSE = 64
+#: Cells per edge of the scan that finds a field's peak and active box, and half the edge of the scanned cube.
+_COARSE, _HALF = 64, 1.35
+#: Share of active cells below which thin parts are raised.
 _THIN = 0.003
-_HALF = 1.35
 
 
 @dataclass
 class Sample:
-    """kind: name of the generator; density: float32 (N, N, N), maximum exactly 1."""
+    """A volume. kind: name of its generator; density: float32 (N, N, N), whose maximum is exactly 1."""
 
     kind: str
     density: np.ndarray
 
 
 def _orientation(rng):
-    """Mostly upright and turned about the vertical, else lying along an axis, else anything."""
+    """Rotation (3, 3): half upright and turned about the vertical, a quarter along some axis, else any."""
     angle = rng.uniform(0, 2 * np.pi)
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -56,7 +57,7 @@ def _orientation(rng):
 
 
 def _contrast(rng):
-    """Power, threshold and cut-off: from even fog to a few dense cores in thin smoke."""
+    """Power, threshold and cut-off: from homogeneous fog to a few dense cores in thin smoke."""
     power = np.exp(rng.uniform(np.log(0.5), np.log(3.0)))
     return power, rng.choice([0.0, rng.uniform(0.0, 0.15)]), 10 ** rng.uniform(-4, -2.3)
 
@@ -69,13 +70,13 @@ def _lattice(centre, edge, cells):
 
 
 class _Field:
-    """A kind's density, turned, cut by the domain's walls and remapped to [0, 1]."""
+    """A kind's density, rotated, cut at the domain's walls and remapped to [0, 1]."""
 
     def __init__(self, rng, kind):
         self._density = kind(rng)
         self._rotation = _orientation(rng).astype(np.float32)
         self._power, self._threshold, self._cut = _contrast(rng)
-        # one in six is cut hard at walls, as a simulation that filled its domain
+        # One in six is cut off at walls, like a simulation that filled its domain.
         self._walls = rng.uniform(0.3, 0.8, (2, 3)) if rng.random() < 1 / 6 else np.full((2, 3), np.inf)
 
     def raw(self, points):
@@ -84,7 +85,7 @@ class _Field:
         return np.where(inside, self._density(points @ self._rotation), 0).astype(np.float32)
 
     def fit(self, raw):
-        """Take the largest of `raw` as density 1; where almost nothing is left raise the thin parts."""
+        """Map the largest of `raw` to density 1; raise thin parts where almost nothing is left."""
         self._peak = max(float(raw.max()), 1e-12)
         present = self.remap(raw)
         while self._power > 0.4 and 0 < present.mean() < _THIN:
@@ -92,13 +93,14 @@ class _Field:
             present = self.remap(raw)
 
     def remap(self, raw):
+        """Density in [0, 1] of raw densities, float32."""
         values = (raw / np.float32(self._peak) - self._threshold) / (1 - self._threshold)
         values = np.clip(values, 0, None) ** self._power
         return np.where(values > self._cut, values, 0).astype(np.float32)
 
 
 def _active_box(values, centre, edge):
-    """Centre and extent (3,) of the box around the cells above 0, with half a cell to spare."""
+    """Centre and extent (3,) of the bounding box of cells above 0, half a cell larger on each side."""
     cells = values.shape[0]
     low, high = [], []
     for axis in range(3):
@@ -111,7 +113,7 @@ def _active_box(values, centre, edge):
 
 
 def _fill(field, active, scanned, points):
-    """The field at the cells of a cubic lattice, evaluated only near cells found active in the scan."""
+    """The field at the points of a cubic lattice, evaluated only near cells that are active in the scan."""
     near = binary_dilation(active, np.ones((3, 3, 3), bool))
     centre, edge = scanned
     index = ((points - (centre - edge / 2)) * (_COARSE / edge)).astype(np.int32).clip(0, _COARSE - 1)
@@ -123,7 +125,7 @@ def _fill(field, active, scanned, points):
 
 
 def _saturate(rng, density):
-    """Denser parts (cells above a quantile) made even or nearly so, as where a source has filled what is around it."""
+    """The density with cells above a quantile evened out, as where a source has saturated its surroundings."""
     level = np.quantile(density[density > 0], rng.uniform(0.3, 0.98))
     if rng.random() < 0.5:
         return np.minimum(density / level, 1)
@@ -144,7 +146,7 @@ def make_volume(seed: int, resolution: int = 192) -> Sample:
         kind = rng.choice(np.array(list(kinds), dtype=object), p=list(kinds.values()))
         field = _Field(rng, kind)
         centre, edge = np.zeros(3), 2 * _HALF
-        # look at it coarsely, twice, to find its brightest value and its active box
+        # Two coarse scans find the peak and the active box.
         for _ in range(2):
             scanned = centre, edge
             raw = field.raw(_lattice(centre, edge, _COARSE))
@@ -158,7 +160,7 @@ def make_volume(seed: int, resolution: int = 192) -> Sample:
             continue
         density = np.zeros((resolution,) * 3, np.float32)
         density[1:-1, 1:-1, 1:-1] = _fill(field, active, scanned, _lattice(centre, edge, resolution - 2))
-        # an almost empty cube teaches nothing: draw again
+        # An almost empty cube is no use for training: draw again.
         if density.max() > 0 and np.count_nonzero(density) > 0.002 * density.size:
             if seed in SATURATED_SEEDS or seed in HELD_BACK_SATURATED:
                 density = _saturate(rng, density).astype(np.float32)
@@ -168,7 +170,7 @@ def make_volume(seed: int, resolution: int = 192) -> Sample:
 
 
 def contact_sheet(sample: Sample, size: int = 192) -> np.ndarray:
-    """uint8 (size, 3 size): opacity seen along axis 1 and axis 0 (axis 2 up), and the middle slice."""
+    """uint8 (size, 3 size): opacity along axis 1 and axis 0, with axis 2 up, and the densest slice across axis 1."""
     density = sample.density
     optical = [1 - np.exp(-40 * density.mean(axis=axis)) for axis in (1, 0)]
     middle = density[:, int(np.argmax(density.sum(axis=(0, 2)))), :] ** 0.5

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The networks that the project trains, by the name that weights files and Settings.model give them."""
 
 from .mrpnn import RayMRPNN

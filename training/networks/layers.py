@@ -1,7 +1,8 @@
-"""Layers of the stencil's networks.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Layers of the paper's stencil networks.
 
-Tensors are (3, N, k) for a block's features, channels mu, S, P first: one batched product
-serves three sub-networks that have weights of their own.
+A block's features are tensors (3, N, k), channels mu, S, P first: one batched product serves three sub-networks with
+weights of their own.
 """
 
 import math
@@ -15,13 +16,11 @@ CHANNELS = 3
 #: Last blocks of the low- and of the high-frequency sub-network.
 LAST_BLOCKS = (LOW_LAYERS - 1, len(LAYER_POINTS) - 1)
 #: Blocks whose output is a concatenation, since the next layer has twice their points (footnote 2).
-WIDENING_BLOCKS = tuple(
-    i for i, n in enumerate(LAYER_POINTS[:-1]) if i not in LAST_BLOCKS and LAYER_POINTS[i + 1] != n
-)
+WIDENING_BLOCKS = tuple(i for i, n in enumerate(LAYER_POINTS[:-1]) if i not in LAST_BLOCKS and LAYER_POINTS[i + 1] != n)
 
 
 class ChannelLinear(nn.Module):
-    """A fully connected layer for each channel: (3, N, in) to (3, N, out)."""
+    """A fully connected layer per channel: (3, N, in) to (3, N, out)."""
 
     def __init__(self, inputs: int, outputs: int):
         super().__init__()
@@ -48,9 +47,9 @@ class Excitation(nn.Module):
 def run_blocks(features, block):
     """Both sub-networks' last outputs: (3, N, 32) and (3, N, 8).
 
-    features: (3, N, 192). block(i, f, o): activated output (3, N, n) of block i for its
-    layer's features f (3, N, n) and its predecessor's output o, None for the first of a
-    sub-network. What it returns and f become o by eq. 7's sum or footnote 2's concatenation.
+    features: (3, N, 192). block(i, f, o): activated output (3, N, n) of block i for its layer's features f (3, N, n)
+    and its predecessor's output o, None for the first block of a sub-network. The result and f become the next o by
+    eq. 7's sum or footnote 2's concatenation.
     """
     outputs, o = [], None
     for i, f in enumerate(features.split(LAYER_POINTS, dim=2)):

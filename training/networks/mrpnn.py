@@ -1,4 +1,5 @@
-"""The network that ships: densities, light along the camera ray and light scattered so far, in a plain residual network."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The default network: densities, light along the camera ray and coarse scattered light in a residual network."""
 
 import math
 
@@ -7,26 +8,26 @@ import torch
 from onnx import TensorProto
 from torch import nn
 
-from inference.marching import ray_features
-from inference.transport import scattered_fluence
-from inference.marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
 from inference.features.stencil import LAYER_POINTS, SPARSE
+from inference.marching import ray_features
+from inference.marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
+from inference.transport import scattered_fluence
 
 WIDTH = 192
 HIDDEN_LAYERS = 3
 MODULATION = 64
-#: Scattering orders n whose powers of the albedo, with weights >= 0, make up the radiance.
+#: Scattering orders n: the radiance is a sum of albedo^n with weights >= 0.
 ORDERS = (1, 2, 3, 4, 6, 9, 14, 24, 48, 100, 250, 800)
-# Scales of extinction at which the sun's optical depth is seen.
+# Scales of extinction at which transmittance towards the sun, and ahead, enters.
 SUN_SCALES = tuple(0.578**k for k in (0, 1, 2, 3, 4, 5, 6, 8))
 AHEAD_SCALES = (1.0, 0.334, 0.1)
-LOG_RADIANCE_MOST = 4.0
-# The sparse stencil's points, and how many each layer has.
+MAX_LOG_RADIANCE = 4.0
+# Points of the sparse stencil, per layer.
 LAYERS = [n // SPARSE for n in LAYER_POINTS]
 POINTS = sum(LAYERS)
-# Added to logarithms of layers' mean densities and of the light ahead.
-POOLED_LEAST, AHEAD_LEAST = 3e-4, 1e-3
-#: Of what light is seen: from ahead, its logarithms around the point, and fluxes there.
+# Added before logarithms of layers' mean densities and of the light ahead.
+POOLED_OFFSET, AHEAD_OFFSET = 3e-4, 1e-3
+#: Light features: values ahead on the ray, logarithms of fluence around the point, and fluxes there.
 AHEAD = ray_features.COLUMNS - 2
 LOGS = scattered_fluence.PROBES + 1
 FLUXES = scattered_fluence.COLUMNS - LOGS
@@ -34,18 +35,17 @@ RAY_INPUTS = 2 + AHEAD + LOGS + FLUXES
 
 
 def log_phase(cosine, g):
-    """log of Henyey-Greenstein's phase function."""
+    """Logarithm of Henyey-Greenstein's phase function; tensors that broadcast."""
     return torch.log((1 - g * g) / (4 * math.pi)) - 1.5 * torch.log(1 + g * g - 2 * g * cosine)
 
 
 class RayMRPNN(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1.
 
-    Reads the density at every fourth point of A.2's stencil, the optical depths towards the sun and
-    ahead along the camera ray, the light from ahead, and the light scattered so far around the point. What the paper's
-    other features tell follows from these, from the angle to the sun and from the anisotropy. The output is a power
-    series in the albedo with weights >= 0, so that one evaluation serves all albedos and the radiance is never negative
-    and never falls with albedo.
+    Reads the density at every fourth point of A.2's stencil, the optical depths towards the sun and ahead along the
+    camera ray, the light from ahead, and the scattered fluence and flux around the point. The output is a power
+    series in the albedo with weights >= 0: one evaluation serves all albedos, and the radiance is never negative and
+    never falls with albedo.
     """
 
     name = "mrpnn"
@@ -84,14 +84,14 @@ class RayMRPNN(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of the training data: stencil (N, POINTS), mu of each point, ray (N, RAY_INPUTS), anisotropy (N,), gamma (N,)."""
+        """Of training rows: mu at the stencil (N, POINTS), light (N, RAY_INPUTS), anisotropy (N,) and gamma (N,)."""
         stencil = data["features"][rows, 0, ::SPARSE].float()
         ray = torch.cat([data["ray"][rows], data["around"][rows]], dim=1)
         return stencil, ray, data["anisotropy"][rows], data["gamma"][rows]
 
     @torch.no_grad()
     def calibrate(self, *inputs):
-        """Take the means and deviations by which inputs are standardised from rows of data."""
+        """Set the means and deviations that standardise inputs from those of rows of data, as `inputs` returns them."""
         x, angles = self.assemble(*inputs)
         x = torch.cat([x, angles], dim=1)
         self.mean.copy_(x.mean(dim=0))
@@ -99,10 +99,10 @@ class RayMRPNN(nn.Module):
 
     @torch.no_grad()
     def restore(self, layers):
-        """Take the weights of a graph that `graph` has made: its fully connected layers, weights and biases, in its order.
+        """Load the weights of an exported graph: its fully connected layers, weights and biases, in the graph's order.
 
-        The means and deviations stay, and what the graph folded into its first layers is taken out again: the outputs
-        are the graph's.
+        The means and deviations stay; the graph's, folded into its first layers, are replaced by them, so that the
+        outputs are the graph's.
         """
         modulation, scale, shift, first_angles, first_others, first_stencil, *rest, (skip,) = layers
         self.skip.weight.copy_(skip)
@@ -112,7 +112,8 @@ class RayMRPNN(nn.Module):
         modulations = [torch.cat([scale[0], shift[0]]), torch.cat([scale[1] - 1.0, shift[1]])]
         for module, (weight, bias), mean, deviation in (
             (self.modulation[0], modulation, self.mean[-angles:], self.deviation[-angles:]),
-            (self.modulation[1], modulations, None, None), (self.first, first, self.mean, self.deviation),
+            (self.modulation[1], modulations, None, None),
+            (self.first, first, self.mean, self.deviation),
             *((module, layer, None, None) for module, layer in zip((*self.hidden, self.last), rest)),
         ):
             if mean is not None:
@@ -121,9 +122,9 @@ class RayMRPNN(nn.Module):
             module.bias.copy_(bias)
 
     def assemble(self, stencil, ray, anisotropy, gamma):
-        """All inputs (N, k) but the angles, and the angles (N, 8), before standardisation."""
+        """The inputs (N, k) without the angles, and the angles (N, 8), before standardisation."""
         with torch.autocast("cpu", enabled=False):
-            pooled = torch.log(stencil @ self.pooling + POOLED_LEAST)
+            pooled = torch.log(stencil @ self.pooling + POOLED_OFFSET)
         tau_sun = ray[:, :1].clamp(0.0, MAX_TAU_SUN)
         tau_ahead = ray[:, 1:2].clamp(0.0, MAX_TAU_AHEAD)
         ahead, logs, fluxes = ray[:, 2:].split([AHEAD, LOGS, FLUXES], dim=1)
@@ -131,18 +132,24 @@ class RayMRPNN(nn.Module):
         cosine, g = torch.cos(gamma), anisotropy
         angles = torch.stack(
             [
-                cosine, torch.sin(gamma), gamma / math.pi, g, log_phase(cosine, g),
-                log_phase(cosine, g * g.abs()), log_phase(cosine, g**3), torch.log(1 - g.abs()),
+                cosine,
+                torch.sin(gamma),
+                gamma / math.pi,
+                g,
+                log_phase(cosine, g),
+                log_phase(cosine, g * g.abs()),
+                log_phase(cosine, g**3),
+                torch.log(1 - g.abs()),
             ],
             dim=1,
         )
         x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
-        x += [ahead, torch.log(ahead + AHEAD_LEAST), torch.log1p(tau_ahead)]
+        x += [ahead, torch.log(ahead + AHEAD_OFFSET), torch.log1p(tau_ahead)]
         x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), logs, torch.exp(logs), fluxes]
         return torch.cat(x, dim=1), angles
 
     def weights(self, stencil, ray, anisotropy, gamma):
-        """(N, orders) weights of the powers of the albedo, >= 0."""
+        """Weights (N, orders) of the powers of the albedo, >= 0."""
         x, angles = self.assemble(stencil, ray, anisotropy, gamma)
         x = (torch.cat([x, angles], dim=1) - self.mean) / self.deviation
         angles = x[:, -angles.shape[1] :]
@@ -151,18 +158,18 @@ class RayMRPNN(nn.Module):
         for layer in self.hidden:
             h = h + torch.relu(layer(h))
         y = self.last(h) + self.skip(ray[:, 2 + AHEAD :][:, :LOGS])
-        return torch.exp(y.float().clamp(max=LOG_RADIANCE_MOST))
+        return torch.exp(y.float().clamp(max=MAX_LOG_RADIANCE))
 
     def forward(self, stencil, ray, anisotropy, gamma, albedo):
-        """albedo (A, N); returns radiance (A, N)."""
+        """Radiance (A, N) for albedos (A, N); the other inputs as `inputs` returns them."""
         weights = self.weights(stencil, ray, anisotropy, gamma)
         return (albedo[:, :, None] ** self.orders * weights).sum(dim=2)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.RayPredictor feeds.
+        """Add the network to an ONNX graph, with the inputs that `inference.network.predictor` feeds.
 
-        What follows from the angle to the sun alone is computed once for each of V views, and `view` names the one that a
-        point is seen from: points on one ray share it.
+        Points on one camera ray share a view: what follows from the angle to the sun alone is computed once for each
+        of V views, and `view` (N,) names each point's.
         """
         g.input("stencil", ["N", POINTS])
         g.input("ray", ["N", RAY_INPUTS])
@@ -181,7 +188,7 @@ class RayMRPNN(nn.Module):
         (scale_w, shift_w), (scale_b, shift_b) = self.modulation[1].weight.chunk(2), self.modulation[1].bias.chunk(2)
         scale = g.op("Gemm", hidden, g.constant(scale_w), g.constant(scale_b + 1.0), transB=1)
         shift = g.op("Gemm", hidden, g.constant(shift_w), g.constant(shift_b), transB=1)
-        # The first layer's sum over all inputs, a part after another.
+        # The first layer, as a sum over its inputs' parts.
         start = g.op("Gemm", angles, g.constant(first_w[:, -n:]), g.constant(first_b), transB=1)
         shift = g.op("Add", g.op("Mul", start, scale), shift)
         h = g.op("Gemm", others, g.constant(first_w[:, POINTS:-n]), transB=1)
@@ -191,13 +198,14 @@ class RayMRPNN(nn.Module):
         for layer in self.hidden:
             h = g.op("Add", h, g.relu(g.linear(h, layer)))
         y = g.op("Gemm", logs, g.constant(self.skip.weight), g.linear(h, self.last), transB=1)
-        y = g.op("Min", y, g.number(LOG_RADIANCE_MOST))
+        y = g.op("Min", y, g.number(MAX_LOG_RADIANCE))
         powers = g.op("Pow", g.column("albedo"), g.constant(np.array([ORDERS], np.float32)))
         radiance = g.op("MatMul", powers, g.op("Transpose", g.op("Exp", y), perm=[1, 0]))
         g.output("radiance", radiance, ["A", "N"])
 
     def _assemble_graph(self, g):
-        """All inputs but the stencil and the angles, the angles, and the logarithms of light around the point."""
+        """Inputs without stencil and angles, the angles, and the logarithms of fluence around the point."""
+
         def scaled_exp(x, scales):
             return g.op("Exp", g.op("Mul", x, g.constant(-np.array([scales], np.float32))))
 
@@ -205,13 +213,14 @@ class RayMRPNN(nn.Module):
             return g.op("Log", g.op("Add", x, g.number(1.0)))
 
         pooled = g.op("MatMul", "stencil", g.constant(self.pooling))
-        pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_LEAST)))
+        pooled = g.op("Log", g.op("Add", pooled, g.number(POOLED_OFFSET)))
         tau_sun, tau_ahead, ahead, logs, fluxes = g.split("ray", [1, 1, AHEAD, LOGS, FLUXES], axis=1)
         tau_sun = g.op("Clip", tau_sun, g.number(0.0), g.number(MAX_TAU_SUN))
         tau_ahead = g.op("Clip", tau_ahead, g.number(0.0), g.number(MAX_TAU_AHEAD))
         ahead = g.relu(ahead)
         x = [pooled, scaled_exp(tau_sun, SUN_SCALES), log1p(tau_sun), ahead]
-        x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_LEAST))), log1p(tau_ahead), scaled_exp(tau_ahead, AHEAD_SCALES)]
+        x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_OFFSET))), log1p(tau_ahead)]
+        x += [scaled_exp(tau_ahead, AHEAD_SCALES)]
         x += [logs, g.op("Exp", logs), fluxes]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
         cosine, size = g.op("Cos", gamma), g.op("Abs", anisotropy)
@@ -225,8 +234,13 @@ class RayMRPNN(nn.Module):
             return g.op("Sub", front, g.op("Mul", d, g.number(1.5)))
 
         angles = [
-            cosine, g.op("Sin", gamma), g.op("Mul", gamma, g.number(1.0 / math.pi)), anisotropy, phase(anisotropy),
-            phase(g.op("Mul", anisotropy, size)), phase(g.op("Mul", anisotropy, square)),
+            cosine,
+            g.op("Sin", gamma),
+            g.op("Mul", gamma, g.number(1.0 / math.pi)),
+            anisotropy,
+            phase(anisotropy),
+            phase(g.op("Mul", anisotropy, size)),
+            phase(g.op("Mul", anisotropy, square)),
             g.op("Log", g.op("Sub", g.number(1.0), size)),
         ]
         return g.concat(x, axis=1), g.concat(angles, axis=1), logs

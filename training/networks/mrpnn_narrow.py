@@ -1,4 +1,5 @@
-"""MRPNN-Narrow of A.6: three sub-networks that do not know of one another before the albedo stage."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""MRPNN-Narrow of A.6: MRPNN without squeeze-and-excitation; the sub-networks meet in the albedo stage."""
 
 import torch
 from torch import nn
@@ -24,6 +25,7 @@ class MRPNNNarrow(StencilNetwork):
 
     def feature_stage(self, features, anisotropy, gamma):
         """features (3, N, 192) -> latents (N, 120)."""
+
         def block(i, f, o):
             return torch.relu(self.blocks[i](f if o is None else o + f))
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN as A.5 defines it."""
 
 import torch

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN-Wide of A.6: fully connected layers over all three features of a stencil layer."""
 
 import torch
@@ -33,6 +34,7 @@ class MRPNNWide(StencilNetwork):
 
     def feature_stage(self, features, anisotropy, gamma):
         """features (3, N, 192) -> latents (N, 120)."""
+
         def block(i, f, o):
             h = torch.relu(self.blocks[i](_joined(f if o is None else o + f)))
             return h.unflatten(1, (CHANNELS, -1)).transpose(0, 1)

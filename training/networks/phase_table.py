@@ -1,4 +1,5 @@
-"""Feature P of the training data's rows, which do not store it: it follows from G and gamma."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Feature P of training rows, computed from G and gamma instead of being stored."""
 
 import math
 
@@ -10,7 +11,7 @@ from training.data.stencil import load_stencil
 
 
 class PhaseTable:
-    """P at the stencil's points, from one table over gamma for every value of G met so far."""
+    """Feature P at the stencil's points, interpolated in a table over gamma that is made once per value of G."""
 
     def __init__(self):
         self._slots = {}

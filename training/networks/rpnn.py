@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN, the paper's baseline (Kallweit et al. 2017): density alone, on lattices towards the sun."""
 
 import numpy as np
@@ -7,21 +8,21 @@ from torch import nn
 from inference.features.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 WIDTH = 200
-#: Points of a lattice as seen in the mirror that holds the sun and the camera ray: light is the same there.
+#: Lattice points mirrored in the plane of sun and camera ray, under which radiance is invariant.
 MIRRORED = torch.from_numpy(np.ascontiguousarray(np.arange(POINTS).reshape(SHAPE)[:, ::-1].reshape(-1)))
 
 
 class RPNN(nn.Module):
     """o_k = relu(o_(k-1) + U_k relu(V_k [Sigma_k, gamma] + W_k o_(k-1))), then 200 -> 200 -> 200 -> 1.
 
-    Levels go from the smallest lattice to the largest; the first block has no predecessor.
-    Knows one anisotropy and albedo 1.
+    Levels go from the smallest lattice to the largest; the first block has no predecessor. Trained for one anisotropy
+    and albedo 1.
     """
 
     name = "rpnn"
     kind = "lattice"
     columns = ("lattice", "gamma")
-    #: The only values that it is trained for, for the exported configuration.
+    #: The values that it is trained for, for the exported configuration.
     ranges = {"anisotropy_range": (0.857, 0.857), "albedo_range": (1.0, 1.0)}
 
     def __init__(self):
@@ -33,14 +34,14 @@ class RPNN(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of training.data.lattice_rows' data: density features (N, 10, 225), gamma (N,), float32."""
+        """Of rows of training.data.lattice_rows: density features (N, 10, 225), gamma (N,), float32."""
         return data["lattice"][rows].float(), data["gamma"][rows]
 
     def forward(self, lattice, gamma, albedo):
-        """lattice float32 (N, 10, 225); gamma (N,); albedo (A, N), which changes nothing.
+        """lattice float32 (N, 10, 225); gamma (N,); albedo (A, N), of which only the shape counts.
 
-        Returns radiance (A, N) = exp(y), at albedo 1 for a sun of irradiance 1. In training every other row is seen in
-        the mirror.
+        Returns radiance (A, N) = exp(y), at albedo 1 for a sun of irradiance 1. In training every other row is
+        mirrored.
         """
         if self.training:
             lattice = torch.where(torch.arange(len(lattice))[:, None, None] % 2 == 0, lattice[..., MIRRORED], lattice)
@@ -54,7 +55,7 @@ class RPNN(nn.Module):
         return torch.exp(self.head[2](o)[:, 0]).expand(albedo.shape)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.LatticePredictor feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that `inference.network.lattice_predictor` feeds."""
         g.input("lattice", ["N", LEVELS, POINTS])
         g.input("gamma", ["N"])
         g.input("albedo", ["A"])

@@ -1,4 +1,5 @@
-"""What MRPNN and its variations share: inputs, and the albedo stage's end."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What MRPNN and its variants share: the inputs and the end of the albedo stage."""
 
 import numpy as np
 import torch
@@ -14,12 +15,12 @@ _phase_table = PhaseTable()
 class StencilNetwork(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1, from features of A.2's stencil.
 
-    A network of this kind defines `feature_stage`, run once a point, and `fuse`, run once an
-    albedo; `feature_graph` and `fuse_graph` are the same in ONNX.
+    Subclasses define `feature_stage`, evaluated once per point, and `fuse`, once per albedo; `feature_graph` and
+    `fuse_graph` are the same in ONNX.
     """
 
     kind = "stencil"
-    #: What `inputs` reads of the training data.
+    #: Columns of the training data that `inputs` reads.
     columns = ("features", "anisotropy", "gamma")
     #: Ranges narrower than the training data's, for the exported configuration.
     ranges = {}
@@ -34,7 +35,7 @@ class StencilNetwork(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of some rows of the training data: features (3, N, 192), anisotropy (N,), gamma (N,), float32."""
+        """Of rows of the training data: features (3, N, 192), anisotropy (N,), gamma (N,), float32."""
         anisotropy, gamma = data["anisotropy"][rows], data["gamma"][rows]
         fields = data["features"][rows].float().transpose(0, 1)
         return torch.cat([fields, _phase_table(anisotropy, gamma)[None]]), anisotropy, gamma
@@ -48,7 +49,7 @@ class StencilNetwork(nn.Module):
         return torch.stack([a * torch.exp(self.albedo_stage(latents, anisotropy, gamma, a)) for a in albedo])
 
     def albedo_stage(self, latents, anisotropy, gamma, albedo):
-        """Eqs. 10 to 13 for one albedo a point (N,): the network's raw output y (N,)."""
+        """Eqs. 10 to 13 for one albedo per point (N,): the network's raw output y (N,)."""
         parameters = torch.stack([anisotropy, albedo, gamma], dim=1)
         fused = self.fuse(latents, albedo, anisotropy, gamma)
         o = torch.cat([fused, torch.relu(self.albedo_latent(parameters))], dim=1)
@@ -61,7 +62,7 @@ class StencilNetwork(nn.Module):
         return o
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that inference.StencilPredictor feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that `inference.network.stencil_predictor` feeds."""
         g.input("features", [3, "N", POINTS])
         g.input("anisotropy", ["N"])
         g.input("gamma", ["N"])

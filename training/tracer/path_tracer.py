@@ -1,146 +1,202 @@
-"""Unbiased volumetric path tracing in the working cube (METHOD: delta tracking, next-event estimation).
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Unbiased volumetric path tracing in the working cube: delta tracking with next-event estimation.
 
-All positions are in cube units, [-1/2, 1/2]^3; density is trilinear between cell centres
-and 0 outside the cube; sigma is the optical density per cube edge where density is 1.
-The sun's irradiance is 1. The phase function is Henyey-Greenstein and carries 1/(4 pi).
-Results depend on the arguments alone, not on the number of threads; another compilation of the same
-code may round the last bits differently.
+Suns have irradiance 1. The phase function is Henyey-Greenstein's and carries 1/(4 pi). Results depend on the arguments
+alone, not on the number of threads; another compilation of the same code may round the last bits differently.
 """
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from .transport import (
-    F0, F1, F2, HALF, draw, fly, interpolate, jitter, phase_hg, prepare, scatter, seed_state, transmit, two_uniforms,
-)
+from inference import Medium
 
-#: Collisions after which a path is dropped. In a solid block of optical depth 1000 and albedo 1
-#: a limit of 4096 loses up to 5 % of the light, this one nothing that shows, for a fifth more time.
-MAX_COLLISIONS = 65536
+from .density_grid import interpolate, prepare, stochastic_cell
+from .henyey_greenstein import phase_hg, scatter
+from .random_numbers import draw, seed_state, two_uniforms
+from .scene import MAX_COLLISIONS, PinholeCamera, Sampling, Scene, Vertices, per_point, unit_vectors
+from .tracking import GridMedium, Ray, delta_track, ratio_track
+
+__all__ = [
+    "MAX_COLLISIONS",
+    "PinholeCamera",
+    "Sampling",
+    "Scene",
+    "Vertices",
+    "sample_scattering_points",
+    "trace_pixels",
+    "trace_points",
+]
+
 #: Rays tried for one scattering point before it is given up.
 MAX_TRIES = 2000
+#: Optical depth per cell above which a lattice of sun depths of that grid's resolution is too coarse.
+MAX_CELL_DEPTH = np.float32(5.0)
 
-#: Optical depth a cell above which a field of that grid's resolution is too coarse.
-FIELD_LIMIT = np.float32(5.0)
-
-_ROULETTE = np.float32(0.05)
-_NEGLIGIBLE = np.float32(1e-12)
+_F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
+#: Throughput below which a path plays Russian roulette, and below which it is 0.
+_ROULETTE, _NEGLIGIBLE = np.float32(0.05), np.float32(1e-12)
+#: Optical depth behind which a sun is not seen.
 _OPAQUE = np.float32(30.0)
 
 
+class _Suns(NamedTuple):
+    """directions: float32 (S, 3); depths: float32 (M, M, M, S), or (0, 0, 0, 0) for ratio tracking."""
+
+    directions: np.ndarray
+    depths: np.ndarray
+
+
+class _Path(NamedTuple):
+    """Of a path: albedos (A,), throughput (A,), the suns' light at a vertex (S,) and the radiance so far (S, A)."""
+
+    albedos: np.ndarray
+    throughput: np.ndarray
+    light: np.ndarray
+    radiance: np.ndarray
+
+
 @numba.njit(cache=True, fastmath=True)
-def _sun_light(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, light, state):
-    """Fill light[s] with transmittance(x -> sun s) times the phase function towards it."""
-    count = suns.shape[0]
-    if depth.shape[0] == 0 or sigma > FIELD_LIMIT:
-        for s in range(count):
-            through, state = transmit(x, y, z, suns[s, 0], suns[s, 1], suns[s, 2], sigma, padded, majorant, state)
-            cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
-            light[s] = through * phase_hg(cosine, g)
+def _sun_light(ray, medium, suns, light, state):
+    """Next-event estimation: fill light[s] with transmittance to sun s times the phase function; returns the state.
+
+    The ray's origin is the vertex, its direction that of the light path before it.
+    """
+    directions, depths = suns.directions, suns.depths
+    padded, _, sigma, g = medium
+    if depths.shape[0] == 0 or sigma > MAX_CELL_DEPTH:
+        for s in range(directions.shape[0]):
+            towards = Ray(ray.x, ray.y, ray.z, directions[s, 0], directions[s, 1], directions[s, 2])
+            transmittance, state = ratio_track(towards, medium, state)
+            cosine = ray.dx * directions[s, 0] + ray.dy * directions[s, 1] + ray.dz * directions[s, 2]
+            light[s] = transmittance * phase_hg(cosine, g)
         return state
-    # The suns' optical depths at one of the eight cells around, chosen with its trilinear
-    # weight: on average the transmittance is interpolated, which where shadows have sharp
-    # edges is much closer than exp(-interpolated depth), always too dark (exp is convex).
+    # The suns' optical depths at one of the eight cells around, chosen with its trilinear weight: its expectation is
+    # the interpolated transmittance, which is much closer at sharp shadow edges than exp(-interpolated depth), always
+    # too dark since exp is convex.
     cells = padded.shape[0] - 2
-    m = depth.shape[0]
+    m = depths.shape[0]
     scale = np.float32(m) / np.float32(cells)
-    state, i, j, k = jitter(scale, x, y, z, state)
+    i, j, k, state = stochastic_cell(ray.x, ray.y, ray.z, scale, state)
     i, j, k = min(max(i - 1, 0), m - 1), min(max(j - 1, 0), m - 1), min(max(k - 1, 0), m - 1)
-    # from that cell's centre to here, in cells
-    sx = x - (np.float32(i) + HALF) / scale
-    sy = y - (np.float32(j) + HALF) / scale
-    sz = z - (np.float32(k) + HALF) / scale
-    between = interpolate(x - HALF * sx, y - HALF * sy, z - HALF * sz, padded)
-    # depth is for sigma 1 per cube edge; sigma here is per cell
+    # From that cell's centre to the vertex, in density cells.
+    sx = ray.x - (np.float32(i) + _HALF) / scale
+    sy = ray.y - (np.float32(j) + _HALF) / scale
+    sz = ray.z - (np.float32(k) + _HALF) / scale
+    between = interpolate(ray.x - _HALF * sx, ray.y - _HALF * sy, ray.z - _HALF * sz, padded)
+    # Depths are for extinction 1 per cube edge; sigma is per cell.
     sigma_cube = sigma * np.float32(cells)
-    for s in range(count):
-        # along the sun's direction the depth's derivative is the density itself
-        nearer = sx * suns[s, 0] + sy * suns[s, 1] + sz * suns[s, 2]
-        tau = max(sigma_cube * depth[i, j, k, s] - sigma * between * nearer, F0)
+    for s in range(directions.shape[0]):
+        # Along the sun's direction the derivative of the depth is the density itself.
+        nearer = sx * directions[s, 0] + sy * directions[s, 1] + sz * directions[s, 2]
+        tau = max(sigma_cube * depths[i, j, k, s] - sigma * between * nearer, _F0)
         if tau < _OPAQUE:
-            cosine = dx * suns[s, 0] + dy * suns[s, 1] + dz * suns[s, 2]
+            cosine = ray.dx * directions[s, 0] + ray.dy * directions[s, 1] + ray.dz * directions[s, 2]
             light[s] = np.exp(-tau) * phase_hg(cosine, g)
         else:
-            light[s] = F0
+            light[s] = _F0
     return state
 
 
 @numba.njit(cache=True, fastmath=True)
-def _walk(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, albedos, power, light, total, limit, state):
-    """Follow a path that has just left a vertex; add power * light of every later one to total (S, A)."""
-    for _ in range(limit):
-        hit, x, y, z, state = fly(x, y, z, dx, dy, dz, sigma, padded, majorant, state)
-        if not hit:
+def _random_walk(ray, medium, suns, path, max_collisions, state):
+    """Follow a path that has just left a vertex; add the sunlight at every later one to its radiance."""
+    albedos, throughput, light, radiance = path
+    for _ in range(max_collisions):
+        collided, ray, state = delta_track(ray, medium, state)
+        if not collided:
             break
-        largest = F0
+        largest = _F0
         for a in range(albedos.shape[0]):
-            power[a] *= albedos[a]
-            if power[a] < _NEGLIGIBLE:
-                power[a] = F0
-            largest = max(largest, power[a])
+            throughput[a] *= albedos[a]
+            if throughput[a] < _NEGLIGIBLE:
+                throughput[a] = _F0
+            largest = max(largest, throughput[a])
         if largest < _ROULETTE:
             state, bits = draw(state)
             u, _ = two_uniforms(bits)
-            if u > HALF or largest == F0:
+            if u > _HALF or largest == _F0:
                 break
             for a in range(albedos.shape[0]):
-                power[a] *= F2
-        state = _sun_light(x, y, z, dx, dy, dz, g, sigma, suns, depth, padded, majorant, light, state)
-        for s in range(suns.shape[0]):
-            if light[s] > F0:
+                throughput[a] *= _F2
+        state = _sun_light(ray, medium, suns, light, state)
+        for s in range(light.shape[0]):
+            if light[s] > _F0:
                 for a in range(albedos.shape[0]):
-                    total[s, a] += power[a] * light[s]
-        dx, dy, dz, state = scatter(dx, dy, dz, g, state)
+                    radiance[s, a] += throughput[a] * light[s]
+        dx, dy, dz, state = scatter(ray.dx, ray.dy, ray.dz, medium.g, state)
+        ray = Ray(ray.x, ray.y, ray.z, dx, dy, dz)
     return state
 
 
+class _CellVertices(NamedTuple):
+    """`Vertices` with positions in cells and extinction per cell."""
+
+    positions: np.ndarray
+    directions: np.ndarray
+    sigma: np.ndarray
+    g: np.ndarray
+    albedos: np.ndarray
+
+
+# The paths of one vertex or pixel run in a function of their own: numba 0.61 corrupts arrays that are allocated
+# inside a parallel loop and held by a tuple.
+
+
+@numba.njit(cache=True, fastmath=True)
+def _trace_vertex(ray, medium, suns, albedos, sampling, state):
+    """Mean radiance (S, A) of paths from a vertex at the ray's origin, seen along its direction."""
+    mean = np.zeros((suns.directions.shape[0], albedos.shape[0]), np.float32)
+    path = _Path(albedos, np.empty_like(albedos), np.empty(mean.shape[0], np.float32), np.empty_like(mean))
+    for _ in range(sampling.paths):
+        path.radiance[:] = _F0
+        path.throughput[:] = _F1
+        dx, dy, dz, state = scatter(ray.dx, ray.dy, ray.dz, medium.g, state)
+        start = Ray(ray.x, ray.y, ray.z, dx, dy, dz)
+        state = _random_walk(start, medium, suns, path, sampling.max_collisions, state)
+        mean += path.radiance
+    mean /= np.float32(sampling.paths)
+    return mean
+
+
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def _points_kernel(padded, majorant, suns, depth, positions, directions, sigma, g, albedos, paths, limit, seed):
-    count, lights, powers = positions.shape[0], suns.shape[0], albedos.shape[1]
-    out = np.zeros((count, lights, powers), np.float32)
-    for p in numba.prange(count):
-        state = seed_state(seed, p)
-        power = np.empty(powers, np.float32)
-        light = np.empty(lights, np.float32)
-        total = np.empty((lights, powers), np.float32)
-        if sigma[p] > F0:
-            for _ in range(paths):
-                total[:] = F0
-                power[:] = F1
-                dx, dy, dz, state = scatter(directions[p, 0], directions[p, 1], directions[p, 2], g[p], state)
-                state = _walk(
-                    positions[p, 0], positions[p, 1], positions[p, 2], dx, dy, dz, g[p], sigma[p], suns, depth,
-                    padded, majorant, albedos[p], power, light, total, limit, state,
-                )
-                out[p] += total
-        out[p] /= np.float32(paths)
+def _points_kernel(grid, suns, vertices, sampling):
+    """Mean radiance float32 (P, S, A) of the paths that start at each vertex."""
+    padded, majorant = grid
+    positions, directions, sigma, g, albedos = vertices
+    out = np.zeros((len(sigma), suns.directions.shape[0], albedos.shape[1]), np.float32)
+    for p in numba.prange(len(sigma)):
+        if sigma[p] > _F0:
+            x, w = positions[p], directions[p]
+            ray, medium = Ray(x[0], x[1], x[2], w[0], w[1], w[2]), GridMedium(padded, majorant, sigma[p], g[p])
+            out[p] = _trace_vertex(ray, medium, suns, albedos[p], sampling, seed_state(sampling.seed, p))
     return out
 
 
 @numba.njit(cache=True, fastmath=True)
-def _enter(x, y, z, dx, dy, dz, cells):
-    """Where a line from outside enters [0, cells]^3: (meets it, x, y, z)."""
+def _enter(ray, cells):
+    """A ray from outside, moved to where it enters [0, cells]^3, float32: (whether it meets the cube, ray)."""
     near, far = 0.0, 1e30
-    for p, d in ((x, dx), (y, dy), (z, dz)):
+    meets = True
+    for p, d in ((ray.x, ray.dx), (ray.y, ray.dy), (ray.z, ray.dz)):
         if abs(d) < 1e-12:
             if p < 0.0 or p > cells:
-                return False, F0, F0, F0
+                meets = False
         else:
             a, b = -p / d, (cells - p) / d
             near, far = max(near, min(a, b)), min(far, max(a, b))
-    if near >= far:
-        return False, F0, F0, F0
     top = np.float32(cells)
-    return (
-        True,
-        min(max(np.float32(x + near * dx), F0), top),
-        min(max(np.float32(y + near * dy), F0), top),
-        min(max(np.float32(z + near * dz), F0), top),
-    )
+    x = min(max(np.float32(ray.x + near * ray.dx), _F0), top)
+    y = min(max(np.float32(ray.y + near * ray.dy), _F0), top)
+    z = min(max(np.float32(ray.z + near * ray.dz), _F0), top)
+    return meets and near < far, Ray(x, y, z, ray.dx, ray.dy, ray.dz)
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def _scattering_kernel(padded, majorant, sigma, directions, tries, seed):
+def _scattering_kernel(grid, sigma, directions, tries, seed):
+    """First collisions float32 (P, 3) of random rays, in cells, and whether one of `tries` collided, bool (P,)."""
+    padded, majorant = grid
     cells = padded.shape[0] - 2
     count = sigma.shape[0]
     places = np.zeros((count, 3), np.float32)
@@ -148,170 +204,146 @@ def _scattering_kernel(padded, majorant, sigma, directions, tries, seed):
     for p in numba.prange(count):
         state = seed_state(seed, p)
         dx, dy, dz = directions[p, 0], directions[p, 1], directions[p, 2]
-        # a frame around the direction (Duff et al. 2017)
-        sign = F1 if dz >= F0 else -F1
-        q = -F1 / (sign + dz)
+        medium = GridMedium(padded, majorant, sigma[p], _F0)
+        # Orthonormal basis around the direction (Duff et al. 2017).
+        sign = _F1 if dz >= _F0 else -_F1
+        q = -_F1 / (sign + dz)
         r = dx * dy * q
         radius = np.float32(0.8661) * np.float32(cells)
         for _ in range(tries):
-            if sigma[p] <= F0:
+            if sigma[p] <= _F0:
                 break
-            # uniform over the disc that holds the cube's shadow
+            # Uniform over a square that holds the cube's projection.
             state, bits = draw(state)
             a, b = two_uniforms(bits)
-            a, b = (F2 * a - F1) * radius, (F2 * b - F1) * radius
-            centre = HALF * np.float32(cells)
-            x = centre + a * (F1 + sign * dx * dx * q) + b * r - F2 * radius * dx
-            y = centre + a * sign * r + b * (sign + dy * dy * q) - F2 * radius * dy
-            z = centre - a * sign * dx - b * dy - F2 * radius * dz
-            meets, x, y, z = _enter(x, y, z, dx, dy, dz, cells)
+            a, b = (_F2 * a - _F1) * radius, (_F2 * b - _F1) * radius
+            centre = _HALF * np.float32(cells)
+            x = centre + a * (_F1 + sign * dx * dx * q) + b * r - _F2 * radius * dx
+            y = centre + a * sign * r + b * (sign + dy * dy * q) - _F2 * radius * dy
+            z = centre - a * sign * dx - b * dy - _F2 * radius * dz
+            meets, ray = _enter(Ray(x, y, z, dx, dy, dz), cells)
             if meets:
-                hit, x, y, z, state = fly(x, y, z, dx, dy, dz, sigma[p], padded, majorant, state)
-                if hit:
-                    places[p, 0], places[p, 1], places[p, 2] = x, y, z
+                collided, ray, state = delta_track(ray, medium, state)
+                if collided:
+                    places[p, 0], places[p, 1], places[p, 2] = ray.x, ray.y, ray.z
                     valid[p] = True
                     break
     return places, valid
 
 
+class _View(NamedTuple):
+    """Camera position float64 (3,) in cells; ray directions float32 (pixels, 3)."""
+
+    origin: np.ndarray
+    rays: np.ndarray
+
+
+class _Coefficients(NamedTuple):
+    """Extinction per cell, mean cosine, albedo float32 (3,)."""
+
+    sigma: float
+    g: float
+    albedo: np.ndarray
+
+
+@numba.njit(cache=True, fastmath=True)
+def _trace_pixel(first, medium, suns, albedo, sampling, state):
+    """Mean RGB and alpha, float32 (4,), of paths along a camera ray from where it enters the cube."""
+    mean = np.zeros(4, np.float32)
+    path = _Path(albedo, np.empty(3, np.float32), np.empty(1, np.float32), np.empty((1, 3), np.float32))
+    for _ in range(sampling.paths):
+        collided, ray, state = delta_track(first, medium, state)
+        if collided:
+            # Single scattering at the first vertex, then the walk.
+            state = _sun_light(ray, medium, suns, path.light, state)
+            path.throughput[:] = albedo
+            path.radiance[0] = albedo * path.light[0]
+            dx, dy, dz, state = scatter(ray.dx, ray.dy, ray.dz, medium.g, state)
+            start = Ray(ray.x, ray.y, ray.z, dx, dy, dz)
+            state = _random_walk(start, medium, suns, path, sampling.max_collisions, state)
+            mean[:3] += path.radiance[0]
+            mean[3] += _F1
+    mean /= np.float32(sampling.paths)
+    return mean
+
+
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def _pixels_kernel(padded, majorant, suns, camera, rays, sigma, g, albedo, spp, limit, seed):
+def _pixels_kernel(grid, coefficients, suns, view, sampling):
+    """RGBA float32 (pixels, 4) along the rays of a view."""
+    padded, majorant = grid
     cells = padded.shape[0] - 2
-    depth = np.empty((0, 0, 0, 0), np.float32)
+    sigma, g, albedo = coefficients
+    origin, rays = view
     image = np.zeros((rays.shape[0], 4), np.float32)
     for p in numba.prange(rays.shape[0]):
-        state = seed_state(seed, p)
-        dx, dy, dz = rays[p, 0], rays[p, 1], rays[p, 2]
-        meets, x, y, z = _enter(camera[0], camera[1], camera[2], rays[p, 0], rays[p, 1], rays[p, 2], cells)
-        if meets and sigma > F0:
-            power = np.empty(3, np.float32)
-            light = np.empty(1, np.float32)
-            total = np.empty((1, 3), np.float32)
-            for _ in range(spp):
-                hit, px, py, pz, state = fly(x, y, z, dx, dy, dz, sigma, padded, majorant, state)
-                if hit:
-                    # single scattering at the first vertex, then the walk
-                    state = _sun_light(px, py, pz, dx, dy, dz, g, sigma, suns, depth, padded, majorant, light, state)
-                    power[:] = albedo
-                    total[0] = albedo * light[0]
-                    wx, wy, wz, state = scatter(dx, dy, dz, g, state)
-                    state = _walk(
-                        px, py, pz, wx, wy, wz, g, sigma, suns, depth,
-                        padded, majorant, albedo, power, light, total, limit, state,
-                    )
-                    image[p, :3] += total[0]
-                    image[p, 3] += F1
-            image[p] /= np.float32(spp)
+        meets, ray = _enter(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
+        if meets and sigma > _F0:
+            medium, state = GridMedium(padded, majorant, sigma, g), seed_state(sampling.seed, p)
+            image[p] = _trace_pixel(ray, medium, suns, albedo, sampling, state)
     return image
 
 
-def _per_point(values, count, name, width=None):
-    values = np.asarray(values, np.float32)
-    shape = (count,) if width is None else (count, width)
-    try:
-        values = np.broadcast_to(values, shape)
-    except ValueError:
-        raise ValueError(f"{name} must have shape {shape}, not {values.shape}") from None
-    return np.ascontiguousarray(values)
+def trace_points(scene: Scene, vertices: Vertices, sampling: Sampling) -> np.ndarray:
+    """Multiple-scattered radiance at path vertices: float32 (P, S, A), per vertex, sun and albedo.
 
-
-def _directions(values, name):
-    values = np.atleast_2d(np.asarray(values, np.float64))
-    length = np.linalg.norm(values, axis=1, keepdims=True)
-    if values.shape[1] != 3 or not np.all(length > 0):
-        raise ValueError(f"{name} must be vectors of three numbers, none of them zero")
-    return np.ascontiguousarray(values / length, dtype=np.float32)
-
-
-def trace_points(
-    density, suns, sun_tau, positions, directions, sigma, anisotropy, albedos, paths: int, seed: int,
-    max_collisions: int = MAX_COLLISIONS,
-) -> np.ndarray:
-    """Multiple scattering at points: mean over `paths` paths, E = 1, per sun and albedo.
-
-    density: (N, N, N) or what `transport.prepare` made of it (prepare once for many calls).
-    suns: (S, 3) unit vectors towards the suns. sun_tau: optical depth towards each sun for
-    sigma 1, (S, M, M, M), cell-centred on the cube; None for unbiased ratio tracking,
-    several times slower. The field's own resolution is its only error: under 1 % of the mean
-    up to an optical depth of 1 a density cell, 1 to 3 % at 2.5; above FIELD_LIMIT it is not used.
-    positions: (P, 3) in the cube; directions: (P, 3) of the camera ray, away from the camera.
-    sigma, anisotropy: (P,) or scalar; albedos: (P, A) or (A,).
-
-    Returns float32 (P, S, A): light scattered at least once before it reaches the point,
-    then towards the camera; without the point's own albedo. Raises ValueError on shapes
-    that do not fit or points outside the cube.
+    The mean, over `sampling.paths` paths, of the light that is scattered at least once before it reaches the vertex and
+    then towards the camera; without the vertex's own albedo. 1/sr, since the suns have irradiance 1.
     """
-    grid = prepare(density)
-    suns = _directions(suns, "suns")
-    positions = np.ascontiguousarray(positions, dtype=np.float32).reshape(-1, 3)
-    count = len(positions)
-    if count and np.abs(positions).max() > 0.5:
-        raise ValueError("positions must lie in the cube [-0.5, 0.5]^3")
-    directions = _directions(directions, "directions")
-    if len(directions) != count:
-        raise ValueError(f"{count} positions but {len(directions)} directions")
-    albedos = np.atleast_1d(np.asarray(albedos, np.float32))
-    if sun_tau is None:
-        depth = np.empty((0, 0, 0, 0), np.float32)
-    else:
-        depth = np.ascontiguousarray(np.moveaxis(np.asarray(sun_tau, np.float32), 0, -1))
-        if depth.ndim != 4 or depth.shape[3] != len(suns) or len(set(depth.shape[:3])) != 1 or depth.shape[0] < 1:
-            raise ValueError(f"sun_tau must be ({len(suns)}, M, M, M)")
+    cells = np.float32(scene.grid.cells)
     return _points_kernel(
-        grid.padded, grid.majorant, suns, depth, (positions + np.float32(0.5)) * np.float32(grid.cells), directions,
-        _per_point(sigma, count, "sigma") / np.float32(grid.cells), _per_point(anisotropy, count, "anisotropy"),
-        _per_point(albedos, count, "albedos", albedos.shape[-1]), int(paths), int(max_collisions), int(seed),
+        scene.grid,
+        _Suns(scene.suns, scene.sun_depths),
+        _CellVertices(
+            (vertices.positions + np.float32(0.5)) * cells,
+            vertices.directions,
+            vertices.sigma / cells,
+            vertices.anisotropy,
+            vertices.albedos,
+        ),
+        Sampling(*map(int, sampling)),
     )
 
 
 def sample_scattering_points(density, sigma, directions, seed: int, tries: int = MAX_TRIES):
     """Where camera rays of given directions scatter first.
 
-    Each ray crosses the cube at a random place, uniform over the plane perpendicular to its
-    direction; a ray that does not scatter is replaced, `tries` times at most.
-    sigma: (P,) or scalar; directions: (P, 3). Returns positions float32 (P, 3), cube units,
-    and valid bool (P,): False where no ray scattered.
+    Each ray crosses the cube at a random place, uniform over the plane perpendicular to its direction; a ray that
+    does not scatter is replaced, `tries` times at most. density: as in `Scene`; sigma: extinction per cube edge, (P,)
+    or scalar;
+    directions: (P, 3).
+
+    Returns positions float32 (P, 3), cube units, and valid bool (P,): False where no ray scattered. Raises ValueError
+    on shapes that do not fit.
     """
     grid = prepare(density)
-    directions = _directions(directions, "directions")
-    sigma = _per_point(sigma, len(directions), "sigma") / np.float32(grid.cells)
-    places, valid = _scattering_kernel(grid.padded, grid.majorant, sigma, directions, int(tries), int(seed))
-    places = places / np.float32(grid.cells) - np.float32(0.5)
-    return np.clip(places, -0.5, 0.5), valid
+    directions = unit_vectors(directions, "directions")
+    cells = np.float32(grid.cells)
+    sigma = per_point(sigma, (len(directions),), "sigma") / cells
+    places, valid = _scattering_kernel(grid, sigma, directions, int(tries), int(seed))
+    return np.clip(places / cells - np.float32(0.5), -0.5, 0.5), valid
 
 
-def camera_rays(position, look_at, up, fov_deg: float, resolution: int) -> np.ndarray:
-    """Unit directions float32 (H, W, 3) through the pixel centres of a square perspective image.
+def trace_pixels(scene: Scene, camera: PinholeCamera, medium: Medium, sampling: Sampling) -> np.ndarray:
+    """A reference image with every order of scattering and no background: float32 (H, W, 4).
 
-    Rows from the top, columns along right = forward x up; fov across the image.
+    medium: grey extinction per cube edge and Henyey-Greenstein's phase function. RGB is the radiance, 1/sr, of
+    `sampling.paths` paths per pixel; alpha is the share of them that scatter. Raises ValueError for several suns, for
+    extinction that differs by channel and for another phase function.
     """
-    forward = np.asarray(look_at, np.float64) - np.asarray(position, np.float64)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, np.asarray(up, np.float64))
-    right /= np.linalg.norm(right)
-    above = np.cross(right, forward)
-    axis = ((np.arange(resolution) + 0.5) / resolution * 2 - 1) * np.tan(np.radians(fov_deg) / 2)
-    rays = forward + axis[None, :, None] * right - axis[:, None, None] * above
-    return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
-
-
-def trace_pixels(
-    density, camera_position, look_at, up, fov_deg: float, resolution: int, sun, sigma: float, anisotropy: float,
-    albedo, spp: int, seed: int, max_collisions: int = MAX_COLLISIONS,
-) -> np.ndarray:
-    """A reference image with every order of scattering, a sun of irradiance 1, no background.
-
-    camera_position, look_at: cube units; sun: (3,) towards it; albedo: (3,) or scalar.
-    Returns float32 (H, W, 4): RGB radiance of `spp` paths a pixel, and alpha, the share of
-    them that scattered.
-    """
-    grid = prepare(density)
-    rays = camera_rays(camera_position, look_at, up, fov_deg, resolution)
-    camera = (np.asarray(camera_position, np.float64) + 0.5) * grid.cells
+    if len(scene.suns) != 1:
+        raise ValueError(f"trace_pixels takes one sun, not {len(scene.suns)}")
+    if np.ptp(medium.sigma_t) != 0.0 or medium.phase is not None:
+        raise ValueError("trace_pixels takes one extinction for all channels and Henyey-Greenstein's phase function")
+    grid = scene.grid
     image = _pixels_kernel(
-        grid.padded, grid.majorant, _directions(sun, "sun"), camera, rays.reshape(-1, 3),
-        np.float32(sigma / grid.cells), np.float32(anisotropy),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(albedo, np.float32), (3,))),
-        int(spp), int(max_collisions), int(seed),
+        grid,
+        _Coefficients(
+            np.float32(medium.sigma_t[0] / grid.cells),
+            np.float32(medium.anisotropy),
+            np.ascontiguousarray(medium.albedo, dtype=np.float32),
+        ),
+        _Suns(scene.suns, scene.sun_depths),
+        _View((np.asarray(camera.position, np.float64) + 0.5) * grid.cells, camera.rays().reshape(-1, 3)),
+        Sampling(*map(int, sampling)),
     )
-    return image.reshape(resolution, resolution, 4)
+    return image.reshape(camera.resolution, camera.resolution, 4)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Small scenes, one for each feature, for `benchmarks.cycles.scenes`.
 
 A builder takes a `Stage` and changes it. MEASURED are compared with Cycles; NAMED must give a message.

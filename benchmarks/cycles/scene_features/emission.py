@@ -1,4 +1,5 @@
-"""Volumes with light of their own."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Volumes that emit light."""
 
 import bpy
 
@@ -6,7 +7,7 @@ from .stage import fog, smooth_cube
 
 
 def black(shader):
-    """Fog that only absorbs: of light that is emitted and scattered nothing is predicted."""
+    """Fog that only absorbs, so that no emitted light is scattered."""
     shader.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
 
 

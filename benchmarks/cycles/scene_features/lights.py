@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Suns and Worlds."""
 
 import math
@@ -20,6 +21,7 @@ def warm_sun(stage):
 def sun_of(degrees):
     def soft(stage):
         stage.sun.data.angle = math.radians(degrees)
+
     return soft
 
 
@@ -51,9 +53,11 @@ def environment_image(stage):
 
 def forward(world):
     """The same in a medium that scatters forward, as clouds do."""
+
     def narrow(stage):
         world(stage)
         stage.shader.inputs["Anisotropy"].default_value = 0.857
+
     return narrow
 
 
@@ -92,6 +96,7 @@ MEASURED = {
     "Even World alone, G 0.857": forward(even_world),
     "Environment image alone": environment_image,
     "Environment image alone, G 0.857": forward(environment_image),
-    "Sky Texture": sky, "Sky Texture at dusk, without its disc": low_sky_without_disc,
+    "Sky Texture": sky,
+    "Sky Texture at dusk, without its disc": low_sky_without_disc,
     "Voronoi Texture in the World": voronoi_world,
 }

@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volume shaders and nodes."""
 
 from .stage import DENSITY
 
 
 def scatter(stage):
-    shader, product = stage.node("VolumeScatter"), stage.node("Math", operation='MULTIPLY')
+    shader, product = stage.node("VolumeScatter"), stage.node("Math", operation="MULTIPLY")
     shader.inputs["Color"].default_value, shader.inputs["Anisotropy"].default_value = (0.9, 0.9, 0.9, 1.0), 0.4
     product.inputs[1].default_value = DENSITY
     stage.connect(stage.grid(), product.inputs[0])
@@ -17,7 +18,7 @@ def scatter_and_absorption(stage):
     join = stage.node("MixShader")
     join.inputs["Fac"].default_value = 0.25
     for number, shader in enumerate(shaders):
-        product = stage.node("Math", operation='MULTIPLY')
+        product = stage.node("Math", operation="MULTIPLY")
         product.inputs[1].default_value = DENSITY
         stage.connect(stage.grid(), product.inputs[0])
         stage.connect(product.outputs[0], shader.inputs["Density"])
@@ -27,7 +28,7 @@ def scatter_and_absorption(stage):
 
 
 def remapped(stage):
-    ramp = stage.node("MapRange", interpolation_type='SMOOTHSTEP')
+    ramp = stage.node("MapRange", interpolation_type="SMOOTHSTEP")
     for socket, value in zip(ramp.inputs[1:5], (0.1, 0.6, 0.0, 10.0)):
         socket.default_value = value
     stage.connect(stage.grid(), ramp.inputs[0])
@@ -36,7 +37,7 @@ def remapped(stage):
 
 
 def ramped(stage):
-    ramp, product = stage.node("ValToRGB"), stage.node("Math", operation='MULTIPLY')
+    ramp, product = stage.node("ValToRGB"), stage.node("Math", operation="MULTIPLY")
     ramp.color_ramp.elements[0].position = 0.05
     ramp.color_ramp.elements[1].position = 0.5
     product.inputs[1].default_value = 10.0
@@ -63,7 +64,7 @@ def coloured(stage):
 
 
 def chromatic(stage):
-    product = stage.node("VectorMath", operation='MULTIPLY')
+    product = stage.node("VectorMath", operation="MULTIPLY")
     product.inputs[1].default_value = (4.0, 7.0, 12.0)
     shader = stage.node("VolumeCoefficients")
     shader.inputs["Anisotropy"].default_value = 0.4
@@ -76,7 +77,7 @@ def chromatic(stage):
 def draine(stage):
     scatter(stage)
     shader = stage.shader.id_data.nodes["Volume Scatter"]
-    shader.phase, shader.inputs["Alpha"].default_value = 'DRAINE', 1.0
+    shader.phase, shader.inputs["Alpha"].default_value = "DRAINE", 1.0
 
 
 MEASURED = {

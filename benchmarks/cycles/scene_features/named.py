@@ -1,4 +1,5 @@
-"""What must give a message instead of a picture."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes that must give a message."""
 
 import bpy
 
@@ -9,13 +10,14 @@ from .stage import cube_mesh
 def lamp_of(kind):
     def lamp(stage):
         stage.link(kind.title(), bpy.data.lights.new(kind.title(), kind))
+
     return lamp
 
 
 def world_fog(stage):
     tree = stage.scene.world.node_tree
     scatter = tree.nodes.new("ShaderNodeVolumeScatter")
-    tree.links.new(scatter.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    tree.links.new(scatter.outputs[0], tree.get_output_node("CYCLES").inputs["Volume"])
 
 
 def linked_sun(stage):
@@ -44,7 +46,7 @@ def clipped(stage):
 
 
 def panorama(stage):
-    stage.camera.data.type = 'PANO'
+    stage.camera.data.type = "PANO"
 
 
 def voronoi(stage):
@@ -63,10 +65,17 @@ def missing_frame(stage):
 
 
 NAMED = {
-    "Point light": lamp_of('POINT'), "Spot light": lamp_of('SPOT'),
-    "Area light": lamp_of('AREA'), "World volume": world_fog, "Light linking": linked_sun,
-    "Opaque mesh": surface, "Glass": glass, "Depth of field, motion blur": blur, "Panoramic camera": panorama,
+    "Point light": lamp_of("POINT"),
+    "Spot light": lamp_of("SPOT"),
+    "Area light": lamp_of("AREA"),
+    "World volume": world_fog,
+    "Light linking": linked_sun,
+    "Opaque mesh": surface,
+    "Glass": glass,
+    "Depth of field, motion blur": blur,
+    "Panoramic camera": panorama,
     "Clip range that begins inside a volume": clipped,
-    "Voronoi Texture in the density": voronoi, "Colour that varies with the density": varying_colour,
+    "Voronoi Texture in the density": voronoi,
+    "Colour that varies with the density": varying_colour,
     "Missing frame of a sequence": missing_frame,
 }

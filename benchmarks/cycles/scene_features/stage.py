@@ -1,4 +1,5 @@
-"""The scene that every feature starts from, and what several of them build."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene that every feature starts from, and objects that several of them build."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,8 +20,8 @@ DENSITY = 12.0
 class Stage:
     """The scene that every feature starts from: a cloud of edge 2 around the origin, a sun, a camera.
 
-    scene, cloud, shader, sun, camera: bpy blocks. folder: for files. step_rate: for Cycles' reference.
-    surfaces: objects that it holds out.
+    scene, cloud, shader, sun, camera: of bpy. folder: for files. step_rate: of Cycles' reference.
+    surfaces: objects that the reference holds out.
     """
 
     scene: object
@@ -53,7 +54,7 @@ class Stage:
         return self.node("VolumeInfo").outputs["Density"]
 
     def replace_shader(self, shader):
-        self.connect(shader.outputs[0], self.shader.id_data.get_output_node('CYCLES').inputs["Volume"])
+        self.connect(shader.outputs[0], self.shader.id_data.get_output_node("CYCLES").inputs["Volume"])
 
 
 def make_stage(folder: Path, cloud_file: Path, size: int) -> Stage:
@@ -64,16 +65,16 @@ def make_stage(folder: Path, cloud_file: Path, size: int) -> Stage:
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
     scene.render.resolution_x = scene.render.resolution_y = size
-    scene.view_settings.view_transform = 'AgX'
+    scene.view_settings.view_transform = "AgX"
     data = bpy.data.volumes.new("Cloud")
     data.filepath = str(cloud_file)
-    data.render.space = 'WORLD'
+    data.render.space = "WORLD"
     shader = fog(data, "Cloud")
     cloud = bpy.data.objects.new("Cloud", data)
-    lamp = bpy.data.lights.new("Sun", 'SUN')
+    lamp = bpy.data.lights.new("Sun", "SUN")
     lamp.energy, lamp.angle = 8.0, 0.0
     sun = bpy.data.objects.new("Sun", lamp)
-    sun.rotation_euler = Vector((-0.8, -0.3, 0.6)).to_track_quat('Z', 'Y').to_euler()
+    sun.rotation_euler = Vector((-0.8, -0.3, 0.6)).to_track_quat("Z", "Y").to_euler()
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.data.angle = math.radians(34.0)
     for item in (cloud, sun, camera):
@@ -83,10 +84,10 @@ def make_stage(folder: Path, cloud_file: Path, size: int) -> Stage:
     return Stage(scene, cloud, shader, sun, camera, folder)
 
 
-def aim(camera, location, at=Vector((0.0, 0.0, 0.0))):
+def aim(camera, location, at=(0.0, 0.0, 0.0)):
     """Put a camera somewhere, looking at a point."""
     camera.location = location
-    camera.rotation_euler = (location - at).to_track_quat('Z', 'Y').to_euler()
+    camera.rotation_euler = (location - Vector(at)).to_track_quat("Z", "Y").to_euler()
 
 
 def fog(data, name, density=DENSITY):
@@ -108,6 +109,6 @@ def cube_mesh(size=1.0):
 def smooth_cube(stage, name):
     """A rounded cube object."""
     shown = stage.link(name, cube_mesh())
-    shown.modifiers.new("Round", 'SUBSURF').render_levels = 3
+    shown.modifiers.new("Round", "SUBSURF").render_levels = 3
     shown.modifiers["Round"].levels = 3
     return shown

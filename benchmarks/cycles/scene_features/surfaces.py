@@ -1,4 +1,5 @@
-"""Opaque meshes that cover and shade volumes."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Opaque meshes that cover volumes and cast shadows on them."""
 
 import bpy
 from mathutils import Vector

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes of every kind, placed in every way."""
 
 import math
@@ -17,22 +18,22 @@ def mesh_to_volume(stage):
     source = smooth_cube(stage, "Shape")
     source.hide_render = True
     made = stage.link("Made", bpy.data.volumes.new("Made"))
-    modifier = made.modifiers.new("Fill", 'MESH_TO_VOLUME')
-    modifier.object, modifier.resolution_mode, modifier.voxel_size = source, 'VOXEL_SIZE', 0.06
+    modifier = made.modifiers.new("Fill", "MESH_TO_VOLUME")
+    modifier.object, modifier.resolution_mode, modifier.voxel_size = source, "VOXEL_SIZE", 0.06
     fog(made.data, "Made", 4.0)
 
 
 def displaced(stage):
-    texture = bpy.data.textures.new("Bumps", 'CLOUDS')
+    texture = bpy.data.textures.new("Bumps", "CLOUDS")
     texture.noise_scale = 0.5
-    modifier = stage.cloud.modifiers.new("Bumps", 'VOLUME_DISPLACE')
+    modifier = stage.cloud.modifiers.new("Bumps", "VOLUME_DISPLACE")
     modifier.texture, modifier.strength = texture, 0.4
 
 
 def volume_cube(stage):
     stage.hide_cloud()
-    group = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
-    group.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
+    group = bpy.data.node_groups.new("Make", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     cube, material = group.nodes.new("GeometryNodeVolumeCube"), group.nodes.new("GeometryNodeSetMaterial")
     for axis in ("X", "Y", "Z"):
         cube.inputs[f"Resolution {axis}"].default_value = 48
@@ -44,17 +45,24 @@ def volume_cube(stage):
     material.inputs["Material"].default_value = holder.materials[0]
     group.links.new(cube.outputs[0], material.inputs["Geometry"])
     group.links.new(material.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
-    stage.link("Made", holder).modifiers.new("Make", 'NODES').node_group = group
+    stage.link("Made", holder).modifiers.new("Make", "NODES").node_group = group
 
 
 def points_to_volume(stage):
     stage.hide_cloud()
-    group = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
-    group.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
-    group.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
-    nodes = [group.nodes.new(kind) for kind in (
-        "NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodePointsToVolume", "GeometryNodeSetMaterial",
-        "NodeGroupOutput")]
+    group = bpy.data.node_groups.new("Make", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    nodes = [
+        group.nodes.new(kind)
+        for kind in (
+            "NodeGroupInput",
+            "GeometryNodeMeshToPoints",
+            "GeometryNodePointsToVolume",
+            "GeometryNodeSetMaterial",
+            "NodeGroupOutput",
+        )
+    ]
     for before, after in zip(nodes[:-1], nodes[1:]):
         group.links.new(before.outputs[0], after.inputs[0])
     points, material = nodes[2:4]
@@ -64,7 +72,7 @@ def points_to_volume(stage):
     source.modifiers["Round"].levels = source.modifiers["Round"].render_levels = 2
     fog(source.data, "Made", 4.0)
     material.inputs["Material"].default_value = source.data.materials[0]
-    source.modifiers.new("Make", 'NODES').node_group = group
+    source.modifiers.new("Make", "NODES").node_group = group
 
 
 def mesh_fog(stage):
@@ -111,7 +119,7 @@ def instances(stage):
     group.objects.link(stage.cloud)
     for number, place in enumerate(((-0.7, 0.0, -0.5), (0.7, 0.0, -0.4), (0.0, 0.3, 0.7))):
         empty = stage.link(f"At {number}", None)
-        empty.instance_type, empty.instance_collection, empty.location = 'COLLECTION', group, place
+        empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", group, place
         empty.rotation_euler.z = 2.0 * number
 
 
@@ -124,7 +132,7 @@ def sheared(stage):
 
 
 def object_space(stage):
-    stage.cloud.data.render.space = 'OBJECT'
+    stage.cloud.data.render.space = "OBJECT"
     stage.cloud.scale = (1.2, 0.6, 0.9)
     stage.cloud.rotation_euler = (0.4, 0.8, 0.3)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Descriptors: inference's lattice lookup against interpolation at each point."""
 
 import numpy as np
@@ -5,12 +6,18 @@ import pytest
 
 from inference.features.descriptors import FieldLookup, describe, stencil_points
 from inference.features.mip_lattices import (
-    QUANTA, SunLevels, build_lattices, density_pyramid, margins, padded_levels, unit_optical_depths,
+    QUANTA,
+    SunLevels,
+    build_lattices,
+    density_pyramid,
+    margins,
+    padded_levels,
+    unit_optical_depths,
 )
 from inference.features.phase_features import PhaseFeatures
-from inference.scene.phase_function import henyey_greenstein
 from inference.features.stencil import LAYER_POINTS, LOW_POINTS
-from training.data.descriptors import describe_points
+from inference.scene.phase_function import henyey_greenstein
+from training.data.descriptors import Levels, describe_points
 from training.data.stencil import load_stencil
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -42,7 +49,7 @@ def rays():
 def test_lattice_lookup_equals_interpolation_at_fine_cells(stencil, fields, rays):
     lattices = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     features, gamma = describe(FieldLookup(stencil, lattices, SUN), PhaseFeatures(stencil, 0.6), *rays)
-    expected = describe_points(stencil, *fields, *rays, SUN, np.full(300, SIGMA_HAT))
+    expected = describe_points(stencil, Levels(*fields), *rays, SUN, np.full(300, SIGMA_HAT))
     # A point within rounding of a cell's border may fall on either side.
     different = np.abs(features[:2] - expected) > 1e-4
     assert different.mean() < 1e-4
@@ -74,7 +81,8 @@ def test_cropped_lattices_give_the_same_descriptors(stencil, fields, rays):
     positions = 0.1 + 0.05 * rays[0]
     whole = build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]))
     cut = build_lattices(
-        fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]), (positions.min(axis=0), positions.max(axis=0)))
+        fields[0], SIGMA_HAT, stencil, SunLevels(fields[1]), (positions.min(axis=0), positions.max(axis=0))
+    )
     assert cut.values.size < 0.1 * whole.values.size
     phase = PhaseFeatures(stencil, 0.6)
     np.testing.assert_array_equal(
@@ -85,7 +93,10 @@ def test_cropped_lattices_give_the_same_descriptors(stencil, fields, rays):
 
 def test_jitter_averages_to_linear_interpolation(stencil, fields, rays):
     """Means over jitter change gradually where single lookups jump from cell to cell."""
-    lookup, phase = FieldLookup(stencil, build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1])), SUN), PhaseFeatures(stencil, 0.6)
+    lookup, phase = (
+        FieldLookup(stencil, build_lattices(fields[0], SIGMA_HAT, stencil, SunLevels(fields[1])), SUN),
+        PhaseFeatures(stencil, 0.6),
+    )
     random = np.random.default_rng(3)
     steps, copies = 12, 400
     # A cell of mip 0 on either side of a jump in density.
@@ -134,9 +145,11 @@ def test_transmittance_outside_the_cube_is_that_of_the_boundary(stencil):
     lattices = build_lattices(padded, 3.0, stencil, SunLevels(unit_optical_depths(padded, sun)))
     mip = 5
     lattice = lattices.levels[mip]
+
     def read(x, y, z):
         cell = ((np.array([x, y, z]) - lattice.origin) * lattice.scale).astype(int) - lattice.first
         return (lattice.packed[tuple(cell)] >> 16) / QUANTA
+
     behind = np.exp(-(0.578**mip) * 3.0)
     np.testing.assert_allclose(read(0.0, 0.0, -0.6), behind, rtol=0.02)
     np.testing.assert_allclose(read(0.0, 0.0, 0.6), 1.0, rtol=0.02)

@@ -1,12 +1,12 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Phase function and its integral over cones, against numerical integration."""
 
 import numpy as np
 import pytest
 
 from inference.features.phase_features import PhaseFeatures, cone_half_angles, cumulative_phase
-from inference.scene.phase_function import henyey_greenstein
-from inference.scene.phase_function import PhaseFunction
 from inference.features.stencil import LOW_POINTS, frames
+from inference.scene.phase_function import PhaseFunction, henyey_greenstein
 from training.data.stencil import load_stencil
 
 GS = (-0.3, 0.0, 0.5, 0.857, 0.95)
@@ -65,10 +65,18 @@ def test_features_against_directions_in_space(g):
     assert len(expected) - LOW_POINTS == 32
 
 
-@pytest.mark.parametrize("lobe", [
-    ("henyey_greenstein", (-0.4,)), ("draine", (0.0, 1.0)), ("draine", (0.6, 3.0)), ("draine", (0.9, 20.0)),
-    ("fournier_forand", (1.33, 0.1)), ("fournier_forand", (1.2, 0.05)),
-], ids=str)
+@pytest.mark.parametrize(
+    "lobe",
+    [
+        ("henyey_greenstein", (-0.4,)),
+        ("draine", (0.0, 1.0)),
+        ("draine", (0.6, 3.0)),
+        ("draine", (0.9, 20.0)),
+        ("fournier_forand", (1.33, 0.1)),
+        ("fournier_forand", (1.2, 0.05)),
+    ],
+    ids=str,
+)
 def test_every_phase_function_integrates_to_one_and_has_its_mean_cosine(lobe):
     """Gauss-Legendre quadrature in log(1 - cos), which resolves the forward peak."""
     x, weight = np.polynomial.legendre.leggauss(1000)

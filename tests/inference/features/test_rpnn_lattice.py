@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """RPNN's descriptor: where its points lie and what they read, in rendering and in training."""
 
 import numpy as np
@@ -6,21 +7,27 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from inference.network import network
-from inference.grids.working_cube import fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
-from inference.network.predictor import VolumePredictor
 from inference.features.rpnn_lattice import (
-    FINE, LEVELS, POINTS, make_sun_lattice, read_lattices, refined_levels, sun_frames,
+    FINE,
+    LEVELS,
+    POINTS,
+    make_sun_lattice,
+    read_lattices,
+    refined_levels,
+    sun_frames,
 )
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.network import network
+from inference.network.predictor import VolumePredictor
 from training.data import lattice_rows
-from training.data.descriptors import describe_points
-from training.export import export, save
-from training.networks import RPNN
-from training.tracer.path_tracer import sample_scattering_points
+from training.data.descriptors import Levels, describe_points
 from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.data.targets import unit_vectors
+from training.export import export, save
+from training.networks import RPNN
+from training.tracer.path_tracer import sample_scattering_points
 
 SUN = np.array([0.36, -0.48, 0.8])
 SEED = 5
@@ -116,13 +123,20 @@ def data():
     assert valid.all()
     padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
     x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
-    features = np.concatenate([
-        describe_points(stencil, padded, unit_optical_depths(padded, l[i]), x[s], w[s], l[i], sigma[s] * cube.edge)
-        for i, s in ((0, slice(None, count // 2)), (count // 2, slice(count // 2, None)))
-    ], axis=1)
+    features = np.concatenate(
+        [
+            describe_points(
+                stencil, Levels(padded, unit_optical_depths(padded, l[i])), x[s], w[s], l[i], sigma[s] * cube.edge
+            )
+            for i, s in ((0, slice(None, count // 2)), (count // 2, slice(count // 2, None)))
+        ],
+        axis=1,
+    )
     return {
         "features": features.transpose(1, 0, 2).astype(np.float16),
-        "position": positions, "omega": omega.astype(np.float32), "sun": suns.astype(np.float32),
+        "position": positions,
+        "omega": omega.astype(np.float32),
+        "sun": suns.astype(np.float32),
         "gamma": np.arccos(np.sum(w * l, axis=1)).astype(np.float32),
         "anisotropy": np.tile(np.float32([0.857, 0.3]), count // 2),
         "sigma_hat": (sigma * cube.edge).astype(np.float32),

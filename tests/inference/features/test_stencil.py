@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The stencil against equations 1 and 2 and the layout of A.2."""
 
 import numpy as np
@@ -5,7 +6,12 @@ import pytest
 
 from inference.features.stencil import LAYER_MIPS, LAYER_POINTS, SPARSE, Stencil, frames
 from training.data.stencil import (
-    fibonacci_sphere, layer_radius, load_stencil, mutual_minimum_distances, relaxed_stencil, unit_layer,
+    fibonacci_sphere,
+    layer_radius,
+    load_stencil,
+    mutual_minimum_distances,
+    relaxed_stencil,
+    unit_layer,
 )
 
 

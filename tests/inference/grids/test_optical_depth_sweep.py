@@ -1,13 +1,14 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Optical depth towards the sun against closed forms and brute-force marching."""
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from inference.grids.grid import Grid
 from inference.grids.bound_medium import BoundMedium
-from inference.scene import Medium, Volume
+from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.scene import Medium, Volume
 
 DIRECTIONS = [(0, 0, 1), (1, 1, 1), (0.3, -0.8, 0.5), (-0.9, 0.1, 0.2), (0.5, 0.45, -0.6)]
 

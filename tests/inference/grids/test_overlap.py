@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes that the network sees as one medium."""
 
 import numpy as np
@@ -41,7 +42,10 @@ def test_touching_volumes_are_merged_unless_one_is_much_smaller():
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, 0.8, 0.3)])
 def test_merging_keeps_extinction_where_it_is(turn):
     """The merged density is the sum of both, at every point and in total."""
-    pairs = [(ball(), Medium((3.0, 6.0, 9.0), 0.9, 0.8)), (ball((0.4, 0.1, 0.0), 0.3, 40, turn), Medium(12.0, 0.5, 0.2))]
+    pairs = [
+        (ball(), Medium((3.0, 6.0, 9.0), 0.9, 0.8)),
+        (ball((0.4, 0.1, 0.0), 0.3, 40, turn), Medium(12.0, 0.5, 0.2)),
+    ]
     volume, medium = merged(pairs)
     expected = sum(amount(v) * m.sigma_t for v, m in pairs)
     np.testing.assert_allclose(amount(volume) * medium.sigma_t, expected, rtol=5e-3)
@@ -56,6 +60,7 @@ def test_merging_keeps_extinction_where_it_is(turn):
     np.testing.assert_allclose(both * medium.sigma_t.mean(), 6.0 * a + 12.0 * b, atol=0.02 * 12.0)
 
 
+@pytest.mark.slow
 def test_merged_grids_are_no_finer_than_the_network_sees():
     fine = ball(voxels=300)
     volume, medium = merged([(fine, Medium(2.0)), (ball((0.1, 0.0, 0.0)), Medium(2.0))])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Sparse grids render as the dense ones do."""
 
 import subprocess
@@ -9,14 +10,13 @@ from scipy.ndimage import map_coordinates
 
 from benchmarks.fidelity.views import independent_density
 from inference import Camera, Medium, SceneError, Settings, Sun, Volume, render
-from inference.grids.working_cube import active_bounds, fit_cube, level0_density
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
-from inference.scene.optimizations import ALL
-from inference.plan.sun_columns import column_bytes
-from inference.scene.sparse_grid import SparseGrid
 from inference.grids.sun_optical_depth import SunOpticalDepth
-
+from inference.grids.working_cube import active_bounds, fit_cube, level0_density
+from inference.plan.sun_columns import column_bytes
+from inference.scene.optimizations import ALL
+from inference.scene.sparse_grid import SparseGrid
 from tests.support.paths import ROOT
 
 # More voxels than are refined.
@@ -35,10 +35,10 @@ def puffs(seed=0, shape=SHAPE, count=5, size=9):
     return density
 
 
-def placed(density, turn=np.eye(4), emission=None):
+def placed(density, turn=None, emission=None):
     matrix = np.diag([1.0 / max(density.shape)] * 3 + [1.0])
     matrix[:3, 3] = -0.5 * np.array(density.shape) / max(density.shape)
-    return Volume(density, turn @ matrix, "puffs", emission)
+    return Volume(density, matrix if turn is None else turn @ matrix, "puffs", emission)
 
 
 def kept_sparsely(volume):
@@ -56,7 +56,7 @@ def in_blocks_of(grid, dense):
     values = np.zeros_like(grid.values)
     padded = np.pad(dense, [(8, 16)] * 3)
     for x, y, z in np.argwhere(grid.table):
-        values[grid.table[x, y, z]] = padded[8 * x:8 * x + 8, 8 * y:8 * y + 8, 8 * z:8 * z + 8]
+        values[grid.table[x, y, z]] = padded[8 * x : 8 * x + 8, 8 * y : 8 * y + 8, 8 * z : 8 * z + 8]
     return grid.with_values(values)
 
 
@@ -125,8 +125,10 @@ def compare(found, expected):
     assert np.abs(difference).max() < 0.02 * expected.multiple.max()
 
 
-@pytest.mark.parametrize("sigma_t", [
-    pytest.param(20.0, id="thin"), pytest.param((100.0, 300.0, 900.0), id="three colours", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "sigma_t",
+    [pytest.param(20.0, id="thin"), pytest.param((100.0, 300.0, 900.0), id="three colours", marks=pytest.mark.slow)],
+)
 def test_a_layer_equals_that_of_the_dense_grid(sigma_t):
     dense, medium = placed(puffs(count=20)), Medium(sigma_t, 0.9, 0.6)
     suns = [Sun((0.4, 0.3, 0.8)), Sun((-0.7, 0.5, -0.4), 0.5)]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The working frame and its level 0."""
 
 import time
@@ -6,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference.grids.working_cube import active_bounds, fit_cube, level0_density
 from inference.features.mip_lattices import density_pyramid
+from inference.grids.working_cube import active_bounds, fit_cube, level0_density
 from inference.runtime.cancellation import CancelToken
 from inference.scene import Cancelled, SceneError, Volume
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Depths along rays: what they integrate, and how many a ray gets."""
 
 import numpy as np
@@ -24,7 +25,7 @@ def test_weights_sum_to_the_rays_opacity_and_faint_rays_get_fewer():
     np.testing.assert_allclose(np.bincount(ray, weight, 6)[2:], alpha[2:], rtol=1e-12)
     assert np.all((opacity > 0.0) & (opacity < alpha[ray]))
     # Unless that is turned off.
-    ray, _, weight = sample_opacities(alpha, 8, thin_faint=False)
+    ray, _, weight = sample_opacities(alpha, 8, adaptive=False)
     np.testing.assert_array_equal(np.bincount(ray, minlength=6), [0, 8, 8, 8, 8, 8])
     np.testing.assert_allclose(np.bincount(ray, weight, 6), alpha, rtol=1e-12)
 
@@ -35,7 +36,9 @@ def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     ray, opacity, weight = sample_opacities(np.ones(rays), most)
     nothing = np.zeros((rays, 3))
     pixel = np.arange(rays)
-    samples = DepthSamples(pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1)))
+    samples = DepthSamples(
+        pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1))
+    )
     pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity))
     np.testing.assert_array_equal(pixels, np.arange(rays))
     assert straight.max() < 1e-12

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Light that volumes emit, against closed forms and an independent integration."""
 
 import numpy as np
@@ -7,8 +8,9 @@ from scipy.ndimage import map_coordinates
 from inference import Camera, Medium, SceneError, Sun, Volume, render
 from inference.scene.camera_rays import camera_rays
 
-VIEW = Camera(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 6], [0, 0, 0, 1]], float), "orthographic", (4, 4),
-              ortho_scale=0.2)
+VIEW = Camera(
+    np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 6], [0, 0, 0, 1]], float), "orthographic", (4, 4), ortho_scale=0.2
+)
 GLOW = np.array([3.0, 1.0, 0.25], np.float32)
 
 
@@ -70,8 +72,10 @@ def test_a_lumpy_fire_equals_integration_in_tiny_steps(sigma):
     for origin, direction in zip(origins, directions):
         world = origin + distance[:, None] * direction
         index = np.linalg.inv(matrix) @ np.concatenate([world, np.ones((len(world), 1))], axis=1).T
+
         def read(values):
             return map_coordinates(values.astype(float), index[:3], order=1, mode="grid-constant")
+
         tau = np.cumsum(read(fire.density)) * sigma * step
         expected.append([(np.exp(-tau) * read(fire.emission[..., c])).sum() * step for c in range(3)])
     found = layer.emission.reshape(-1, 3)

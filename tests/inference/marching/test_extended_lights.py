@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Single scattering of light from cones of directions."""
 
 from dataclasses import replace
@@ -6,13 +7,11 @@ import numpy as np
 import pytest
 
 from inference import Medium, Settings, Sun, render
-from inference.scene.phase_function import henyey_greenstein
-from inference.scene.phase_function import PhaseFunction
-from inference.scene.camera_rays import camera_rays
 from inference.marching.extended_lights import ORDER, ExtendedLights, equivalent_directions
-
-from tests.support.volumes import box, camera, cloud
+from inference.scene.camera_rays import camera_rays
+from inference.scene.phase_function import PhaseFunction, henyey_greenstein
 from tests.support.surfaces import rectangle
+from tests.support.volumes import box, camera, cloud
 
 ONCE = Settings(multiple=False)
 
@@ -33,14 +32,26 @@ def even_suns(radiance=1.0):
     for number in range(6):
         inside = face == number
         share = inside.mean()
-        suns.append(Sun(directions[inside].mean(axis=0), 4 * np.pi * radiance * share, "sky",
-                        (directions[inside], np.full(inside.sum(), 1.0 / inside.sum()))))
+        suns.append(
+            Sun(
+                directions[inside].mean(axis=0),
+                4 * np.pi * radiance * share,
+                "sky",
+                (directions[inside], np.full(inside.sum(), 1.0 / inside.sum())),
+            )
+        )
     return suns
 
 
-@pytest.mark.parametrize("anisotropy", [-0.5, 0.0, 0.5, 0.857])
-@pytest.mark.parametrize("view", [camera(), camera(projection="orthographic", ortho_scale=1.6),
-                                  camera(0.2, projection="equirectangular", resolution=(48, 24))])
+@pytest.mark.parametrize("anisotropy", [*(pytest.param(g, marks=pytest.mark.slow) for g in (-0.5, 0.0, 0.5)), 0.857])
+@pytest.mark.parametrize(
+    "view",
+    [
+        camera(),
+        camera(projection="orthographic", ortho_scale=1.6),
+        camera(0.2, projection="equirectangular", resolution=(48, 24)),
+    ],
+)
 def test_thin_media_in_uniform_light_have_the_lights_radiance(anisotropy, view):
     """Radiance is the light's times alpha, whatever the phase function, where nothing casts shadows."""
     layer = render([(box(), Medium(0.01, 1.0, anisotropy))], even_suns(0.7), view, ONCE)
@@ -118,7 +129,10 @@ def test_a_wall_behind_the_volume_blocks_light_from_ahead():
     # The wall ends in the middle of column 19.
     view, wall = camera(projection="orthographic", ortho_scale=1.2), rectangle(-0.9, 0.375, -2.0, 2.0, -2.0)
     scene = [(cloud(), Medium(4.0, 1.0, 0.8))], [light], view, ONCE
-    free, walled = render(*scene).single[8, :, 0], render(*scene, surfaces=[replace(wall, shades=False)]).single[8, :, 0]
+    free, walled = (
+        render(*scene).single[8, :, 0],
+        render(*scene, surfaces=[replace(wall, shades=False)]).single[8, :, 0],
+    )
     seen = np.flatnonzero(free)
     assert seen[0] < 5 and seen[-1] >= 20
     np.testing.assert_array_equal(walled[20:], free[20:])

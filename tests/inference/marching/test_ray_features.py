@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Ray features: closed forms in a box, and each volume by itself."""
 
 import numpy as np
@@ -5,13 +6,13 @@ import pytest
 
 from inference import Medium, Volume
 from inference.grids.bound_medium import BoundMedium
-from inference.marching.ray_steps import RayBatch
-from inference.transport.scattered_fluence import ScatteredFluence
-from inference.numerics.exponential import one_minus_exp
 from inference.grids.grid import Grid
-from inference.marching.ray_march import MarchOptions, march, ray_features_at
-from inference.transport.discrete_ordinates import CELLS as COARSE_CELLS
 from inference.marching.ray_features import SCALES
+from inference.marching.ray_march import MarchOptions, march, ray_features_at
+from inference.marching.ray_steps import RayBatch
+from inference.numerics.exponential import one_minus_exp
+from inference.transport.discrete_ordinates import CELLS as COARSE_CELLS
+from inference.transport.scattered_fluence import ScatteredFluence
 
 CELLS = 48
 ANISOTROPY = 0.6

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rays skip empty space only, and a ray does not depend on its batch."""
 
 import numpy as np
@@ -7,8 +8,8 @@ from inference import Medium, Volume
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
-from inference.marching.ray_march import MarchOptions, march
 from inference.grids.occupancy import REACH, Occupancy
+from inference.marching.ray_march import MarchOptions, march
 from inference.marching.ray_steps import Blocks, RayBatch
 from inference.scene.sparse_grid import SparseGrid
 

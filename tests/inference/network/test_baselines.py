@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The baselines: what they neglect, and the closed form in a homogeneous slab."""
 
 import numpy as np
@@ -19,8 +20,11 @@ def slab():
     camera = np.eye(4)
     camera[2, 3] = 3.0
     register_baselines()
-    return [(volume, Medium(1.5, 0.8, 0.6))], [Sun((0.0, 0.0, 1.0))], Camera(
-        camera, "orthographic", resolution=(4, 4), ortho_scale=0.5)
+    return (
+        [(volume, Medium(1.5, 0.8, 0.6))],
+        [Sun((0.0, 0.0, 1.0))],
+        Camera(camera, "orthographic", resolution=(4, 4), ortho_scale=0.5),
+    )
 
 
 def test_single_scattering_is_the_layers_own(slab):
@@ -34,7 +38,8 @@ def test_octaves_integrate_dimmer_and_less_attenuated_single_scattering(slab):
     # Light comes down and goes back up; octave n: 1/2^n p(g/2^n) times the integral of exp(-t) exp(-t/2^n).
     expected = sum(
         0.5**n * henyey_greenstein(-1.0, 0.6 * 0.5**n) * (1 - np.exp(-1.5 * (1 + 0.5**n))) / (1 + 0.5**n)
-        for n in range(1, 8))
+        for n in range(1, 8)
+    )
     assert layer.multiple.mean() == pytest.approx(0.8 * expected, rel=0.02)
 
 

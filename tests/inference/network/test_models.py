@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Models by name: what each is for, the path tracer included."""
 
 import subprocess
@@ -11,10 +12,10 @@ import training.reference
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
 from inference.network import network
 from inference.scene import SceneError
+from training.data.seeded_volume import cube_volume
 from training.export import export, save
 from training.networks import RPNN
-from training.tracer.path_tracer import trace_pixels, trace_points
-from training.data.seeded_volume import cube_volume
+from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, Vertices, trace_pixels, trace_points
 
 SUN = Sun((0.6, 0.5, 0.62))
 
@@ -75,8 +76,8 @@ def test_the_reference_equals_the_path_tracers_image(ball):
     view = Camera(eye, resolution=(16, 16), fov=np.radians(25.0))
     layer = render([(volume, medium)], [SUN], view, Settings(depth_samples=24, model="reference"))
     assert "reference" in available_models() and layer.report.model == "reference"
-    traced = trace_pixels(ball, (0, 0, 3), (0, 0, 0), (0, 1, 0), 25.0, 16, SUN.direction, 30.0, 0.5,
-                          (1.0, 0.8, 0.5), 512, seed=1)
+    pinhole = PinholeCamera((0, 0, 3), (0, 0, 0), (0, 1, 0), 25.0, 16)
+    traced = trace_pixels(Scene(ball, SUN.direction), pinhole, medium, Sampling(512, seed=1))
     shown = layer.alpha > 0.1
     np.testing.assert_allclose(layer.rgb[shown].mean(axis=0), traced[shown, :3].mean(axis=0), rtol=0.02)
     # Two references of different seeds are independent: their halves give their noise.
@@ -88,7 +89,8 @@ def test_the_reference_follows_the_volume_in_the_world(ball):
     """A grid that is translated, rotated, mirrored, scaled and padded scatters as before."""
     positions = np.array([[0.1, 0.05, -0.1], [-0.2, 0.1, 0.0]])
     omega = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    expected = trace_points(ball, SUN.direction, None, positions, omega, 20.0, 0.4, [1.0], 10000, seed=1)[:, 0, 0]
+    vertices = Vertices(positions, omega, 20.0, 0.4, [1.0])
+    expected = trace_points(Scene(ball, SUN.direction), vertices, Sampling(10000, seed=1))[:, 0, 0]
     turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]])
     scale, shift = 7.0, np.array([3.0, -20.0, 1.0])
     world_from_index = np.eye(4)
@@ -98,9 +100,12 @@ def test_the_reference_follows_the_volume_in_the_world(ball):
     volume = Volume(np.pad(ball, ((2, 3), (2, 0), (2, 7))), world_from_index)
     copies = 1000
     found = predict_multiple(
-        volume, Medium(20.0 / scale, 1.0, 0.4), Sun(turn @ SUN.direction),
+        volume,
+        Medium(20.0 / scale, 1.0, 0.4),
+        Sun(turn @ SUN.direction),
         (shift + scale * positions @ turn.T).repeat(copies, 0) + 1e-6 * np.arange(2 * copies)[:, None],
-        (omega @ turn.T).repeat(copies, 0), model="reference",
+        (omega @ turn.T).repeat(copies, 0),
+        model="reference",
     )
     np.testing.assert_allclose(found[:, 0].reshape(2, copies).mean(axis=1), expected, rtol=0.05)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Exported networks on onnxruntime against PyTorch, and invalid weights files."""
 
 import numpy as np
@@ -5,14 +6,14 @@ import pytest
 import torch
 
 from inference.features import rpnn_lattice
+from inference.features.stencil import Stencil
 from inference.network import network
 from inference.scene import SceneError
-from inference.features.stencil import Stencil
+from training.data.stencil import load_stencil
 from training.export import export, save
 from training.networks import NETWORKS
 from training.networks.mrpnn import POINTS as SPARSE_POINTS
 from training.networks.mrpnn import RAY_INPUTS
-from training.data.stencil import load_stencil
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS, POINTS_A_RAY = 77, 7
@@ -29,10 +30,16 @@ def make_inputs(kind):
     random = np.random.default_rng(4)
     gamma = random.uniform(0, np.pi, POINTS // POINTS_A_RAY).astype(np.float32).repeat(POINTS_A_RAY)
     if kind == "lattice":
-        return {"lattice": random.random((POINTS, rpnn_lattice.LEVELS, rpnn_lattice.POINTS), np.float32), "gamma": gamma}
+        return {
+            "lattice": random.random((POINTS, rpnn_lattice.LEVELS, rpnn_lattice.POINTS), np.float32),
+            "gamma": gamma,
+        }
     anisotropy = np.full(POINTS, 0.857, np.float32)
     if kind == "ray":
-        stencil, light = random.random((POINTS, SPARSE_POINTS), np.float32), random.random((POINTS, RAY_INPUTS), np.float32)
+        stencil, light = (
+            random.random((POINTS, SPARSE_POINTS), np.float32),
+            random.random((POINTS, RAY_INPUTS), np.float32),
+        )
         return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
     features = random.random((3, POINTS, 192), np.float32)
     return {"features": features, "anisotropy": anisotropy, "gamma": gamma}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Execution providers of onnxruntime: the chosen one where available and correct, else the CPU and a warning."""
 
 import os
@@ -11,7 +12,6 @@ import pytest
 from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.network import network, provider
 from inference.scene import SceneError
-
 from tests.support.paths import ROOT
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -25,8 +25,12 @@ def picture(**changed):
     density = np.clip(1 - np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis))), 0, None).astype(np.float32)
     eye = np.eye(4)
     eye[:3, 3] = 8.0, 8.0, 60.0
-    return render([(Volume(density, np.eye(4), "ball"), Medium(0.5, 0.9, 0.5))], [Sun((0.4, 0.3, 0.8))],
-                  Camera(eye, resolution=(24, 24), fov=0.3), Settings(2, **changed))
+    return render(
+        [(Volume(density, np.eye(4), "ball"), Medium(0.5, 0.9, 0.5))],
+        [Sun((0.4, 0.3, 0.8))],
+        Camera(eye, resolution=(24, 24), fov=0.3),
+        Settings(2, **changed),
+    )
 
 
 def test_without_the_provider_the_cpu_renders_with_a_warning():
@@ -45,8 +49,22 @@ def openvino():
     folder = ROOT / "build" / OPENVINO
     if not folder.exists():
         unfinished = folder.with_suffix(".part")
-        subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps",
-                        "--upgrade", "--target", unfinished, OPENVINO], check=True)
+        subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+                "--no-deps",
+                "--upgrade",
+                "--target",
+                unfinished,
+                OPENVINO,
+            ],
+            check=True,
+        )
         unfinished.rename(folder)
     return folder
 
@@ -55,11 +73,18 @@ def openvino():
 def test_another_provider_gives_the_cpus_picture(openvino, tmp_path):
     """In a separate process, since onnxruntime is loaded here already."""
     picture_file = tmp_path / "picture.npy"
-    script = ("import sys, numpy; from tests.test_provider import picture; found = picture(provider='OPENVINO')\n"
-              "assert (found.report.provider, found.report.warnings) == ('OPENVINO', []), found.report\n"
-              "numpy.save(sys.argv[1], found.rgb)")
-    done = subprocess.run([sys.executable, "-c", script, picture_file], cwd=ROOT, capture_output=True, text=True,
-                          env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(openvino)))})
+    script = (
+        "import sys, numpy; from tests.test_provider import picture; found = picture(provider='OPENVINO')\n"
+        "assert (found.report.provider, found.report.warnings) == ('OPENVINO', []), found.report\n"
+        "numpy.save(sys.argv[1], found.rgb)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, picture_file],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(openvino)))},
+    )
     assert done.returncode == 0, done.stderr
     expected, found = picture().rgb, np.load(picture_file)
     assert np.abs(found - expected).max() < provider.TOLERANCE * expected.max()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The comparison: its figures for planted images, and its operator on real scenes in Blender."""
 
 import importlib
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 
 from inference import SceneError
-
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -59,7 +59,7 @@ def test_planted_bias_noise_and_times_are_reported(comparison, planted):
     shown = passes[request.layers[0]].image[..., 3] > comparison.MASK_ALPHA
     colour = passes[request.layers[0]].image[shown][:, :3]
     spread = np.sqrt((colour**2).mean()) / colour.mean()
-    # Of 2 x 1000 samples, each of which varies by sqrt(10) of the value.
+    # 2 x 1000 samples, each with a relative standard deviation of sqrt(10).
     assert result.noise == pytest.approx(spread * np.sqrt(10 / 2000), rel=0.15)
     assert result.alpha_bias.value == 0.0 and result.samples == 1000
     assert result.pixels == shown.sum() and result.resolution == (SIZE, SIZE)
@@ -79,9 +79,9 @@ def test_equal_error_and_equal_time_follow_from_noise_and_cost(comparison, plant
     variance = 10 * (colour**2).mean() / colour.mean() ** 2
     assert traced.needed.value == pytest.approx(1.0 + 0.1 * variance / result.rmse.value**2, rel=0.2)
     assert traced.error.value == pytest.approx(np.sqrt(variance / 5.0), rel=0.1)
-    # The processor's clock runs twice as fast in what was planted for Cycles.
+    # The planted times of Cycles state twice as much processor time.
     assert by["cycles", "cpu_seconds"].needed.value == pytest.approx(2 * traced.needed.value, rel=0.02)
-    # A filter that is worth 64 times the samples.
+    # A denoiser that is worth 64 times the samples.
     denoised = by["cycles denoised", "seconds"].needed
     assert denoised.value < 0.1 * traced.needed.value
     assert len(result.sentences()) == 2 and "cycles needs" in result.sentences()[0]
@@ -152,11 +152,11 @@ def small(folder, **settings):
 def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     scene.camera.location.z = 4.0
-    scene.render.engine = 'BLENDER_WORKBENCH'
+    scene.render.engine = "BLENDER_WORKBENCH"
     scene.cycles.samples = 7
     path = tmp_path / "comparison" / "figures.json"
     before = state_of_file()
-    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=32)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=32)) == {"FINISHED"}
     after = state_of_file()
     # The layer, Cycles, the error and the chart; the table.
     assert after[1] == before[1]
@@ -176,6 +176,7 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert (tmp_path / "comparison" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_path):
     """Cycles' process has never rendered that frame. The second file is four times as dense."""
     cloud = make.cloud_scene(scene, tmp_path, density=1.0)
@@ -187,7 +188,7 @@ def test_a_later_frame_of_a_sequence_is_compared_with_its_own_file(scene, tmp_pa
     data = cloud.data
     data.filepath, data.is_sequence, data.frame_duration = str(folder / "cloud_0001.vdb"), True, 2
     scene.frame_set(2)
-    assert bpy.ops.mrpnn.compare(**small(tmp_path)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path)) == {"FINISHED"}
     found = json.loads((tmp_path / "comparison" / "figures.json").read_text())
     assert abs(found["alpha_bias"]["value"]) < 0.02
 
@@ -209,18 +210,19 @@ def test_operator_refuses_an_instancer_that_shows_a_surface_beside_the_volume(sc
         group.objects.link(member)
     scene.collection.objects.unlink(cloud)
     instancer = make.add_object(scene, "both", None)
-    instancer.instance_type, instancer.instance_collection = 'COLLECTION', group
-    with pytest.raises(RuntimeError, match="\"both\" instances a volume"):
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", group
+    with pytest.raises(RuntimeError, match='"both" instances a volume'):
         bpy.ops.mrpnn.compare(**small(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_region_is_compared_at_its_own_size(scene, tmp_path):
     make.cloud_scene(scene, tmp_path, density=1.0)
     render = scene.render
     render.use_border, render.use_crop_to_border = True, False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.5, 1.0
     path = tmp_path / "comparison" / "figures.json"
-    assert bpy.ops.mrpnn.compare(**small(tmp_path, scale=100)) == {'FINISHED'}
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, scale=100)) == {"FINISHED"}
     found = json.loads(path.read_text())
     assert found["resolution"] == [32, 32]
     assert abs(found["alpha_bias"]["value"]) < 0.03
@@ -240,6 +242,7 @@ def started(addon, scene, tmp_path):
     return start
 
 
+@pytest.mark.slow
 def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(started, scene, tmp_path):
     before = state_of_file()
     first = started()
@@ -257,7 +260,7 @@ def test_a_cancelled_comparison_keeps_finished_renders_and_the_next_resumes(star
     assert not any("stopped" in mark for mark in second.result().marks) and state_of_file() == before
     later = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.npz")}
     assert len(later) == 4 and kept.items() <= later.items()
-    # Another view finds nothing of it.
+    # Another view finds no stored passes.
     scene.camera.location.z += 1.0
     third = started()
     while third.job.store is None:
@@ -280,17 +283,18 @@ def test_a_crash_of_cycles_is_a_message_and_leaves_the_file_alone(started):
     assert state_of_file() == before
 
 
+@pytest.mark.slow
 def test_a_given_reference_is_used_and_a_wrong_one_refused(started, scene, tmp_path):
     first = started()
     first.wait()
     image = bpy.data.images.new("given", 16, 16, alpha=True, float_buffer=True)
     image.pixels.foreach_set(first.layer_image()[::-1].ravel())
-    image.colorspace_settings.is_data, image.alpha_mode, image.file_format = True, 'CHANNEL_PACKED', 'OPEN_EXR'
+    image.colorspace_settings.is_data, image.alpha_mode, image.file_format = True, "CHANNEL_PACKED", "OPEN_EXR"
     image.save(filepath=str(tmp_path / "given.exr"))
     run = started(reference_path=str(tmp_path / "given.exr"))
     run.wait()
     result = run.result()
-    # EXR files hold 16 bits a number here.
+    # These EXR files have half precision.
     assert result.rmse.value < 1e-3 and abs(result.bias.value) < 1e-3 and result.equal == []
     (tmp_path / "words.exr").write_text("no image")
     for name in ("words.exr", "missing.exr"):

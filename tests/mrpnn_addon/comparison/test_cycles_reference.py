@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The Cycles reference: closed forms, and the user's file left as it was."""
 
 import importlib
@@ -7,7 +8,6 @@ import numpy as np
 import pytest
 
 from inference import SceneError
-
 from tests.support import blender_scenes as make
 from tests.support.file_state import state_of_file
 
@@ -30,13 +30,13 @@ def box_scene(scene, tmp_path):
     return scene, shader, [box, sun]
 
 
-@pytest.mark.parametrize("anisotropy", [-0.4, 0.0, 0.3, 0.7])
+@pytest.mark.parametrize("anisotropy", [*(pytest.param(g, marks=pytest.mark.slow) for g in (-0.4, 0.0, 0.7)), 0.3])
 def test_single_scattering_of_a_slab_lit_from_the_camera_is_the_closed_form(reference, box_scene, anisotropy):
     scene, shader, objects = box_scene
     density, albedo, irradiance = 1.5, 0.01, 2.0
     shader.inputs["Anisotropy"].default_value = anisotropy
     rendered = reference.render_reference(scene, objects, reference.PathTracing(samples=64))
-    # Light comes down and goes back up: the cosine between camera ray and direction to the sun is -1.
+    # Backscattering: the cosine between camera ray and direction to the sun is -1.
     phase = (1 - anisotropy**2) / (4 * np.pi * (1 + anisotropy**2 + 2 * anisotropy) ** 1.5)
     expected = albedo * phase * irradiance * (1 - np.exp(-2 * density)) / 2
     for half in (rendered.a, rendered.b):
@@ -59,6 +59,7 @@ def test_the_halves_are_independent_and_a_third_seed_differs(reference, box_scen
     assert np.abs(correlation[~np.eye(4, dtype=bool)]).max() < 4 / np.sqrt(images[0].size)
 
 
+@pytest.mark.slow
 def test_bright_multiple_scattering_is_neither_truncated_nor_clamped(reference, box_scene):
     """A dense white box under the sun returns most of its light only after many bounces."""
     scene, shader, objects = box_scene
@@ -108,9 +109,10 @@ def test_only_the_given_objects_are_shown(reference, box_scene):
     assert alpha.mean() == pytest.approx(1 - np.exp(-1.5), abs=0.02)
 
 
+@pytest.mark.slow
 def test_depth_of_field_is_off_in_the_reference_and_stays_on_in_the_scene(reference, box_scene):
     scene, _, objects = box_scene
-    scene.camera.data.type = 'PERSP'
+    scene.camera.data.type = "PERSP"
     scene.camera.data.lens = 20.0
     scene.camera.data.dof.use_dof = True
     scene.camera.data.dof.focus_distance = 0.1
@@ -125,7 +127,7 @@ def test_the_file_is_left_as_it_was(reference, box_scene):
     scene, _, objects = box_scene
     scene.world = None
     scene.cycles.samples, scene.cycles.seed = 7, 99
-    scene.render.engine = 'BLENDER_WORKBENCH'
+    scene.render.engine = "BLENDER_WORKBENCH"
     before = state_of_file()
     reference.render_reference(scene, objects, reference.PathTracing(samples=1))
     assert state_of_file() == before

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The comparison's page in a real browser, as a single file."""
 
 import importlib
@@ -25,8 +26,11 @@ def report(addon, tmp_path_factory):
     scene.camera.location.z = 4.0
     scene.mrpnn.depth_samples = 2
     run = importlib.import_module("mrpnn.mrpnn_addon.comparison.run")
-    made = run.ComparisonRun(make.bpy.context, scene.mrpnn.settings(), run.Options(
-        samples=16, ladder=4, scale=50, depths=(1,), folder=str(folder / "out")))
+    made = run.ComparisonRun(
+        make.bpy.context,
+        scene.mrpnn.settings(),
+        run.Options(samples=16, ladder=4, scale=50, depths=(1,), folder=str(folder / "out")),
+    )
     made.wait()
     comparison = made.result()
     made.write(comparison)
@@ -36,14 +40,28 @@ def report(addon, tmp_path_factory):
 def in_browser(page, script, folder):
     """What a script returns once the page has loaded, and the browser's console."""
     copy = folder / "copy.html"
-    said = "<script>addEventListener('load', () => { const out = document.createElement('pre'); out.id = 'said';\n" \
-           f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out);\n" \
-           "});</script></body>"
+    said = (
+        "<script>addEventListener('load', () => { const out = document.createElement('pre'); out.id = 'said';\n"
+        f"out.textContent = JSON.stringify((() => {{ {script} }})()); document.body.append(out);\n"
+        "});</script></body>"
+    )
     copy.write_text(page.replace("</body>", said), encoding="utf-8")
     run = subprocess.run(
-        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-         "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder / 'profile'}", "--dump-dom", copy.as_uri()],
-        capture_output=True, text=True, timeout=180)
+        [
+            BROWSER,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--enable-logging=stderr",
+            "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--user-data-dir={folder / 'profile'}",
+            "--dump-dom",
+            copy.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
     found = re.search(r'<pre id="said">(.*?)</pre>', run.stdout, re.DOTALL)
     assert found, run.stderr[-2000:]
     console = [line for line in run.stderr.splitlines() if "CONSOLE" in line]
@@ -53,8 +71,10 @@ def in_browser(page, script, folder):
 @pytest.mark.skipif(BROWSER is None, reason="there is no chromium; .ci/run installs it")
 def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path):
     folder, comparison = report
-    # A copy elsewhere: what the page needs is in it.
-    said, console = in_browser((folder / "report.html").read_text(encoding="utf-8"), """
+    # A copy elsewhere: the page is self-contained.
+    said, console = in_browser(
+        (folder / "report.html").read_text(encoding="utf-8"),
+        """
         const at = (id) => document.getElementById(id);
         const shown = () => getComputedStyle(at("left")).clipPath;
         const before = shown();
@@ -70,13 +90,15 @@ def test_the_page_shows_pictures_chart_and_slider_in_a_browser(report, tmp_path)
                 loaded: performance.getEntriesByType("resource").filter(r => !r.name.startsWith("data:")).length,
                 dots: dots.length, inside: dots.every(d => d.left > box.left && d.right < box.right && d.top > box.top
                                                            && d.bottom < box.bottom), chart: box.width * box.height};
-        """, tmp_path)
+        """,
+        tmp_path,
+    )
     assert console == [] and said["loaded"] == 0
     assert said["title"] == "Error against run time: Clouds <over> & sea, frame 1"
     assert said["sizes"] == [[32, 32]] * 3
     # The boundary moved from the middle to four fifths.
     assert "50%" in said["before"] and "20%" in said["after"]
-    # The judged layer, one more, two baselines, the reference, two rungs with and without denoising.
+    # The compared layer, one more, two baselines, the reference, two sample counts with and without denoising.
     assert said["changed"] and said["choices"] == 9
     drawn = sum(rung.error > 0.0 for rung in comparison.rungs)
     assert said["dots"] == drawn and said["inside"] and said["chart"] > 1e5
@@ -89,7 +111,7 @@ def test_the_chart_is_well_formed_and_has_logarithmic_axes(report):
     (x1, y1), (x2, y2), (x3, y3) = (made.place(s, e) for s, e in ((0.1, 0.1), (0.2, 0.2), (0.4, 0.4)))
     assert x2 - x1 == pytest.approx(x3 - x2) and y2 - y1 == pytest.approx(y3 - y2)
     root = ElementTree.fromstring(chart.svg(made))
-    assert len([e for e in root.iter("g")]) == sum(len(found) for found in made.series.values())
+    assert len(list(root.iter("g"))) == sum(len(found) for found in made.series.values())
 
 
 def test_csv_and_json_hold_the_figures_of_the_page(report):
@@ -105,8 +127,9 @@ def test_csv_and_json_hold_the_figures_of_the_page(report):
 
 
 def test_pictures_keep_their_colours(report):
-    from PIL import Image
     import io
+
+    from PIL import Image
 
     pictures = importlib.import_module("mrpnn.mrpnn_addon.comparison.pictures")
     reports = importlib.import_module("mrpnn.mrpnn_addon.comparison.report")
@@ -131,6 +154,7 @@ def test_the_chart_is_an_image_in_blender(report):
     last = list(made.series.values())[-1][-1]
     x, y = made.point(last)
     assert pixels[round(y), round(x), :3] == pytest.approx(
-        importlib.import_module("mrpnn.mrpnn_addon.comparison.chart_image")._linear(made.colour(last.method)), abs=0.02)
+        importlib.import_module("mrpnn.mrpnn_addon.comparison.chart_image")._linear(made.colour(last.method)), abs=0.02
+    )
     # Words on the axes.
     assert (pixels[chart.FRAME[3] + 4 :, :, :3].max(axis=-1) < 0.3).sum() > 50

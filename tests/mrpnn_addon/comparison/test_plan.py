@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What a comparison renders next, and what it stores on disk."""
 
 import importlib
@@ -53,7 +54,12 @@ def test_the_budget_is_kept_and_the_next_run_resumes(plan, kept):
 def test_the_minimum_is_rendered_whatever_the_budget(plan, kept):
     order, _, _ = run(plan, kept, plan.Request((kept.Job("mrpnn", 8),), seconds=1e-3))
     assert [(job.method, job.samples) for job in order] == [
-        ("mrpnn", 8), (kept.REFERENCE, 16), (kept.REFERENCE, 16), (kept.CYCLES, 1), (kept.DENOISED, 1)]
+        ("mrpnn", 8),
+        (kept.REFERENCE, 16),
+        (kept.REFERENCE, 16),
+        (kept.CYCLES, 1),
+        (kept.DENOISED, 1),
+    ]
 
 
 def test_a_larger_reference_continues_a_smaller_one_in_few_images(plan):
@@ -87,17 +93,34 @@ def test_a_store_returns_what_it_was_given_and_ignores_damaged_files(kept, tmp_p
 
 
 def test_the_key_differs_for_scenes_that_render_differently(addon, kept):
-    from inference import Camera, Medium, Sun, Volume
     from mrpnn.mrpnn_addon.scene.reader import SceneDescription
+
+    from inference import Camera, Medium, Sun, Volume
 
     def key(density=1.0, albedo=0.9, anisotropy=0.5, sun=(0, 0, 1), size=8, moved=0.0, bounces=1024, frame=1):
         place = np.eye(4)
         place[0, 3] = moved
         volume = Volume(np.full((2, 2, 2), density, np.float32), place)
-        return kept.scene_key(SceneDescription(
-            [(volume, Medium(1.0, albedo, anisotropy))], [Sun(sun)], Camera(place, resolution=(size, size)), frame=frame),
-            bounces, "4.5")
+        return kept.scene_key(
+            SceneDescription(
+                [(volume, Medium(1.0, albedo, anisotropy))],
+                [Sun(sun)],
+                Camera(place, resolution=(size, size)),
+                frame=frame,
+            ),
+            bounces,
+            "4.5",
+        )
 
-    keys = [key(), key(density=2.0), key(albedo=0.8), key(anisotropy=0.4), key(sun=(0, 1, 1)), key(size=9),
-            key(moved=0.1), key(bounces=8), key(frame=2)]
+    keys = [
+        key(),
+        key(density=2.0),
+        key(albedo=0.8),
+        key(anisotropy=0.4),
+        key(sun=(0, 1, 1)),
+        key(size=9),
+        key(moved=0.1),
+        key(bounces=8),
+        key(frame=2),
+    ]
     assert len(set(keys)) == len(keys) and key() == keys[0]

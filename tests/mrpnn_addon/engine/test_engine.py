@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The render engine: the passes and files of F12 and animations."""
 
 import numpy as np
@@ -16,7 +17,7 @@ def cloud(scene, tmp_path):
     """A scene with a small cloud, at few pixels and depth samples, rendered by the engine."""
     scene.render.resolution_x, scene.render.resolution_y = 32, 24
     scene.mrpnn.depth_samples = 2
-    scene.render.engine = 'MRPNN'
+    scene.render.engine = "MRPNN"
     scene.render.film_transparent = True
     blender_scenes.write_multilayer(scene)
     return blender_scenes.cloud_scene(scene, tmp_path)
@@ -60,10 +61,13 @@ def test_the_compositor_sees_each_pass(addon, scene, cloud, tmp_path):
     tree, result = blender_scenes.compositor(scene)
     node = tree.nodes.new("CompositorNodeRLayers")
     tree.links.new(node.outputs[INDIRECT], result)
-    scene.render.image_settings.color_depth = '32'
+    scene.render.image_settings.color_depth = "32"
     found = render(scene, tmp_path / "composed.exr")
-    composed = next(np.stack([found[f"{name[:-1]}{c}"] for c in "RGB"], axis=-1)
-                    for name in found if "Composite" in name and name.endswith("R"))
+    composed = next(
+        np.stack([found[f"{name[:-1]}{c}"] for c in "RGB"], axis=-1)
+        for name in found
+        if "Composite" in name and name.endswith("R")
+    )
     np.testing.assert_allclose(composed, layer(addon, scene).multiple, rtol=1e-5, atol=1e-7)
 
 
@@ -114,7 +118,8 @@ def combined_of(scene, path):
 def test_a_view_layer_shows_its_own_collections(addon, scene, cloud, tmp_path):
     """The cloud is in one view layer, a second one beside it in the other; each renders as if alone."""
     other, _ = blender_scenes.add_volume(
-        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Other")
+        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Other"
+    )
     collections = {}
     for volume in (cloud, other):
         collections[volume.name] = bpy.data.collections.new(volume.name)
@@ -167,12 +172,13 @@ def test_an_animation_writes_each_frame_as_if_alone(addon, scene, cloud, tmp_pat
 
 
 def test_a_frame_before_a_sequence_begins_is_an_empty_picture(addon, scene, cloud, tmp_path):
-    cloud.data.is_sequence, cloud.data.sequence_mode, cloud.data.frame_start = True, 'CLIP', 5
+    cloud.data.is_sequence, cloud.data.sequence_mode, cloud.data.frame_start = True, "CLIP", 5
     scene.frame_set(1)
     found = render(scene, tmp_path / "empty.exr")
     assert found and all(not values.any() for values in found.values())
 
 
+@pytest.mark.slow
 def test_an_animated_world_follows_the_frame(addon, scene, cloud, tmp_path):
     """Also in F12, which evaluates frames other than the scene's current one."""
     scene.mrpnn.world_directions = 1
@@ -195,7 +201,7 @@ def test_a_mistake_ends_the_render_with_its_message_and_without_a_file(addon, sc
     cloud.data.filepath = str(tmp_path / "gone.vdb")
     for still in (True, False):
         scene.render.filepath = str(tmp_path / "never")
-        with pytest.raises(RuntimeError, match="\"Cloud\": file not found"):
+        with pytest.raises(RuntimeError, match='"Cloud": file not found'):
             bpy.ops.render.render(write_still=still, animation=not still)
     assert not list(tmp_path.glob("never*"))
 
@@ -210,11 +216,12 @@ def test_files_hold_metadata_of_the_render(addon, scene, cloud, tmp_path):
 
 def test_built_in_panels_show_for_the_engine_only_while_registered(addon):
     panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_context_material]
-    assert all('MRPNN' in panel.COMPAT_ENGINES for panel in panels)
+    assert all("MRPNN" in panel.COMPAT_ENGINES for panel in panels)
     addon.unregister()
     try:
-        assert not [panel for panel in bpy.types.Panel.__subclasses__()
-                    if 'MRPNN' in getattr(panel, 'COMPAT_ENGINES', ())]
-        assert not hasattr(bpy.types.Scene, 'mrpnn') and not hasattr(bpy.types, 'MRPNN_OT_render')
+        assert not [
+            panel for panel in bpy.types.Panel.__subclasses__() if "MRPNN" in getattr(panel, "COMPAT_ENGINES", ())
+        ]
+        assert not hasattr(bpy.types.Scene, "mrpnn") and not hasattr(bpy.types, "MRPNN_OT_render")
     finally:
         addon.register()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rendering in Blender: the operator and the worker thread."""
 
 import threading
@@ -12,7 +13,6 @@ bpy = pytest.importorskip("bpy")
 import OpenEXR
 
 from inference import SceneError, Settings, render
-
 from tests.support import blender_scenes
 from tests.support.exr_files import channels, combined
 
@@ -34,10 +34,9 @@ def image_pixels():
 
 
 def test_the_operator_renders_the_librarys_layer(addon, scene, cloud, tmp_path):
-    assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {'FINISHED'}
+    assert bpy.ops.mrpnn.render(filepath=str(tmp_path / "layer.exr")) == {"FINISHED"}
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-    layer = render(
-        described.volumes, described.suns, described.camera, Settings(depth_samples=2))
+    layer = render(described.volumes, described.suns, described.camera, Settings(depth_samples=2))
     found = image_pixels()
     np.testing.assert_array_equal(found[..., :3], layer.rgb)
     np.testing.assert_array_equal(found[..., 3], layer.alpha)
@@ -85,7 +84,7 @@ def test_problems_are_errors_with_a_message(addon, scene, cloud, tmp_path):
     with pytest.raises(RuntimeError, match="the limit is 1.0 GiB"):
         bpy.ops.mrpnn.render(filepath=str(tmp_path / "x.exr"))
     cloud.data.filepath = str(tmp_path / "gone.vdb")
-    with pytest.raises(RuntimeError, match="\"Cloud\": file not found"):
+    with pytest.raises(RuntimeError, match='"Cloud": file not found'):
         bpy.ops.mrpnn.render(filepath=str(tmp_path / "x.exr"))
     assert not (tmp_path / "x.exr").exists() and "MRPNN" not in bpy.data.images
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Untrusted .blend files, and faults during a render."""
 
 import os
@@ -12,8 +13,7 @@ bpy = pytest.importorskip("bpy")
 
 from inference import RenderCache, SceneError
 from inference.network import network
-from inference.network.baselines import SingleScattering
-
+from inference.network.baselines import Baseline, BaselinePredictor, SingleScattering
 from tests.support import blender_scenes
 
 # Python's audit events; hooks stay for the life of the process, so this one has a switch.
@@ -22,8 +22,21 @@ _told = None
 
 @sys.addaudithook
 def _listen(event, arguments):
-    if _told is not None and event.startswith(("socket.", "urllib.", "http.", "ftplib.", "os.exec", "os.posix_spawn",
-                                               "os.system", "subprocess.", "ctypes.dlopen", "import", "open")):
+    if _told is not None and event.startswith(
+        (
+            "socket.",
+            "urllib.",
+            "http.",
+            "ftplib.",
+            "os.exec",
+            "os.posix_spawn",
+            "os.system",
+            "subprocess.",
+            "ctypes.dlopen",
+            "import",
+            "open",
+        )
+    ):
         _told.append((event, arguments))
 
 
@@ -50,8 +63,11 @@ def test_a_render_opens_no_connection_and_writes_only_its_output(addon, scene, c
     # The only process is the one that reads the .vdb file.
     commands = [arguments[1] for event, arguments in told if event == "subprocess.Popen"]
     assert all(os.path.join("vdb", "worker.py") in str(command) for command in commands) and len(commands) <= 1
-    written = {str(arguments[0]) for event, arguments in told
-               if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wxa+")}
+    written = {
+        str(arguments[0])
+        for event, arguments in told
+        if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wxa+")
+    }
     assert all(str(tmp_path) in name or name == "/dev/null" for name in written)
     assert path.exists()
 
@@ -135,22 +151,30 @@ def test_rendering_can_be_cancelled_while_writing(addon, scene, cloud, tmp_path)
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".vdb"]
 
 
-class Breaks(SingleScattering):
+class Breaks(Baseline):
     """A model that fails in the middle of a render, as a bug would."""
 
-    name = "breaks"
+    def predictor(self, volume, cube, anisotropy, cancel=None):
+        return BreakingPredictor(self.name, anisotropy)
 
+
+class BreakingPredictor(BaselinePredictor):
+    def prepare(self, conditions, tasks=None):
+        return BreakingPrediction()
+
+
+class BreakingPrediction(SingleScattering):
     def predict(self, positions, omega, albedos, jitter=None, ray_features=None):
         raise ZeroDivisionError("in a thread")
 
 
 @pytest.fixture
 def breaks(addon, monkeypatch):
-    monkeypatch.setitem(network._systems, "breaks", Breaks)
+    monkeypatch.setitem(network._systems, "breaks", lambda: Breaks("breaks"))
 
 
 def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cloud, tmp_path, breaks):
-    scene.render.engine, scene.render.filepath = 'MRPNN', str(tmp_path / "frame.png")
+    scene.render.engine, scene.render.filepath = "MRPNN", str(tmp_path / "frame.png")
     (tmp_path / "frame.png").write_bytes(b"old")
     scene.mrpnn.model = "breaks"
     with pytest.raises(RuntimeError, match="which is a bug: ZeroDivisionError: in a thread"):
@@ -160,8 +184,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     assert isinstance(worker.error, ZeroDivisionError) and not (tmp_path / "layer.exr").exists()
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     module = addon.mrpnn_addon.engine.preview
-    preview = module.Preview(described, described.camera, scene.mrpnn.settings(),
-                             module.Prepared(RenderCache()))
+    preview = module.Preview(described, described.camera, scene.mrpnn.settings(), module.Prepared(RenderCache()))
     while not preview.done:
         time.sleep(0.01)
     assert "which is a bug" in preview.message
@@ -172,6 +195,7 @@ def test_an_exception_in_a_render_thread_ends_that_render_alone(addon, scene, cl
     assert (tmp_path / "frame.png").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_too_little_memory_is_a_message(addon, scene, cloud):
     """The memory limit allows the render, the operating system does not."""
     resource = pytest.importorskip("resource")
@@ -188,4 +212,4 @@ def test_too_little_memory_is_a_message(addon, scene, cloud):
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
     scene.render.resolution_x = scene.render.resolution_y = 16
-    assert bpy.ops.mrpnn.render() == {'FINISHED'}
+    assert bpy.ops.mrpnn.render() == {"FINISHED"}

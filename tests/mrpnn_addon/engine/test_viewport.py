@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The preview of Rendered shading: its camera, its refinement and its end. Drawing needs a window."""
 
 import threading
@@ -11,7 +12,6 @@ bpy = pytest.importorskip("bpy")
 
 from inference import RenderCache, Settings, render
 from inference.scene.optimizations import ALL
-
 from tests.support import blender_scenes
 
 
@@ -25,37 +25,47 @@ def described(addon):
     return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
-@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 def test_looking_through_the_camera_is_the_renders_view(addon, scene, cloud, kind):
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     camera.rotation_euler = (0.1, 0.2, 0.3)
     description = described(addon)
     seen = addon.mrpnn_addon.engine.viewport.viewport_camera(
-        camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
-        kind == 'PERSP', (64, 48), clip_end=100.0)
+        camera.matrix_world.inverted(),
+        camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
+        kind == "PERSP",
+        (64, 48),
+        clip_end=100.0,
+    )
     settings = Settings(depth_samples=1)
-    found, expected = (render(description.volumes, description.suns, view, settings).alpha
-                       for view in (seen, description.camera))
+    found, expected = (
+        render(description.volumes, description.suns, view, settings).alpha for view in (seen, description.camera)
+    )
     np.testing.assert_allclose(found, expected, atol=2e-4)
     assert expected.max() > 0.3
 
 
-@pytest.mark.parametrize("kind", ['PERSP', 'ORTHO'])
+@pytest.mark.parametrize("kind", ["PERSP", pytest.param("ORTHO", marks=pytest.mark.slow)])
 def test_a_region_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind):
     """Of any position and shape, as a render region is."""
     camera = scene.camera
     camera.data.type, camera.data.ortho_scale, camera.data.shift_x = kind, 4.0, 0.1
     description = described(addon)
-    view = (camera.matrix_world.inverted(), camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
-            kind == 'PERSP', (64, 48))
+    view = (
+        camera.matrix_world.inverted(),
+        camera.calc_matrix_camera(blender_scenes.depsgraph(), x=64, y=48),
+        kind == "PERSP",
+        (64, 48),
+    )
     make = addon.mrpnn_addon.engine.viewport.viewport_camera
     # Pixels at the region's border have no neighbours outside it to interpolate from.
     settings = Settings(depth_samples=1, leave_out=ALL - {"shared_pixels"})
-    whole, part = (render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part),
-                                          settings).alpha
-                   for part in ((0.0, 0.0, 1.0, 1.0), (16 / 64, 6 / 48, 48 / 64, 40 / 48)))
-    np.testing.assert_allclose(part, whole[48 - 40:48 - 6, 16:48], atol=2e-4)
+    whole, part = (
+        render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part), settings).alpha
+        for part in ((0.0, 0.0, 1.0, 1.0), (16 / 64, 6 / 48, 48 / 64, 40 / 48))
+    )
+    np.testing.assert_allclose(part, whole[48 - 40 : 48 - 6, 16:48], atol=2e-4)
     assert part.max() > 0.3
 
 
@@ -88,15 +98,17 @@ def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     assert max(second) == 3 and second[1].shape == (40, 53, 4)
     layer = render(description.volumes, description.suns, turned, settings)
     np.testing.assert_array_equal(second[3][::-1, :, :3], layer.rgb)
-    rough = render(description.volumes, description.suns, replace(turned, resolution=(53, 40)),
-                                   Settings(depth_samples=1))
+    rough = render(
+        description.volumes, description.suns, replace(turned, resolution=(53, 40)), Settings(depth_samples=1)
+    )
     np.testing.assert_array_equal(second[1][::-1, :, :3], rough.rgb)
 
 
+@pytest.mark.slow
 def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
     """Sun, position, density, colour and anisotropy, one after another, with one render cache."""
     settings, shared = Settings(depth_samples=1), prepared(addon)
-    sun = next(item for item in scene.objects if item.type == 'LIGHT')
+    sun = next(item for item in scene.objects if item.type == "LIGHT")
     node = cloud.data.materials[0].node_tree.nodes["Principled Volume"]
 
     def turn():
@@ -126,13 +138,14 @@ def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
         last = layer.rgb
 
 
-@pytest.mark.parametrize("pictures_before", [0, 1, 2, 3])
+@pytest.mark.parametrize(
+    "pictures_before", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2, 3))]
+)
 def test_a_cancelled_preview_ends_its_thread(addon, scene, cloud, pictures_before):
     """At any stage of refinement, within a second of two threads."""
     description = described(addon)
     large = replace(description.camera, resolution=(512, 384))
-    preview = addon.mrpnn_addon.engine.preview.Preview(
-        description, large, Settings(depth_samples=256), prepared(addon))
+    preview = addon.mrpnn_addon.engine.preview.Preview(description, large, Settings(depth_samples=256), prepared(addon))
     while preview.number < pictures_before:
         time.sleep(0.001)
     time.sleep(0.05)
@@ -147,7 +160,8 @@ def test_a_cancelled_preview_ends_its_thread(addon, scene, cloud, pictures_befor
 def test_a_scene_that_cannot_be_rendered_says_why(addon, scene, cloud):
     description = described(addon)
     preview = addon.mrpnn_addon.engine.preview.Preview(
-        description, description.camera, Settings(memory_limit=1), prepared(addon))
+        description, description.camera, Settings(memory_limit=1), prepared(addon)
+    )
     while not preview.done:
         time.sleep(0.01)
     assert "limit" in preview.message and preview.picture is None

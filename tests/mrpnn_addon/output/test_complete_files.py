@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Files are written completely or not at all: full disks, limits, unwritable folders, killed processes."""
 
 import os
@@ -14,14 +15,21 @@ import pytest
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
-from mrpnn_addon.output.exr_file import LINES_PER_BLOCK, write_exr
-from mrpnn_addon.runtime.atomic_write import atomic_write
-
 from tests.support.exr_files import channels
 from tests.support.paths import ROOT
 
 # Noise does not compress: 3 MB.
 PICTURE = {"Z": np.random.default_rng(0).random((768, 1024), np.float32)}
+
+
+@pytest.fixture
+def write_exr(addon):
+    return addon.mrpnn_addon.output.exr_file.write_exr
+
+
+@pytest.fixture
+def atomic_write(addon):
+    return addon.mrpnn_addon.runtime.atomic_write.atomic_write
 
 
 @pytest.fixture
@@ -44,7 +52,7 @@ def full_disk(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_limit_on_files_keeps_the_old_one(tmp_path, files_of_a_megabyte):
+def test_a_limit_on_files_keeps_the_old_one(tmp_path, files_of_a_megabyte, write_exr):
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
     with pytest.raises(OSError, match="cannot write .*layer.exr: File too large"):
@@ -52,7 +60,7 @@ def test_a_limit_on_files_keeps_the_old_one(tmp_path, files_of_a_megabyte):
     assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["layer.exr"]
 
 
-def test_writing_can_be_cancelled(tmp_path):
+def test_writing_can_be_cancelled(tmp_path, addon, write_exr):
     """While scan lines are compressed, and while they are written."""
     path, asked = tmp_path / "layer.exr", []
     path.write_bytes(b"old")
@@ -65,8 +73,8 @@ def test_writing_can_be_cancelled(tmp_path):
         if len(asked) > before:
             raise Stopped()
 
-    lines = PICTURE["Z"].shape[0] // LINES_PER_BLOCK
-    for before in (3, lines + 3):
+    lines = PICTURE["Z"].shape[0] // addon.mrpnn_addon.output.exr_file.LINES_PER_BLOCK
+    for before in (3, lines + 3):  # noqa: B007 (check reads it)
         asked.clear()
         with pytest.raises(Stopped):
             write_exr(str(path), PICTURE, {}, check)
@@ -77,7 +85,7 @@ def test_writing_can_be_cancelled(tmp_path):
     np.testing.assert_array_equal(channels(path)["Z"], PICTURE["Z"])
 
 
-def test_a_full_disk_keeps_the_old_file(full_disk):
+def test_a_full_disk_keeps_the_old_file(full_disk, write_exr):
     path = full_disk / "layer.exr"
     path.write_bytes(b"old")
     with pytest.raises(OSError, match="cannot write .*layer.exr: No space left"):
@@ -85,7 +93,7 @@ def test_a_full_disk_keeps_the_old_file(full_disk):
     assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
 
 
-def test_a_read_only_disk_keeps_the_old_file(full_disk):
+def test_a_read_only_disk_keeps_the_old_file(full_disk, write_exr):
     path = full_disk / "layer.exr"
     path.write_bytes(b"old")
     subprocess.run(["mount", "-o", "remount,ro", full_disk], check=True)
@@ -95,12 +103,12 @@ def test_a_read_only_disk_keeps_the_old_file(full_disk):
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/nowhere/at/all"])
-def test_an_unwritable_folder_is_named(folder):
+def test_an_unwritable_folder_is_named(folder, write_exr):
     with pytest.raises(OSError, match=f"cannot write {folder}/layer.exr: "):
         write_exr(f"{folder}/layer.exr", PICTURE, {})
 
 
-def test_any_file_name_works(tmp_path):
+def test_any_file_name_works(tmp_path, write_exr):
     path = tmp_path / "Wolke über dem Meer 雲 'n' $HOME" / "Ebene 層 #1.exr"
     path.parent.mkdir()
     write_exr(str(path), PICTURE, {"höhe": "5 m"})
@@ -108,7 +116,7 @@ def test_any_file_name_works(tmp_path):
     assert os.listdir(path.parent) == [path.name]
 
 
-def test_a_symbolic_link_is_replaced_not_followed(tmp_path):
+def test_a_symbolic_link_is_replaced_not_followed(tmp_path, atomic_write):
     """The link is replaced, not the file that it points to."""
     (tmp_path / "precious").write_bytes(b"old")
     (tmp_path / "layer.exr").symlink_to(tmp_path / "precious")
@@ -117,18 +125,20 @@ def test_a_symbolic_link_is_replaced_not_followed(tmp_path):
     assert (tmp_path / "precious").read_bytes() == b"old" and not (tmp_path / "layer.exr").is_symlink()
 
 
-def test_an_error_while_writing_leaves_nothing(tmp_path):
+def test_an_error_while_writing_leaves_nothing(tmp_path, atomic_write):
     with pytest.raises(RuntimeError), atomic_write(str(tmp_path / "layer.exr")) as file:
         file.write(b"half")
         raise RuntimeError("in the middle")
     assert os.listdir(tmp_path) == []
 
 
-def test_killed_while_writing_the_old_file_stays(tmp_path):
+def test_killed_while_writing_the_old_file_stays(tmp_path, write_exr):
     path = tmp_path / "layer.exr"
     path.write_bytes(b"old")
-    program = ("import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
-               "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)")
+    program = (
+        "import sys, time; from mrpnn_addon.runtime.atomic_write import atomic_write\n"
+        "with atomic_write(sys.argv[1]) as file:\n    file.write(b'x' * 100000); file.flush(); time.sleep(600)"
+    )
     writer = subprocess.Popen([sys.executable, "-c", program, path], cwd=ROOT)
     while not list(tmp_path.glob(".mrpnn-*.part")) and writer.poll() is None:
         time.sleep(0.01)

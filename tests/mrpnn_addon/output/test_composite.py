@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Compositing: the volumes by MRPNN over the rest of the scene by Cycles, in one F12."""
 
 import numpy as np
@@ -39,8 +40,8 @@ def test_the_layer_covers_surfaces_behind_it_and_is_covered_by_those_in_front(ad
     layer = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(layer)
     layer = layer.reshape(24, 24, 4)[::-1]
-    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
-    assert scene.render.engine == 'CYCLES' and bpy.data.scenes["Scene MRPNN"].render.engine == 'MRPNN'
+    assert bpy.ops.mrpnn.composite(shadows=False) == {"FINISHED"}
+    assert scene.render.engine == "CYCLES" and bpy.data.scenes["Scene MRPNN"].render.engine == "MRPNN"
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     left = found[:, 2:10]
     glow = np.float32([0.2, 0.4, 0.8])
@@ -72,9 +73,11 @@ def state(scene):
         "scenes": sorted(one.name for one in bpy.data.scenes),
         "collections": {one.name: sorted(o.name for o in one.objects) for one in bpy.data.collections},
         "objects": {one.name: (one.visible_camera, one.visible_shadow, one.hide_render) for one in bpy.data.objects},
-        "layers": [(one.name, one.use, one.use_pass_z, one.layer_collection.indirect_only)
-                   for one in scene.view_layers],
-        "engine": scene.render.engine, "film": scene.render.film_transparent,
+        "layers": [
+            (one.name, one.use, one.use_pass_z, one.layer_collection.indirect_only) for one in scene.view_layers
+        ],
+        "engine": scene.render.engine,
+        "film": scene.render.film_transparent,
         "compositing": scene.render.use_compositing,
         "nodes": bool(scene.use_nodes) if bpy.app.version < (5, 0, 0) else tree is not None,
     }
@@ -87,19 +90,21 @@ def ground(scene, z=-1.5):
     return blender_scenes.add_object(scene, "Ground", mesh)
 
 
+@pytest.mark.slow
 def test_volumes_cast_shadows_on_surfaces_on_request(addon, scene, cloud, tmp_path):
     ground(scene)
     found, before = {}, state(scene)
     for shadows in (True, False):
         # Again, to change the setting.
-        assert bpy.ops.mrpnn.composite(shadows=shadows) == {'FINISHED'}
+        assert bpy.ops.mrpnn.composite(shadows=shadows) == {"FINISHED"}
         assert [one.name for one in bpy.data.scenes] == ["Scene", "Scene MRPNN"]
         found[shadows] = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 1]
     # The sunlight that the cloud blocks from the floor.
     assert np.median(found[True]) > 0.9 * np.median(found[False]) and (found[True] < 0.7 * found[False]).sum() > 20
     after = state(scene)
     assert [after[name] for name in ("collections", "objects", "layers")] == [
-        before[name] for name in ("collections", "objects", "layers")]
+        before[name] for name in ("collections", "objects", "layers")
+    ]
 
 
 def nested(scene, cloud):
@@ -116,11 +121,11 @@ def nested(scene, cloud):
 
 def instance(scene, collection):
     empty = blender_scenes.add_object(scene, "Instance", None)
-    empty.instance_type, empty.instance_collection = 'COLLECTION', collection
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
     return empty
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("linked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, cloud, tmp_path, linked):
     outer = nested(scene, cloud)
     if linked:
@@ -135,11 +140,11 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
         outer = here.collections[0]
         assert outer.library is not None
     instance(scene, outer)
-    # Cycles' own noise aside, the picture is the layer over the block, which shows nowhere twice.
+    # Up to Cycles' noise, the picture is the layer over the block, which nowhere shows twice.
     alone = layer_of(scene)
     assert alone[..., 3].max() > 0.2
     before = state(scene)
-    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    assert bpy.ops.mrpnn.composite(shadows=False) == {"FINISHED"}
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     blue = found[..., 2] - alone[..., 2] > 0.3
     assert 4 < blue.sum() < 60
@@ -147,7 +152,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
     blue |= np.roll(blue, 1, 0) | np.roll(blue, -1, 0)
     blue |= np.roll(blue, 1, 1) | np.roll(blue, -1, 1)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
-    # Where Cycles keeps the volumes for their shadows, the camera sees them once all the same.
+    # Where Cycles keeps the volumes for their shadows, the camera still sees them once.
     bpy.ops.mrpnn.composite(shadows=True)
     found = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     np.testing.assert_allclose(found[~blue], alone[~blue], rtol=2e-3, atol=0.02)
@@ -165,8 +170,11 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     scene.mrpnn.depth_samples = 2
     scene.world = bpy.data.worlds.new("Other")
     second, _ = blender_scenes.add_volume(
-        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 2.0)), "Second",
-        Density=4.0)
+        scene,
+        blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 2.0)),
+        "Second",
+        Density=4.0,
+    )
     second.location.x = 1.5
     hidden = bpy.data.collections.new("Hidden")
     scene.collection.children.link(hidden)
@@ -179,10 +187,10 @@ def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp
     for name in ("frame_start", "frame_end", "frame_step", "camera", "world"):
         assert getattr(volumes, name) == getattr(scene, name), name
     assert [(m.frame, m.camera) for m in volumes.timeline_markers] == [(5, scene.camera)]
-    assert volumes.render.image_settings.file_format == 'OPEN_EXR' != 'PNG'
-    assert volumes.render.image_settings.color_depth == '32' and volumes.render.filepath != scene.render.filepath
-    assert volumes.render.engine == 'MRPNN' and scene.render.engine == 'CYCLES'
-    # A further view layer that is rendered shows what the first one does not.
+    assert volumes.render.image_settings.file_format == "OPEN_EXR" != "PNG"
+    assert volumes.render.image_settings.color_depth == "32" and volumes.render.filepath != scene.render.filepath
+    assert volumes.render.engine == "MRPNN" and scene.render.engine == "CYCLES"
+    # Another rendered view layer shows what the first one does not.
     layer = scene.view_layers.new("Behind")
     layer.layer_collection.children["Hidden"].exclude = False
     third.location = (-1.5, 0.0, 0.0)
@@ -217,7 +225,7 @@ def broken_nodes(scene):
 
 
 def broken_engine(scene):
-    scene.render.engine = 'MRPNN'
+    scene.render.engine = "MRPNN"
 
 
 def broken_compositing(scene):
@@ -226,27 +234,34 @@ def broken_compositing(scene):
 
 def turned_panorama(scene):
     lens = scene.camera.data
-    lens.type = 'PANO'
-    (lens if hasattr(lens, "panorama_type") else lens.cycles).panorama_type = 'EQUIRECTANGULAR'
+    lens.type = "PANO"
+    (lens if hasattr(lens, "panorama_type") else lens.cycles).panorama_type = "EQUIRECTANGULAR"
 
 
-@pytest.mark.parametrize("change, said", [
-    (broken_scene, "was deleted"), (broken_nodes, "does not show the volumes"), (broken_engine, "not Cycles"),
-    (broken_compositing, "Compositing is off"), (turned_panorama, "panorama now")])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (broken_scene, "was deleted"),
+        (broken_nodes, "does not show the volumes"),
+        (broken_engine, "not Cycles"),
+        (broken_compositing, "Compositing is off"),
+        (turned_panorama, "panorama now"),
+    ],
+)
 def test_differences_that_do_not_follow_are_named_and_repaired(addon, scene, cloud, tmp_path, change, said):
     bpy.ops.mrpnn.composite(shadows=False)
     out_of_date = addon.mrpnn_addon.output.composite.out_of_date
     assert out_of_date(scene) == []
     change(scene)
     assert any(said in problem for problem in out_of_date(scene)), out_of_date(scene)
-    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    assert bpy.ops.mrpnn.composite(shadows=False) == {"FINISHED"}
     assert out_of_date(scene) == []
     found = blender_scenes.render_cycles(scene, tmp_path, samples=1)
     np.testing.assert_allclose(found, layer_of(scene), rtol=1e-3, atol=1e-5)
     assert found.max() > 0.01
 
 
-@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
     scene.render.use_persistent_data = persistent
@@ -255,7 +270,7 @@ def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path
     composited = blender_scenes.render_cycles(scene, tmp_path, samples=4)
     assert np.abs(composited - plain).max() > 0.01
     # From the scene of the volumes as well.
-    assert bpy.ops.mrpnn.composite_remove() == {'FINISHED'}
+    assert bpy.ops.mrpnn.composite_remove() == {"FINISHED"}
     assert state(scene) == before
     np.testing.assert_array_equal(blender_scenes.render_cycles(scene, tmp_path, samples=4), plain)
 
@@ -291,10 +306,13 @@ def test_the_viewport_shows_the_volumes_as_before(addon, scene, cloud, tmp_path)
     blender_scenes.render_cycles(scene, tmp_path, samples=1)
     graph = blender_scenes.depsgraph()
     graph.update()
-    (seen,) = [one.object for one in graph.object_instances if one.object.type == 'VOLUME']
-    assert seen.visible_camera and seen.visible_shadow and graph.mode == 'VIEWPORT'
-    assert not any(one.object.indirect_only_get(view_layer=scene.view_layers[0]) for one in graph.object_instances
-                   if not one.is_instance)
+    (seen,) = [one.object for one in graph.object_instances if one.object.type == "VOLUME"]
+    assert seen.visible_camera and seen.visible_shadow and graph.mode == "VIEWPORT"
+    assert not any(
+        one.object.indirect_only_get(view_layer=scene.view_layers[0])
+        for one in graph.object_instances
+        if not one.is_instance
+    )
 
 
 def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
@@ -304,7 +322,7 @@ def test_a_scene_without_volumes_is_refused_and_left_alone(addon, scene):
     assert list(bpy.data.scenes) == [scene] and not scene.collection.children
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, cloud, tmp_path, angle):
     """Absorbing fog and an emissive wall: pixel by pixel, edges included."""
     scene.render.resolution_x = scene.render.resolution_y = 48
@@ -312,7 +330,7 @@ def test_a_wall_through_a_volume_equals_cycles_rendering_both(addon, scene, clou
     fog["Color"].default_value, fog["Density"].default_value = (0.0, 0.0, 0.0, 1.0), 2.0
     wall(scene, 0.0).rotation_euler = (0.0, angle, 0.3)
     together = blender_scenes.render_cycles(scene, tmp_path, samples=64)
-    assert bpy.ops.mrpnn.composite(shadows=False) == {'FINISHED'}
+    assert bpy.ops.mrpnn.composite(shadows=False) == {"FINISHED"}
     found = blender_scenes.render_cycles(scene, tmp_path, samples=64)
     level = together[..., :3].mean()
     assert np.sqrt(((found - together)[..., :3] ** 2).mean()) < 0.05 * level

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Layers as EXR files, Image data-blocks and display-ready files."""
 
 import json
@@ -12,7 +13,6 @@ bpy = pytest.importorskip("bpy")
 import OpenEXR
 
 from inference import Layer
-
 from tests.support import blender_scenes
 
 
@@ -25,8 +25,9 @@ def layer(addon):
     alpha = random.uniform(0.1, 1, shape).astype(np.float32)
     depth = np.where(random.random(shape) < 0.3, np.inf, random.uniform(1, 9, shape)).astype(np.float32)
     single[:5], multiple[:5], alpha[:5] = 0.0, 0.0, 0.0
-    return Layer(1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha,
-                                 emission=0.2 * single)
+    return Layer(
+        1.2 * single + multiple, alpha, depth, single, multiple, uncertainty=0.1 * alpha, emission=0.2 * single
+    )
 
 
 def channels(path):
@@ -41,9 +42,17 @@ def test_openexr_reads_what_was_written(addon, layer, tmp_path):
     found, header = channels(path)
     assert set(found) == {
         *(f"Fog.{name}.{c}" for name in ("Combined", "Single", "Multiple", "Emission") for c in "RGB"),
-        "Fog.Combined.A", "Fog.Alpha.A", "Fog.Depth.Z", "Fog.Uncertainty.X"}
-    for name, values in (("Combined", layer.rgb), ("Single", layer.single), ("Multiple", layer.multiple),
-                         ("Emission", layer.emission)):
+        "Fog.Combined.A",
+        "Fog.Alpha.A",
+        "Fog.Depth.Z",
+        "Fog.Uncertainty.X",
+    }
+    for name, values in (
+        ("Combined", layer.rgb),
+        ("Single", layer.single),
+        ("Multiple", layer.multiple),
+        ("Emission", layer.emission),
+    ):
         for index, c in enumerate("RGB"):
             np.testing.assert_array_equal(found[f"Fog.{name}.{c}"], values[..., index])
     np.testing.assert_array_equal(found["Fog.Alpha.A"], layer.alpha)
@@ -101,7 +110,7 @@ def test_blenders_compositor_sees_the_layers(addon, scene, layer, tmp_path):
     tree, result = blender_scenes.compositor(scene)
     node = tree.nodes.new("CompositorNodeImage")
     node.image = bpy.data.images.load(str(path))
-    assert node.image.type == 'MULTILAYER'
+    assert node.image.type == "MULTILAYER"
     assert {"Combined", "Alpha", "Depth", "Single", "Multiple"} <= {output.name for output in node.outputs}
     # Through the compositor and out again, the multiple layer is what was written.
     tree.links.new(node.outputs["Multiple"], result)
@@ -120,7 +129,7 @@ def pixels(image):
 def test_the_image_holds_the_layer_and_is_reused(addon, scene, layer):
     show = addon.mrpnn_addon.output.layer_image.show_in_image
     image = show(layer)
-    assert image.is_float and image.alpha_mode == 'PREMUL' and image.colorspace_settings.name == 'Linear Rec.709'
+    assert image.is_float and image.alpha_mode == "PREMUL" and image.colorspace_settings.name == "Linear Rec.709"
     # Blender's rows start at the bottom.
     np.testing.assert_array_equal(pixels(image)[::-1, :, :3], layer.rgb)
     np.testing.assert_array_equal(pixels(image)[::-1, :, 3], layer.alpha)
@@ -134,7 +143,7 @@ def test_the_image_holds_the_layer_and_is_reused(addon, scene, layer):
 def test_a_packed_image_of_the_name_is_replaced_for_its_users(addon, scene, layer):
     show = addon.mrpnn_addon.output.layer_image.show_in_image
     show(layer).pack()
-    texture = bpy.data.textures.new("User", 'IMAGE')
+    texture = bpy.data.textures.new("User", "IMAGE")
     texture.image = bpy.data.images["MRPNN"]
     image = show(layer)
     assert [image.name for image in bpy.data.images] == ["MRPNN"] and texture.image == image
@@ -143,13 +152,14 @@ def test_a_packed_image_of_the_name_is_replaced_for_its_users(addon, scene, laye
 
 def test_png_has_the_view_transform_applied(addon, scene, layer, tmp_path):
     output = addon.mrpnn_addon.output.layer_image
-    scene.view_settings.view_transform = 'Standard'
-    scene.render.image_settings.file_format = 'OPEN_EXR'
+    scene.view_settings.view_transform = "Standard"
+    scene.render.image_settings.file_format = "OPEN_EXR"
     image = output.show_in_image(layer)
     path = tmp_path / "shown.png"
     output.save_view_transformed(image, str(path), scene)
-    assert scene.render.image_settings.file_format == 'OPEN_EXR'
+    assert scene.render.image_settings.file_format == "OPEN_EXR"
     from PIL import Image
+
     with Image.open(path) as png:
         assert png.mode == "RGBA"
         found = np.asarray(png) / 255.0

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Holdouts, indirect-only collections and ray visibility: volumes left out or settings ignored, and named."""
 
 import numpy as np
@@ -6,7 +7,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-
 from tests.support import blender_scenes
 
 
@@ -16,7 +16,8 @@ def two(scene, tmp_path):
     scene.render.resolution_x, scene.render.resolution_y = 16, 12
     blender_scenes.cloud_scene(scene, tmp_path)
     second, _ = blender_scenes.add_volume(
-        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Second")
+        scene, blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)), "Second"
+    )
     collection = bpy.data.collections.new("Apart")
     scene.collection.children.link(collection)
     collection.objects.link(second)
@@ -28,9 +29,15 @@ def read(addon):
     return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 
 
-@pytest.mark.parametrize("how, word", [
-    ("layer holdout", "holdout"), ("object holdout", "holdout"), ("indirect only", "indirect-only"),
-    ("camera", "hidden from the camera")])
+@pytest.mark.parametrize(
+    "how, word",
+    [
+        ("layer holdout", "holdout"),
+        ("object holdout", "holdout"),
+        ("indirect only", "indirect-only"),
+        ("camera", "hidden from the camera"),
+    ],
+)
 def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, word):
     second, layer = two
     assert len(read(addon).volumes) == 2 and not read(addon).warnings[1:]
@@ -44,7 +51,7 @@ def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, wo
         second.visible_camera = False
     found = read(addon)
     assert [volume.name for volume, _ in found.volumes] == ["Cloud"]
-    (warning,) = [text for text in found.warnings if "\"Second\"" in text]
+    (warning,) = [text for text in found.warnings if '"Second"' in text]
     assert word in warning and "left out" in warning
     assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
@@ -55,8 +62,8 @@ def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, t
     scene.objects["Cloud"].visible_camera = False
     with pytest.raises(SceneError) as problem:
         read(addon)
-    assert "\"Cloud\" is hidden from the camera" in str(problem.value)
-    assert "\"Second\" is a holdout" in str(problem.value)
+    assert '"Cloud" is hidden from the camera' in str(problem.value)
+    assert '"Second" is a holdout' in str(problem.value)
 
 
 def test_a_holdout_in_one_view_layer_is_rendered_in_another(addon, scene, two):
@@ -76,8 +83,10 @@ def test_ignored_settings_are_named(addon, scene, two):
     view_layer.material_override, view_layer.use_volumes = bpy.data.materials.new("Clay"), False
     found = read(addon)
     said = set(found.warnings) - set(before.warnings)
-    assert {word for word in ("shadow rays", "volume scatter rays", "overrides materials", "filters volumes")
-            if any(word in text for text in said)} == {
-                "shadow rays", "volume scatter rays", "overrides materials", "filters volumes"}
+    assert {
+        word
+        for word in ("shadow rays", "volume scatter rays", "overrides materials", "filters volumes")
+        if any(word in text for text in said)
+    } == {"shadow rays", "volume scatter rays", "overrides materials", "filters volumes"}
     assert len(said) == 4
     np.testing.assert_array_equal(found.volumes[1][0].density, before.volumes[1][0].density)

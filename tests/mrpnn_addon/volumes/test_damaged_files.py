@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged .vdb files and altered weights: refused with a reason, without a crash of Blender."""
 
 import hashlib
@@ -14,8 +15,6 @@ bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
 from inference.network import network
-from inference.scene import SceneError
-
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
 
@@ -43,8 +42,7 @@ def lit(scene):
 
 
 def damaged(whole: bytes, number: int) -> bytes:
-    """The file with a few bits flipped, bytes replaced, or cut off, by the number: in the tree or in its metadata.
-    """
+    """The file with a few bits flipped, bytes replaced, or cut off, by the number: in the tree or in its metadata."""
     random, changed = np.random.default_rng(number), bytearray(whole)
     low, high = (20, DESCRIPTIONS) if number // 4 % 4 == 3 else (DESCRIPTIONS, len(whole) - 8)
     if number % 4 == 0:
@@ -73,6 +71,7 @@ def wholes(folder):
         yield path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
     """Whatever happens to the process that reads it, this one goes on. As many as CAMPAIGN allows, always in one order.
 
@@ -92,17 +91,30 @@ def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
             assert grid.density.ndim == 3 and np.isfinite(grid.density).all() and grid.density.min() >= 0.0
             outcomes.append("read")
         except SceneError as error:
-            assert "\"Cloud\"" in str(error)
+            assert '"Cloud"' in str(error)
             outcomes.append("refused")
         path.unlink()
     assert set(outcomes) == {"read", "refused"}
 
 
+@pytest.mark.slow
 def test_files_on_which_openvdb_hangs_are_refused(addon, trial):
     """Found by flipping bits; the reading process is killed, this one goes on."""
     for path in sorted(CORPUS.glob("*.vdb")):
-        ended = subprocess.run([sys.executable, "-I", trial.PROGRAM, path, "density", "1000000", "1", str(4 << 30),
-                                *addon.mrpnn_addon.vdb.openvdb_module.FOLDERS], capture_output=True)
+        ended = subprocess.run(
+            [
+                sys.executable,
+                "-I",
+                trial.PROGRAM,
+                path,
+                "density",
+                "1000000",
+                "1",
+                str(4 << 30),
+                *addon.mrpnn_addon.vdb.openvdb_module.FOLDERS,
+            ],
+            capture_output=True,
+        )
         assert trial._died(ended.returncode), path.name
 
 
@@ -115,7 +127,7 @@ def test_a_file_that_is_being_rewritten_is_refused(addon, scene, tmp_path, trial
     whole = pathlib.Path(path).read_bytes()
     pathlib.Path(path).write_bytes((CORPUS / "cut_in_its_descriptions.vdb").read_bytes())
     monkeypatch.setattr(trial, "SECONDS", 1)
-    assert f"\"Cloud\": grid \"density\" of {path} is damaged" in refusal(addon)
+    assert f'"Cloud": grid "density" of {path} is damaged' in refusal(addon)
     pathlib.Path(path).write_bytes(whole)
     assert addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
 
@@ -127,7 +139,7 @@ def test_a_crash_of_the_reading_process_is_a_message(addon, scene, tmp_path, tri
     with monkeypatch.context() as short:
         # No processor time at all: the system ends the process, as it does where a file takes too long.
         short.setattr(trial, "SECONDS", 0)
-        assert f"\"Cloud\": grid \"density\" of {path} is damaged" in refusal(addon)
+        assert f'"Cloud": grid "density" of {path} is damaged' in refusal(addon)
     with monkeypatch.context() as small:
         small.setattr(trial, "MEMORY", 1 << 20)
         assert "is damaged" in refusal(addon)
@@ -140,7 +152,7 @@ def test_openvdbs_own_error_messages_are_kept(addon, scene, tmp_path):
     path.write_bytes(whole[: len(whole) - 2000])
     blender_scenes.add_volume(scene, path)
     lit(scene)
-    assert "\"Cloud\"" in refusal(addon)
+    assert '"Cloud"' in refusal(addon)
 
 
 def test_grids_far_apart_do_not_share_a_bounding_box(addon, scene, tmp_path):
@@ -156,7 +168,7 @@ def test_grids_far_apart_do_not_share_a_bounding_box(addon, scene, tmp_path):
     cloud, node = blender_scenes.add_volume(scene, path)
     tree = cloud.data.materials[0].node_tree
     sum_of = tree.nodes.new("ShaderNodeMath")
-    sum_of.operation = 'ADD'
+    sum_of.operation = "ADD"
     for socket, name in zip(sum_of.inputs, ("density", "heat")):
         attribute = tree.nodes.new("ShaderNodeAttribute")
         attribute.attribute_name = name
@@ -208,11 +220,18 @@ def test_weights_in_another_file_are_refused(weights):
         network.load_network("mrpnn")
 
 
-@pytest.mark.parametrize("key, value", [
-    ("kind", "pickle"), ("points", "AAAA"), ("points", "%%"), ("configuration", "{"), ("configuration", "[]"),
-    ("configuration", "{\"anisotropy_range\": [1, -1], \"sigma_hat_range\": [1, 2]}"),
-    ("configuration", "{\"anisotropy_range\": [0, NaN], \"sigma_hat_range\": [1, 2]}"),
-])
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("kind", "pickle"),
+        ("points", "AAAA"),
+        ("points", "%%"),
+        ("configuration", "{"),
+        ("configuration", "[]"),
+        ("configuration", '{"anisotropy_range": [1, -1], "sigma_hat_range": [1, 2]}'),
+        ("configuration", '{"anisotropy_range": [0, NaN], "sigma_hat_range": [1, 2]}'),
+    ],
+)
 def test_invalid_metadata_is_refused(weights, key, value):
     model = onnx.load(weights / "mrpnn.onnx")
     for entry in model.metadata_props:

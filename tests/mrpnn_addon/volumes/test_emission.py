@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Emissive volumes, against Cycles' renders of the same materials."""
 
 import numpy as np
@@ -7,7 +8,6 @@ bpy = pytest.importorskip("bpy")
 
 from inference import SceneError, Settings, render
 from inference.evaluation.error import relative_bias, relative_rmse
-
 from tests.support import blender_scenes
 
 CELLS = 20
@@ -21,8 +21,12 @@ def fire(tmp_path_factory):
     blob = blender_scenes.blob(CELLS)
     smooth = blob.sum(axis=2, keepdims=True) / blob.sum(axis=2).max() * np.ones(CELLS, np.float32)
     grids = []
-    for name, values in (("density", blob), ("flame", np.roll(blob, 4, axis=0)), ("temperature", smooth),
-                         ("nothing", 0.0 * blob)):
+    for name, values in (
+        ("density", blob),
+        ("flame", np.roll(blob, 4, axis=0)),
+        ("temperature", smooth),
+        ("nothing", 0.0 * blob),
+    ):
         grid = vdb.FloatGrid()
         grid.copyFromArray(np.ascontiguousarray(values, np.float32))
         grid.name, grid.gridClass = name, "fog volume"
@@ -68,7 +72,7 @@ def light_without_smoke(node):
 
 
 def flames(node):
-    strength = linked(node, "ShaderNodeMath", 0, "Emission Strength", operation='MULTIPLY')
+    strength = linked(node, "ShaderNodeMath", 0, "Emission Strength", operation="MULTIPLY")
     strength.inputs[1].default_value = 5.0
     linked(strength, "ShaderNodeAttribute", "Fac", 0, attribute_name="flame")
     colour = linked(node, "ShaderNodeBlackbody", 0, "Emission Color")
@@ -82,7 +86,7 @@ def emission_node_mixed_in(node):
     mixed = tree.nodes.new("ShaderNodeMixShader")
     mixed.inputs[0].default_value = 0.3
     tree.links.new(node.outputs[0], mixed.inputs[1])
-    tree.links.new(mixed.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    tree.links.new(mixed.outputs[0], tree.get_output_node("CYCLES").inputs["Volume"])
     glow = linked(mixed, "ShaderNodeEmission", 0, 2, Color=(0.2, 0.5, 1.0, 1.0))
     linked(glow, "ShaderNodeAttribute", "Fac", "Strength", attribute_name="flame")
 
@@ -92,8 +96,7 @@ def read(addon):
 
 
 def layer_of(addon, described):
-    return render(described.volumes, described.suns, described.camera,
-                                  Settings(depth_samples=1))
+    return render(described.volumes, described.suns, described.camera, Settings(depth_samples=1))
 
 
 def assert_cycles_agrees(addon, scene, folder, bias):
@@ -110,9 +113,10 @@ def assert_cycles_agrees(addon, scene, folder, bias):
     np.testing.assert_allclose(layer.rgb[shines].mean(axis=0) / level, expected[shines].mean(axis=0) / level, atol=bias)
 
 
-@pytest.mark.parametrize("setup", [
-    even, black_body, black_body_without_a_grid, light_without_smoke, flames, emission_node_mixed_in])
-@pytest.mark.parametrize("space", ['WORLD', 'OBJECT'])
+@pytest.mark.parametrize(
+    "setup", [even, black_body, black_body_without_a_grid, light_without_smoke, flames, emission_node_mixed_in]
+)
+@pytest.mark.parametrize("space", ["WORLD", pytest.param("OBJECT", marks=pytest.mark.slow)])
 def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path, setup, space):
     """No sun is needed. Emission where every grid is 0 fills the bounding boxes in Cycles."""
     scene.render.resolution_x = scene.render.resolution_y = 48
@@ -127,6 +131,7 @@ def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path,
 @pytest.mark.parametrize("density", [0.0, 0.8])
 def test_emission_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
     from benchmarks.cycles.scene_features.stage import cube_mesh
+
     scene.render.resolution_x = scene.render.resolution_y = 48
     shown = blender_scenes.add_object(scene, "Lamp", cube_mesh(0.8))
     shown.rotation_euler = (0.3, 0.2, 0.5)
@@ -163,7 +168,7 @@ def test_fire_that_does_not_illuminate_separate_smoke_is_named(addon, scene, fir
     assert "mean colour" in warning
     smoke.location.x = 5.0
     [warning] = read(addon).warnings
-    assert "\"Cloud\" emits does not light volume \"Smoke\"" in warning
+    assert '"Cloud" emits does not light volume "Smoke"' in warning
 
 
 def test_an_extinct_flame_emits_nothing(addon, scene, fire):

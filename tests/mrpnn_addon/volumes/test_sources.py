@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Where volumes come from: sequences of files, modifiers, geometry nodes and instances."""
 
 import shutil
@@ -8,7 +9,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import Medium, SceneError, Settings, render
-
 from tests.support import blender_scenes
 
 
@@ -42,10 +42,16 @@ def shown_files(addon, scene, frames):
     return found
 
 
-@pytest.mark.parametrize("mode, offset, expected", [
-    ('CLIP', 0, [0, 1, 2, 3, 0, 0]), ('EXTEND', 0, [1, 1, 2, 3, 3, 3]), ('REPEAT', 0, [3, 1, 2, 3, 1, 2]),
-    ('PING_PONG', 0, [2, 1, 2, 3, 2, 1]), ('EXTEND', 1, [2, 2, 3, 3, 3, 3]),
-])
+@pytest.mark.parametrize(
+    "mode, offset, expected",
+    [
+        ("CLIP", 0, [0, 1, 2, 3, 0, 0]),
+        ("EXTEND", 0, [1, 1, 2, 3, 3, 3]),
+        ("REPEAT", 0, [3, 1, 2, 3, 1, 2]),
+        ("PING_PONG", 0, [2, 1, 2, 3, 2, 1]),
+        ("EXTEND", 1, [2, 2, 3, 3, 3, 3]),
+    ],
+)
 def test_sequence_modes(addon, scene, tmp_path, mode, offset, expected):
     cloud = sequence(scene, tmp_path, (1, 2, 3, 4))
     cloud.data.sequence_mode, cloud.data.frame_offset = mode, offset
@@ -61,22 +67,22 @@ def test_sequence_modes(addon, scene, tmp_path, mode, offset, expected):
 
 def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
     """As in Cycles, so that an animation does not end there. What needs a volume states why there is none."""
-    sequence(scene, tmp_path, (1, 2, 3)).data.sequence_mode = 'CLIP'
+    sequence(scene, tmp_path, (1, 2, 3)).data.sequence_mode = "CLIP"
     lit(scene)
     scene.frame_set(9)
     described = read(addon)
-    assert described.warnings == ["volume \"Cloud\" has no file for frame 9 and is left out"]
+    assert described.warnings == ['volume "Cloud" has no file for frame 9 and is left out']
     finished = addon.mrpnn_addon.engine.render_job.render_scene(described, Settings(), str(tmp_path / "9.exr"))
     assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
     width, height = described.camera.resolution
     assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
     checked = addon.mrpnn_addon.status.scene_check.check_scene(blender_scenes.depsgraph())
-    assert "no volume is left to render: volume \"Cloud\" has no file for frame 9" in checked.error
+    assert 'no volume is left to render: volume "Cloud" has no file for frame 9' in checked.error
     # Hidden, it is an error.
     scene.frame_set(10)
     assert read(addon).volumes
     scene.objects["Cloud"].visible_camera = False
-    with pytest.raises(SceneError, match="no volume is left to render: volume \"Cloud\" is hidden"):
+    with pytest.raises(SceneError, match='no volume is left to render: volume "Cloud" is hidden'):
         read(addon)
 
 
@@ -84,27 +90,27 @@ def test_a_missing_file_of_a_sequence_is_named(addon, scene, tmp_path):
     sequence(scene, tmp_path, (1, 3))
     lit(scene)
     scene.frame_set(11)
-    message = "\"Cloud\": this frame.s file of its sequence cannot be read .*fog_002.vdb"
+    message = '"Cloud": this frame.s file of its sequence cannot be read .*fog_002.vdb'
     with pytest.raises(SceneError, match=message):
         read(addon)
 
 
 def geometry_nodes(owner, *kinds):
     """A modifier that makes geometry by a chain of nodes; gives the last node."""
-    group = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
-    group.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
-    group.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
+    group = bpy.data.node_groups.new("Make", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     entry, leave = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
     last, nodes = entry.outputs[0], []
     for kind in kinds:
         node = group.nodes.new(f"GeometryNode{kind}")
-        geometry = next((socket for socket in node.inputs if socket.type == 'GEOMETRY'), None)
+        geometry = next((socket for socket in node.inputs if socket.type == "GEOMETRY"), None)
         if geometry is not None:
             group.links.new(last, geometry)
         last = node.outputs[0]
         nodes.append(node)
     group.links.new(last, leave.inputs[0])
-    owner.modifiers.new("Make", 'NODES').node_group = group
+    owner.modifiers.new("Make", "NODES").node_group = group
     return nodes
 
 
@@ -147,7 +153,7 @@ def fog_material():
     return data, material
 
 
-@pytest.mark.parametrize("holder", ["volume object", "mesh object"])
+@pytest.mark.parametrize("holder", ["volume object", pytest.param("mesh object", marks=pytest.mark.slow)])
 def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     """Volume Cube with a material of its own, in a Volume object and in a mesh's modifier."""
     data, material = fog_material()
@@ -158,7 +164,7 @@ def test_geometry_nodes_make_volumes(addon, scene, tmp_path, holder):
     lit(scene)
     scene.render.resolution_x = scene.render.resolution_y = 32
     described = read(addon)
-    (volume, medium), = described.volumes
+    ((volume, medium),) = described.volumes
     assert "Made" in volume.name
     np.testing.assert_allclose(medium.sigma_t, 3.0 * 1.0)
     suns = described.suns
@@ -178,7 +184,7 @@ def test_points_to_volume(addon, scene, tmp_path):
     fill.inputs["Radius"].default_value = 0.4
     coat.inputs["Material"].default_value = material
     lit(scene)
-    (volume, _), = read(addon).volumes
+    ((volume, _),) = read(addon).volumes
     mass = volume.density.sum() * abs(np.linalg.det(volume.world_from_index[:3, :3]))
     # Eight balls, whose density falls off within their radius.
     assert 0.1 < mass / (8 * 4 / 3 * np.pi * 0.4**3) < 1.2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Volume files read block by block, against OpenVDB's dense copies and dense renders."""
 
 import numpy as np
@@ -6,7 +7,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-
 from tests.support import blender_scenes
 
 
@@ -104,7 +104,11 @@ def fire(tmp_path_factory):
     """Density, a flame beside it, and a temperature of another extent."""
     vdb, grids = blender_scenes.openvdb(), []
     blob = blender_scenes.blob(20)
-    for name, values, low in (("density", blob, (3, 5, -7)), ("flame", blob, (30, 5, -7)), ("heat", blob[:9], (0, 2, -3))):
+    for name, values, low in (
+        ("density", blob, (3, 5, -7)),
+        ("flame", blob, (30, 5, -7)),
+        ("heat", blob[:9], (0, 2, -3)),
+    ):
         grid = vdb.FloatGrid()
         grid.copyFromArray(np.ascontiguousarray(values, np.float32), ijk=low)
         grid.name, grid.gridClass = name, "fog volume"
@@ -127,7 +131,7 @@ def plain(shader):
 
 
 def two_grids(shader):
-    product = linked(shader, "ShaderNodeMath", 0, "Density", operation='MULTIPLY_ADD')
+    product = linked(shader, "ShaderNodeMath", 0, "Density", operation="MULTIPLY_ADD")
     for socket, name in enumerate(("density", "flame", "heat")):
         attribute = shader.id_data.nodes.new("ShaderNodeAttribute")
         attribute.attribute_name = name

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The World behind the volumes, as Cycles shows it."""
 
 import importlib
@@ -11,7 +12,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import Cancelled
-
 from tests.support import blender_scenes
 from tests.support.exr_files import combined
 
@@ -27,7 +27,7 @@ def veil(scene, tmp_path):
     scene.camera.rotation_euler = 1.3, 0.1, 0.4
     blender_scenes.set_up_cycles(scene, SAMPLES)
     # It is invisible to the camera, and takes seconds.
-    scene.world.cycles.sampling_method = 'NONE'
+    scene.world.cycles.sampling_method = "NONE"
     return cloud
 
 
@@ -102,14 +102,14 @@ def portrait(scene):
 
 
 def orthographic(scene):
-    scene.camera.data.type, scene.camera.data.ortho_scale = 'ORTHO', 3.0
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 3.0
 
 
 def equirectangular(scene):
     lens = scene.camera.data
-    lens.type = 'PANO'
-    lens = lens if hasattr(lens, 'panorama_type') else lens.cycles
-    lens.panorama_type = 'EQUIRECTANGULAR'
+    lens.type = "PANO"
+    lens = lens if hasattr(lens, "panorama_type") else lens.cycles
+    lens.panorama_type = "EQUIRECTANGULAR"
     lens.longitude_min, lens.longitude_max, lens.latitude_min = -2.0, 2.5, -0.8
 
 
@@ -122,23 +122,41 @@ def region(scene):
 
 def shown(scene, path):
     """Combined of MRPNN and of Cycles without the volumes, float32 (H, W, 4)."""
-    scene.render.engine, scene.render.film_transparent = 'MRPNN', False
+    scene.render.engine, scene.render.film_transparent = "MRPNN", False
     blender_scenes.write_multilayer(scene)
     scene.render.filepath = str(path / "behind.exr")
     bpy.ops.render.render(write_still=True)
     found = combined(path / "behind.exr")
     scene.objects["Cloud"].hide_render = True
-    scene.render.engine = 'CYCLES'
+    scene.render.engine = "CYCLES"
     scene.render.filepath = str(path / "cycles.exr")
     bpy.ops.render.render(write_still=True)
     scene.objects["Cloud"].hide_render = False
     return found, combined(path / "cycles.exr")
 
 
-@pytest.mark.parametrize("world, view", [
-    (colour, perspective), (around, perspective), (around, portrait), (around, equirectangular), (around, orthographic),
-    (around, region), (gradient, perspective), (gradient, orthographic), (window, perspective), (window, region),
-    (sky, sunwards), (sky_without_disc, equirectangular)])
+@pytest.mark.parametrize(
+    "world, view",
+    [
+        (colour, perspective),
+        (around, orthographic),
+        (window, region),
+        (sky, sunwards),
+        *(
+            pytest.param(world, view, marks=pytest.mark.slow)
+            for world, view in (
+                (around, perspective),
+                (around, portrait),
+                (around, equirectangular),
+                (around, region),
+                (gradient, perspective),
+                (gradient, orthographic),
+                (window, perspective),
+                (sky_without_disc, equirectangular),
+            )
+        ),
+    ],
+)
 def test_the_background_equals_that_of_cycles(veil, scene, tmp_path, world, view):
     world(scene)
     view(scene)
@@ -166,10 +184,12 @@ def mixed_by_light_path(scene):
     tree.links.new(path.outputs["Is Camera Ray"], mixed.inputs[0])
     tree.links.new(red.outputs[0], mixed.inputs[1])
     tree.links.new(tree.nodes["Background"].outputs[0], mixed.inputs[2])
-    tree.links.new(mixed.outputs[0], tree.get_output_node('CYCLES').inputs["Surface"])
+    tree.links.new(mixed.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
 
 
-@pytest.mark.parametrize("world", [colour, gradient, around])
+@pytest.mark.parametrize(
+    "world", [colour, *(pytest.param(world, marks=pytest.mark.slow) for world in (gradient, around))]
+)
 def test_the_camera_may_see_another_world_than_volumes_do(addon, veil, scene, tmp_path, world):
     world(scene)
     alone = background(addon, scene)[0].pixels()
@@ -193,7 +213,7 @@ def test_a_world_hidden_from_the_camera_is_black(veil, scene, tmp_path):
 
 def test_it_shows_through_a_cloud_by_alpha(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
-    scene.render.engine, scene.mrpnn.depth_samples, scene.mrpnn.world_directions = 'MRPNN', 1, 0
+    scene.render.engine, scene.mrpnn.depth_samples, scene.mrpnn.world_directions = "MRPNN", 1, 0
     gradient(scene)
     blender_scenes.write_multilayer(scene)
     images = []
@@ -256,15 +276,15 @@ def test_a_world_that_cannot_be_shown_is_black_and_named(addon, veil, scene, tmp
         patched.setattr(process, "WORKER", broken)
         found, _ = background(addon, scene)
     (warning,) = found.warnings
-    assert not found.pixels().any() and "World \"World\"" in warning and "no Cycles here" in warning
+    assert not found.pixels().any() and 'World "World"' in warning and "no Cycles here" in warning
     # Unsaved edits of an image are not used.
     around(scene).pixels[0] = 3.0
     found, _ = background(addon, scene)
     (warning,) = found.warnings
-    assert not found.pixels().any() and "image \"Around\"" in warning and "save or pack" in warning
+    assert not found.pixels().any() and 'image "Around"' in warning and "save or pack" in warning
 
 
-@pytest.mark.parametrize("view", [perspective, orthographic])
+@pytest.mark.parametrize("view", [perspective, pytest.param(orthographic, marks=pytest.mark.slow)])
 def test_a_viewport_looks_it_up_in_a_panorama_before_it_is_sharp(addon, veil, scene, view):
     """Within a redraw."""
     backdrop = importlib.import_module("mrpnn.mrpnn_addon.engine.backdrop")

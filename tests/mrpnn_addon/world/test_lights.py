@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Soft suns and the World as parallel lights, against integrals and Cycles."""
 
 import importlib
@@ -9,7 +10,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-
 from tests.support import blender_scenes
 
 
@@ -39,6 +39,7 @@ def test_a_soft_sun_keeps_its_irradiance_and_its_angle(addon, scene, tmp_path, d
         assert light @ cosine**2 / light.sum() == pytest.approx((1.0 + rim + rim**2) / 3.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_wide_sun_lights_thin_fog_as_much_more_as_in_cycles(addon, scene, tmp_path):
     """Against a sun of angle 0 and the same strength; the fog scatters isotropically and casts almost no shadow."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.02)
@@ -119,7 +120,8 @@ def test_a_coloured_world_is_light_from_all_directions(addon, scene, tmp_path):
     found = world_lights(addon)
     assert len(found) == 12 and read(addon).environment
     np.testing.assert_allclose(
-        sum(sun.irradiance for sun in found), 0.5 * 4 * math.pi * np.array([0.2, 0.4, 0.8]), rtol=1e-5)
+        sum(sun.irradiance for sun in found), 0.5 * 4 * math.pi * np.array([0.2, 0.4, 0.8]), rtol=1e-5
+    )
     # Beside a bright sun, fewer directions suffice.
     scene.objects["Sun"].data.energy = 1000.0
     assert len(world_lights(addon)) == 6
@@ -144,7 +146,7 @@ def test_a_world_that_cannot_be_shown_is_named(addon, scene, tmp_path, monkeypat
     assert "World" in warning and "Voronoi Texture" in warning and "no Cycles here" in warning
     assert "its light is not rendered" in warning and not world_lights(addon)
     fog = tree.nodes.new("ShaderNodeVolumeScatter")
-    tree.links.new(fog.outputs[0], tree.get_output_node('CYCLES').inputs["Volume"])
+    tree.links.new(fog.outputs[0], tree.get_output_node("CYCLES").inputs["Volume"])
     assert any("its fog is not rendered" in text for text in read(addon).warnings)
 
 
@@ -180,6 +182,7 @@ def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
     np.testing.assert_allclose(seen[3] * albedo * fluence / (4 * math.pi) * lost, seen[:3], rtol=0.06)
 
 
+@pytest.mark.slow
 def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_path):
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
     world = importlib.import_module("mrpnn.mrpnn_addon.world.lighting")
@@ -202,5 +205,6 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
         sphere.directions = -np.array(camera.matrix_world)[None, :3, 2]
         found = world._surface(
             importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(sphere),
-            sockets.source_of(tree.get_output_node('CYCLES').inputs["Surface"]))
+            sockets.source_of(tree.get_output_node("CYCLES").inputs["Surface"]),
+        )
         np.testing.assert_allclose(found[0], seen, rtol=0.03)

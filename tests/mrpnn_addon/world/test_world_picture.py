@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Worlds rendered by Cycles: against the nodes evaluated in numpy, and the sun discs of skies."""
 
 import importlib
@@ -9,7 +10,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-
 from tests.support import blender_scenes
 
 
@@ -33,18 +33,19 @@ def feed(scene, kind, output=0):
 
 def test_a_picture_equals_the_evaluated_nodes(scene, pictures):
     """Colours that follow the direction, whatever the camera is shown, and without the World's fog."""
-    environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}")
-                          for name in ("quadrature", "lighting"))
+    environment, world = (
+        importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}") for name in ("quadrature", "lighting")
+    )
     tree, coordinates = scene.world.node_tree, feed(scene, "ShaderNodeTexCoord", "Generated")
     assert coordinates.outputs["Generated"].is_linked
     sphere = environment.Sphere(32)
-    expected = world._radiance(scene.world, tree.get_output_node('CYCLES'), sphere)
+    expected = world._radiance(scene.world, tree.get_output_node("CYCLES"), sphere)
     mixed, path, black = (tree.nodes.new(f"ShaderNode{name}") for name in ("MixShader", "LightPath", "Background"))
     black.inputs["Strength"].default_value = 0.0
     tree.links.new(path.outputs["Is Camera Ray"], mixed.inputs[0])
     tree.links.new(tree.nodes["Background"].outputs[0], mixed.inputs[1])
     tree.links.new(black.outputs[0], mixed.inputs[2])
-    output = tree.get_output_node('CYCLES')
+    output = tree.get_output_node("CYCLES")
     tree.links.new(mixed.outputs[0], output.inputs["Surface"])
     tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], output.inputs["Volume"])
     picture = shown(scene, pictures)

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The compiled march against its twin in numpy, on identical rays: ordinary, extreme and random scenes."""
+
+import ctypes
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+
+from inference import Camera, Medium, Settings, Surface, render
+from inference.kernels.library import Kernels, Unavailable, load_kernels
+from inference.marching.compiled_march import CompiledMarch
+from inference.marching.depth_samples import possible_counts, sample_counts
+from inference.marching.emission import emitted_radiance
+from inference.marching.ray_march import RaySegment, march
+from inference.scene.optimizations import ALL
+from tests.support.marches import MarchScene, Recipe, random_scene
+from tests.support.volumes import SUN, cloud
+
+KERNELS = load_kernels()
+# Largest difference over the largest value of each quantity.
+TOLERANCE = 1e-5
+BIG = (150, 140, 135)
+SCENES = {
+    "ordinary": Recipe(),
+    "thin": Recipe(thickness=1e-4),
+    "thick": Recipe(thickness=200.0),
+    "stiff": Recipe(thickness=3000.0),
+    "sparse": Recipe(sparse=True, voxels=BIG),
+    "stiff and sparse": Recipe(sparse=True, voxels=BIG, thickness=3000.0),
+    "one voxel": Recipe(voxels=(1, 1, 1), kind="solid"),
+    "a row of voxels": Recipe(voxels=(1, 1, 150), kind="solid", thickness=100.0),
+    "sheared": Recipe(shear=0.4),
+    "orthographic": Recipe(projection="orthographic"),
+    "from inside": Recipe(projection="inside"),
+    "three volumes": Recipe(volumes=3, suns=2),
+    "three volumes in two groups": Recipe(volumes=3, suns=3, groups=[[0, 2], [1]]),
+    "stiff volumes": Recipe(volumes=2, suns=2, thickness=1000.0),
+    "shadows of surfaces": Recipe(shadows=True, suns=2),
+    "emission": Recipe(emission=1, volumes=2),
+    "sparse blackbody": Recipe(emission=4, sparse=True, voxels=BIG),
+    "lonely voxels": Recipe(kind="voxels", thickness=50.0),
+    "all magnitudes": Recipe(kind="magnitudes", thickness=5e5),
+    "opaque solid": Recipe(kind="solid", thickness=5e5),
+    "without optimizations": Recipe(optimizations=frozenset(), emission=1, thickness=30.0),
+    "without ray features": Recipe(features=False, thickness=100.0),
+    "many depth samples": Recipe(depth_samples=96),
+}
+
+
+def compiled(scene: MarchScene, variant: int | None = None) -> RaySegment:
+    kernels = KERNELS if variant is None else Kernels(KERNELS.path, variant)
+    stop = ctypes.c_int32(0)
+    return CompiledMarch(kernels, scene.media, scene.options, scene.channels, stop)(scene.rays)
+
+
+def twin(scene: MarchScene) -> RaySegment:
+    emission = emitted_radiance(scene.media, scene.rays, scene.channels, scene.options.optimizations)
+    return dataclasses.replace(march(scene.media, scene.rays, scene.options), emission=emission)
+
+
+def quantities(segment: RaySegment) -> dict[str, np.ndarray]:
+    """By name, arrays of what rays gathered."""
+    found = {name: np.asarray(value) for name, value in vars(segment).items() if isinstance(value, np.ndarray)}
+    # How far opaque rays are followed does not matter.
+    found["optical_depth"] = np.exp(-found["optical_depth"])
+    if segment.sample_features is not None:
+        for column, values in enumerate(np.moveaxis(segment.sample_features.values, -1, 0)):
+            found[f"feature {column}"] = values
+    return found
+
+
+def assert_equal(one: RaySegment, other: RaySegment, tolerance: float) -> None:
+    one, other = quantities(one), quantities(other)
+    assert one.keys() == other.keys()
+    for name, expected in one.items():
+        assert expected.shape == other[name].shape, name
+        difference = np.abs(expected.astype(float) - other[name]).max(initial=0.0)
+        assert difference <= tolerance * np.abs(expected).max(initial=0.0), name
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", SCENES)
+def test_compiled_march_equals_its_twin(name, seed):
+    scene = random_scene(seed, SCENES[name], 24)
+    assert len(scene.rays.near) > 3
+    expected = twin(scene)
+    assert expected.alpha.max() > 0.0
+    assert_equal(expected, compiled(scene), TOLERANCE)
+
+
+def random_recipe(random: np.random.Generator) -> Recipe:
+    volumes = int(random.integers(1, 4))
+    return Recipe(
+        volumes=volumes,
+        suns=int(random.integers(1, 4)),
+        voxels=tuple(random.integers(1, 40, 3).tolist()),
+        thickness=float(10.0 ** random.uniform(-3.0, 4.0)),
+        sparse=random.random() < 0.3,
+        shear=float(random.choice([0.0, 0.3])),
+        shadows=random.random() < 0.3,
+        groups=[[0, 1], [2]] if volumes == 3 and random.random() < 0.5 else None,
+        features=random.random() < 0.7,
+        emission=int(random.choice([0, 1, 4])),
+        projection=str(random.choice(["perspective", "orthographic", "inside"])),
+        depth_samples=int(random.integers(1, 20)),
+        optimizations=ALL - {"faint_rays"} - set(random.choice(sorted(ALL), 3).tolist()),
+        kind=str(random.choice(["lumps", "solid", "voxels", "magnitudes"])),
+    )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_compiled_march_equals_its_twin_in_random_scenes(seed):
+    scene = random_scene(seed, random_recipe(np.random.default_rng(1000 + seed)), 16)
+    # A ray whose last lit step is a matter of rounding is cut elsewhere; see the share of them.
+    expected, found = quantities(twin(scene)), quantities(compiled(scene))
+    for name in ("alpha", "single", "depth", "optical_depth", "emission"):
+        if name in expected:
+            scale = max(np.abs(expected[name]).max(initial=0.0), 1e-30)
+            off = np.abs(expected[name] - found[name]).reshape(len(expected["alpha"]), -1).max(axis=1) / scale
+            assert np.count_nonzero(off > TOLERANCE) <= 1, name
+            assert off.max() < 0.05, name
+
+
+def test_depth_samples_of_faint_rays_are_as_many():
+    scene = random_scene(3, dataclasses.replace(SCENES["ordinary"], optimizations=ALL, depth_samples=40), 200)
+    expected, found = twin(scene), compiled(scene)
+    counts = [np.bincount(segment.sample_ray, minlength=200) for segment in (expected, found)]
+    assert len(np.unique(counts[0])) > 5
+    assert np.mean(counts[0] != counts[1]) <= 0.01
+
+
+@pytest.mark.parametrize("most", [1, 2, 15, 16, 17, 40, 48, 100])
+def test_possible_counts_are_all_there_are(most):
+    counts = np.unique(sample_counts(np.linspace(0.0, 1.0, 200001), most))
+    assert set(counts[counts > 0]) <= set(possible_counts(most)) and max(possible_counts(most)) == most
+
+
+@pytest.mark.parametrize("name", ["ordinary", "stiff", "sparse", "three volumes in two groups", "emission"])
+def test_variants_for_different_processors_agree(name):
+    scene = random_scene(7, SCENES[name], 24)
+    segments = [compiled(scene, variant) for variant in range(KERNELS.best + 1)]
+    for segment in segments[1:]:
+        assert_equal(segments[0], segment, 1e-6)
+
+
+def test_a_ray_does_not_depend_on_those_marched_with_it():
+    scene = random_scene(1, SCENES["thick"], 24)
+    together = compiled(scene)
+    alone = compiled(dataclasses.replace(scene, rays=scene.rays.take(slice(5, 6))))
+    assert together.alpha[5] == alone.alpha[0]
+    np.testing.assert_array_equal(together.single[5], alone.single[0])
+    np.testing.assert_array_equal(
+        together.sample_features.values[together.sample_ray == 5], alone.sample_features.values
+    )
+
+
+def test_a_march_that_is_to_stop_does_not_begin():
+    scene = random_scene(1, SCENES["ordinary"], 24)
+    stopped = CompiledMarch(KERNELS, scene.media, scene.options, scene.channels, ctypes.c_int32(1))(scene.rays)
+    assert stopped.steps_evaluated == 0 and len(stopped.sample_ray) == 0
+
+
+CAMERAS = {
+    "perspective": {},
+    "orthographic": {"projection": "orthographic", "ortho_scale": 1.4},
+    "equirectangular": {"projection": "equirectangular"},
+}
+
+
+@pytest.mark.parametrize("projection", CAMERAS)
+def test_pictures_are_equal(projection):
+    matrix = np.eye(4)
+    matrix[2, 3] = 0.2 if projection == "equirectangular" else 3.0
+    camera = Camera(matrix, resolution=(48, 32), fov=0.5, **CAMERAS[projection])
+    roof = Surface(np.array([[[-0.3, -0.3, 0.6], [0.5, -0.3, 0.6], [0.0, 0.5, 0.6]]]), covers=False)
+    scene = [(cloud(2), Medium((40.0, 40.0, 20.0), (0.99, 0.9, 0.8), 0.8))], [SUN], camera
+    for leave_out, largest in ((ALL - {"shared_pixels", "faint_rays"}, 1e-5), (ALL, None)):
+        one, other = (
+            render(*scene, Settings(compiled=on, leave_out=leave_out), surfaces=[roof]) for on in (False, True)
+        )
+        assert (one.report.kernels, other.report.kernels) == ("numpy", KERNELS.name)
+        mean = one.rgb[one.alpha > 0.0].mean()
+        difference = (one.rgb - other.rgb)[one.alpha > 0.0]
+        if largest is not None:
+            assert np.abs(difference).max() < largest * mean
+        assert np.sqrt((difference**2).mean()) < 1e-3 * mean
+
+
+def test_without_the_library_numpy_renders_and_a_warning_says_why(monkeypatch):
+    def missing():
+        raise Unavailable("there is none for this kind of computer")
+
+    monkeypatch.setattr(sys.modules["inference.render"], "load_kernels", missing)
+    scene = [(cloud(2), Medium(5.0))], [SUN], Camera(np.eye(4), resolution=(8, 8))
+    report = render(*scene, Settings(multiple=False)).report
+    assert report.kernels == "numpy"
+    assert sum("there is none for this kind of computer" in warning for warning in report.warnings) == 1
+    assert not render(*scene, Settings(multiple=False, compiled=False)).report.warnings
+
+
+def test_the_environment_chooses_numpy(monkeypatch):
+    monkeypatch.setenv("MRPNN_COMPILED", "0")
+    scene = [(cloud(2), Medium(5.0))], [SUN], Camera(np.eye(4), resolution=(8, 8))
+    assert render(*scene, Settings(multiple=False)).report.kernels == "numpy"
