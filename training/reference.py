@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The path tracer as a system: importing this lets Settings(model="reference") trace multiple scattering.
 
-It stands where the networks stand: at the depth samples of a render, with the same single scattering and
-composition. What is left between such an image and a path-traced one is not the networks' error.
+It replaces the network at the depth samples of a render, with the same single scattering and composition. Where such an
+image differs from a path-traced one, the network is not to blame.
 """
 
 import threading
@@ -20,9 +20,9 @@ from inference.scene.sparse_grid import SparseGrid
 from training.tracer.density_grid import prepare
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
-#: Paths a point; a render averages over its depth samples too.
+#: Paths per point; a render averages over its depth samples too.
 PATHS = 8
-#: Voxels may differ by this share from cubes.
+#: Relative deviation of voxels from cubes that is accepted.
 UNEVEN = 1e-4
 
 # The tracer's parallel loops must not be entered by several threads at once.
@@ -43,12 +43,12 @@ class PathTracer:
         self.paths = paths
 
     def predictor(self, volume, cube, anisotropy: float, cancel=NEVER):
-        """Raises SceneError where the volume's voxels are no cubes."""
+        """Of a volume and its working cube. Raises SceneError where the voxels are not cubic."""
         return VolumeTracer(self.paths, volume, cube, anisotropy)
 
 
 class VolumeTracer:
-    """A volume's own voxels, as the tracer's cube."""
+    """The tracer's cube, made of a volume's own voxels."""
 
     respects_surfaces = False
 
@@ -57,7 +57,7 @@ class VolumeTracer:
         voxel = float(np.linalg.norm(axes[:, 0]))
         if np.abs(axes.T @ axes / voxel**2 - np.eye(3)).max() > UNEVEN:
             raise SceneError(f"{volume.name}: the path-traced reference needs cubic voxels; resample the grid")
-        # A voxel of zeros around the active ones: interpolation ends there, and the tracer's cube behind it.
+        # One layer of zeros around the active voxels, where interpolation falls to 0 inside the tracer's cube.
         size = cube.high - cube.low
         cells = int(size.max()) + 2
         density = np.zeros((cells,) * 3, np.float32)
@@ -86,7 +86,7 @@ class PreparedTracer:
     lattice_cells = 0
 
     def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
-        """Radiance float32 (A, N), noisy, the same for the same points and jitter; ray features are not needed."""
+        """Noisy radiance float32 (A, N), the same for the same points and jitter; ray features are not needed."""
         volume = self.volume
         places = np.clip(positions @ volume.linear.T + volume.offset, -0.5, 0.5)
         with _tracing:
@@ -99,7 +99,7 @@ class PreparedTracer:
 
 
 def _seed(positions, jitter) -> int:
-    """Of the paths: the jitter tells apart renders of different seeds, whose points are the same."""
+    """Seed of the paths; the jitter distinguishes renders of different seeds, whose points are the same."""
     return zlib.crc32(b"".join(np.ascontiguousarray(a).tobytes() for a in (positions, jitter) if a is not None))
 
 
