@@ -4,8 +4,8 @@
     .venv/bin/python build_extension.py [--tag v1.2.3]
 
 Downloads the wheels that blender_manifest.toml names into build/wheels, checks them against requirements-wheels.txt,
-builds, validates, and prints what the megabytes of each zip are for. With --tag, refuses to build unless the tag is
-the manifest's version.
+compiles the kernels, builds, validates, and prints what the megabytes of each zip are for. With --tag, refuses to build
+unless the tag is the manifest's version.
 """
 
 import argparse
@@ -21,6 +21,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 BUILD = ROOT / "build"
 LOCK = ROOT / "requirements-wheels.txt"
+# Where the zip has the compiled kernels: beside their sources.
+KERNELS = "inference/kernels"
 
 
 def manifest() -> dict:
@@ -80,9 +82,22 @@ def build() -> list[Path]:
     zips = [
         BUILD / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip" for platform in facts["platforms"]
     ]
-    for path in zips:
+    for path, platform in zip(zips, facts["platforms"]):
+        add_kernels(path, platform)
         blender_tool("validate", path)
     return zips
+
+
+def add_kernels(path: Path, platform: str) -> None:
+    """Add the compiled kernels of a platform to its zip; raises SystemExit where they cannot be compiled."""
+    from inference.kernels.build import BuildError, build
+
+    try:
+        library = build(platform)
+    except BuildError as error:
+        raise SystemExit(f"the kernels for {platform} cannot be compiled: {error}") from error
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(library, f"{KERNELS}/{library.name}")
 
 
 def contents(path: Path) -> dict[str, int]:
@@ -95,6 +110,8 @@ def contents(path: Path) -> dict[str, int]:
                 purpose = f"{package} {version} for {python}"
             elif item.filename.startswith("inference/weights/"):
                 purpose = "networks and stencils"
+            elif item.filename.startswith(f"{KERNELS}/"):
+                purpose = "kernels"
             else:
                 purpose = "code"
             sizes[purpose] = sizes.get(purpose, 0) + item.compress_size

@@ -22,8 +22,8 @@ from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Framebuffer, add_at
 
-# Steps per task: amortises NumPy call overhead, fits in cache.
-STEPS_PER_TASK = 200_000
+# Steps per task: amortises the overhead of calls, and of numpy's arrays fits in cache.
+STEPS_PER_TASK, COMPILED_STEPS_PER_TASK = 200_000, 1_000_000
 # Steps of one ray above which a task would need too much memory.
 MAX_STEPS = 1 << 18
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
@@ -78,7 +78,7 @@ def march_tile(
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
             "through another; render volumes of such different sizes in view layers of their own"
         )
-    size = _rays_per_task(scene, counts)
+    size = _rays_per_task(context, scene, counts)
     hit = np.arange(len(rays.pixel))
     shade = _Shading(scene, channel_pass, tile.camera)
 
@@ -132,7 +132,7 @@ def estimate_march(
     hit = np.flatnonzero(near < far)
     batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
     steps, samples = 0, 0
-    size = _rays_per_task(scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
+    size = _rays_per_task(context, scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
         context.cancel.check()
         segment = channel_pass.march(batch.take(slice(start, start + size)))
@@ -140,10 +140,11 @@ def estimate_march(
     return float(steps * sparse.prod()), float(samples * sparse.prod())
 
 
-def _rays_per_task(scene: PreparedScene, counts: np.ndarray) -> int:
+def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndarray) -> int:
     """Number of rays that are marched together; counts: int (R,), steps of each ray."""
     evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
-    return int(np.clip(STEPS_PER_TASK / evaluated, 16, 4096))
+    steps = STEPS_PER_TASK if context.kernels is None else COMPILED_STEPS_PER_TASK
+    return int(np.clip(steps / evaluated, 16, 4096))
 
 
 @dataclass(frozen=True)

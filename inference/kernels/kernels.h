@@ -96,6 +96,9 @@ typedef struct {
     const double *node_weights;
     int64_t depth_samples, adaptive, coarse_count;
     int64_t skip_empty, refinements;
+    double refined_thickness;        /* optical thickness that no step of a ray that is cut again exceeds, */
+    double steps_per_voxel;          /* and the steps that it has at least, per voxel and altogether */
+    int64_t fewest_refined;
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
     double dark, visible, max_sun_depth;

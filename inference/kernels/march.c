@@ -102,14 +102,35 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     return may_hold(&medium->occupancy, position);
 }
 
-static void cut(const Rays *rays, int64_t number, double near, double far, Ray *ray) {
+static void cut(const Rays *rays, int64_t number, double near, double far, int64_t count, Ray *ray) {
     ray->origin = rays->origins + 3 * number;
     ray->direction = rays->directions + 3 * number;
     ray->near = near;
     ray->far = far;
-    int64_t count = rays->counts[number];
     ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
     ray->dt = (float)((far - near) / (double)ray->count);
+}
+
+/* Number of steps of a ray whose interval has been cut to where light reaches. */
+static int64_t refined_count(const Scene *scene, const Ray *ray, double densest) {
+    double crossed = 0.0, length = ray->far - ray->near;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        const double *linear = scene->media[v].linear;
+        double square = 0.0;
+        if (!(scene->media[v].sigma_t > 0.0)) continue;
+        for (int i = 0; i < 3; i++) {
+            double along = 0.0;
+            for (int j = 0; j < 3; j++) along += linear[3 * i + j] * ray->direction[j];
+            square += along * along;
+        }
+        if (square > crossed) crossed = square;
+    }
+    double by_voxels = sqrt(crossed) * length * scene->steps_per_voxel;
+    double by_thickness = densest * length / scene->refined_thickness;
+    double wanted = STEPS * ceil((by_voxels > by_thickness ? by_voxels : by_thickness) / STEPS);
+    double fewest = (double)scene->fewest_refined, count = (double)ray->count;
+    wanted = wanted > fewest ? wanted : fewest;
+    return wanted < count ? (int64_t)wanted : ray->count;
 }
 
 /* Fill the blocks of a ray up to the optical depth `behind`. */
@@ -159,8 +180,9 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     }
 }
 
-/* The part of a ray between where it enters density and where it becomes opaque. */
-static void refine(const Ray *ray, double behind, const Work *work, double *near, double *far) {
+/* The part of a ray between where it enters density and where it becomes opaque; returns the largest extinction in it. */
+static double refine(const Ray *ray, double behind, const Work *work, double *near, double *far) {
+    float densest = 0.0f;
     int64_t first = 0, last = ray->count;
     double dt = (ray->far - ray->near) / (double)ray->count;
     for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
@@ -173,6 +195,7 @@ static void refine(const Ray *ray, double behind, const Work *work, double *near
     }
     for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
         for (int k = 0; k < STEPS && !found; k++) {
+            densest = work->total[STEPS * b + k] > densest ? work->total[STEPS * b + k] : densest;
             if (!(work->before[b] + (double)work->within[STEPS * b + k] > behind)) continue;
             last = (int64_t)work->number[b] * STEPS + k + 1;
             found = 1;
@@ -180,6 +203,7 @@ static void refine(const Ray *ray, double behind, const Work *work, double *near
     }
     *near = ray->near + (double)(first > 0 ? first : 0) * dt;
     *far = last < ray->count ? ray->near + (double)last * dt : ray->far;
+    return (double)densest;
 }
 
 static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Work *work) {
@@ -483,8 +507,9 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
 
 static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
     Ray ray;
+    double densest = 0.0;
     int64_t steps = STEPS * work->room;
-    cut(rays, r, rays->near_distance[r], rays->far_distance[r], &ray);
+    cut(rays, r, rays->near_distance[r], rays->far_distance[r], rays->counts[r], &ray);
     if (out->emission) {
         double *emission = out->emission + r * scene->channels;
         for (int64_t c = 0; c < scene->channels; c++) emission[c] = 0.0;
@@ -493,9 +518,10 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     for (int64_t n = 0; n < scene->refinements; n++) {
         double near, far;
         fill_blocks(scene, &ray, scene->behind, 0, work);
-        refine(&ray, scene->behind, work, &near, &far);
-        cut(rays, r, near, far, &ray);
+        densest = refine(&ray, scene->behind, work, &near, &far);
+        cut(rays, r, near, far, ray.count, &ray);
     }
+    if (scene->refinements) cut(rays, r, ray.near, ray.far, refined_count(scene, &ray, densest), &ray);
     fill_blocks(scene, &ray, scene->behind, 0, work);
     out->blocks += work->blocks;
 

@@ -22,14 +22,16 @@ from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_cou
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import (
     DARK,
+    FEWEST_REFINED,
     JITTER,
     MAX_OPTICAL_DEPTH,
+    REFINED_STEP_THICKNESS,
     MarchOptions,
     RaySegment,
     optical_depth_behind,
     refinements,
 )
-from .ray_steps import STEPS, RayBatch, step_counts
+from .ray_steps import STEPS, RayBatch, step_counts, steps_per_voxel
 
 
 class CompiledMarch:
@@ -139,6 +141,9 @@ class CompiledMarch:
             coarse_count=COARSE_COUNT,
             skip_empty="empty_space" in options.optimizations,
             refinements=refinements(self._media),
+            refined_thickness=REFINED_STEP_THICKNESS,
+            steps_per_voxel=steps_per_voxel(self._media),
+            fewest_refined=FEWEST_REFINED,
             behind=optical_depth_behind(options),
             behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
             min_alpha=MIN_ALPHA,

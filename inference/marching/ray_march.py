@@ -18,7 +18,17 @@ from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import sample_opacities
 from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
-from .ray_steps import STEPS, Blocks, RayBatch, RaySteps, blocks_near_density, step_counts, step_thickness, sums_within
+from .ray_steps import (
+    STEPS,
+    Blocks,
+    RayBatch,
+    RaySteps,
+    blocks_near_density,
+    step_counts,
+    step_thickness,
+    steps_per_voxel,
+    sums_within,
+)
 
 # Blocks per ray that are evaluated at a time, before rays that have become opaque are dropped.
 BLOCKS_PER_ROUND = 1
@@ -27,6 +37,8 @@ MAX_OPTICAL_DEPTH = 14.0
 # Optical thickness of a step above which the part of a ray between entry and opacity is cut again, and how often.
 MAX_STEP_THICKNESS = 0.6
 REFINEMENTS = 3
+# Optical thickness that no step of the part cut out exceeds, and its fewest steps.
+REFINED_STEP_THICKNESS, FEWEST_REFINED = 0.2, 32
 # Jitter of fluence lookups, in cells: a rank-1 lattice over the steps of a ray.
 JITTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
 # Optical depth that counts as complete shadow.
@@ -109,8 +121,10 @@ class _MarchedMedium:
         edges += self.before.astype(np.float32)[:, None]
         return edges
 
-    def dense_interval(self, behind: float) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (R,) and (R,) at which rays enter density, and at which they become opaque or end."""
+    def dense_interval(self, behind: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (R,) and (R,) at which rays enter density, and at which they become opaque or end; and the largest
+        extinction (R,) in between.
+        """
         steps, ray, number = self.steps, self.blocks.ray, self.blocks.steps()
         first, last = np.zeros_like(steps.count), steps.count.copy()
         # From the step in front of the first filled one, because the middle of a step may miss density that begins
@@ -120,7 +134,10 @@ class _MarchedMedium:
         opaque = np.nonzero(self.before[:, None] + self.within > behind)
         last[ray[opaque[0]][::-1]] = number[opaque][::-1] + 1
         dt = (steps.far - steps.near) / steps.count
-        return steps.near + first * dt, np.where(last < steps.count, steps.near + last * dt, steps.far)
+        densest = np.zeros(len(first), np.float32)
+        np.maximum.at(densest, ray, (self.total * (number < last[ray][:, None])).max(axis=1, initial=0.0))
+        far = np.where(last < steps.count, steps.near + last * dt, steps.far)
+        return steps.near + first * dt, far, densest
 
 
 def optical_depth_behind(options: MarchOptions) -> float:
@@ -133,6 +150,25 @@ def optical_depth_behind(options: MarchOptions) -> float:
 def refinements(media: Sequence[BoundMedium]) -> int:
     """How often rays are cut again."""
     return REFINEMENTS if step_thickness(media) > MAX_STEP_THICKNESS else 0
+
+
+def refined_counts(media: Sequence[BoundMedium], rays: RayBatch, count: np.ndarray, densest: np.ndarray) -> np.ndarray:
+    """Number of steps int (R,) of rays whose intervals have been cut to where light reaches, at most `count`, (R,).
+
+    densest: (R,), largest extinction in the interval.
+    """
+    length = rays.far - rays.near
+    crossed = [
+        np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * length
+        for medium in media
+        if medium.sigma_t > 0.0
+    ]
+    by_voxels, by_thickness = (
+        np.max(crossed, axis=0) * steps_per_voxel(media),
+        densest * length / REFINED_STEP_THICKNESS,
+    )
+    wanted = STEPS * np.ceil(np.maximum(by_voxels, by_thickness) / STEPS)
+    return np.minimum(np.maximum(wanted, FEWEST_REFINED), count).astype(int)
 
 
 def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
@@ -212,8 +248,10 @@ def _cut_into_steps(
     count = step_counts(media, rays)
     for _ in range(refinements(media) if refine else 0):
         steps = RaySteps(media, rays, count)
-        near, far = _MarchedMedium(media, steps, behind, always_first).dense_interval(behind)
+        near, far, densest = _MarchedMedium(media, steps, behind, always_first).dense_interval(behind)
         rays = RayBatch(rays.origins, rays.directions, near, far)
+    if refine and refinements(media):
+        count = refined_counts(media, rays, count, densest)
     steps = RaySteps(media, rays, count)
     return _MarchedMedium(media, steps, behind, always_first, skip_empty)
 
