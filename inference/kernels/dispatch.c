@@ -1,5 +1,7 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* The library's functions, each in the variant that the processor can run. */
+/* The library's functions, each in the variant that the processor can run.
+
+MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what the code does. */
 
 #include "kernels.h"
 
@@ -13,7 +15,7 @@
     int64_t scratch_bytes_##variant(const Scene *scene, int64_t max_count);                \
     int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);
 DECLARE(baseline)
-#if defined(__x86_64__)
+#if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
 DECLARE(avx512)
 
@@ -49,7 +51,7 @@ EXPORT int64_t mrpnn_interface(void) { return MRPNN_INTERFACE; }
 /* The fastest variant that this processor can run: 0 baseline, 1 AVX2, 2 AVX-512. */
 EXPORT int64_t mrpnn_best_variant(void) { return best_variant(); }
 
-#if defined(__x86_64__)
+#if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 #define CHOOSE(variant, function, ...)                       \
     (variant) == 2   ? function##_avx512(__VA_ARGS__)        \
     : (variant) == 1 ? function##_avx2(__VA_ARGS__)          \

@@ -59,8 +59,12 @@ class CompiledMarch:
 
     def __call__(self, rays: RayBatch) -> RaySegment:
         """What rays gather whose intervals contain all media."""
+        return self.march_steps(rays, step_counts(self._media, rays))
+
+    def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
+        """As calling it, for a number of steps int (R,) for each ray."""
         count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
-        counts = np.ascontiguousarray(step_counts(self._media, rays), np.int64)
+        counts = np.ascontiguousarray(counts, np.int64)
         batch = structures.Rays(
             rays=count,
             origins=_doubles(rays.origins),
