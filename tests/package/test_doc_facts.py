@@ -21,6 +21,12 @@ FACTS = [
         ("MAX_STEP_THICKNESS", "REFINEMENTS"),
     ),
     (
+        "docs/method.md",
+        r"into steps no thicker than (\S+) where it is densest",
+        "inference.marching.ray_march",
+        ("REFINED_STEP_THICKNESS",),
+    ),
+    (
         "docs/stability.md",
         r"optically thicker than (\S+) are cut again, up to (\d+) times",
         "inference.marching.ray_march",

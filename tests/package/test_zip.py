@@ -51,6 +51,10 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         assert len(wheels) == 3 and all(tag in wheel for wheel in wheels)
         assert {wheel.split("-")[0] for wheel in wheels} == {"onnxruntime"}
         assert not [name for name in names if name.endswith((".pyc", ".pt"))]
+        (library,) = [name for name in names if name.endswith((".so", ".dll", ".dylib"))]
+        assert library.startswith("inference/kernels/mrpnn_kernels.") and "inference/kernels/march.c" in names
+        kernels = [item for item in zipfile.ZipFile(path).infolist() if item.filename.startswith("inference/kernels/")]
+        assert sum(item.compress_size for item in kernels) < 1e6
         assert [name for name in names if name.startswith("inference/weights/") and name.endswith(".onnx")]
 
 

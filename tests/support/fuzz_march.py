@@ -91,8 +91,12 @@ def fuzz(library: str, seconds: float, seed: int) -> int:
         march(scene.rays)
         with np.errstate(all="ignore"):
             rays = spoiled_rays(random, scene.rays)
-            finite = np.flatnonzero(np.isfinite(rays.near) & np.isfinite(rays.far) & (np.abs(rays.far - rays.near) < 1e3)
-                                    & (np.abs(rays.directions).max(axis=1) < 1e3))
+            finite = np.flatnonzero(
+                np.isfinite(rays.near)
+                & np.isfinite(rays.far)
+                & (np.abs(rays.far - rays.near) < 1e3)
+                & (np.abs(rays.directions).max(axis=1) < 1e3)
+            )
             march(rays.take(finite))
             march.march_steps(rays, np.full(len(rays.near), 64))
         count += 1
