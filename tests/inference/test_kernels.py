@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,7 @@ from inference.kernels.build import SOURCES, TARGETS, BuildError, build, library
 from inference.kernels.library import Kernels, Unavailable, load_kernels
 from tests.support.paths import ROOT
 
+KERNELS = load_kernels()
 HEADER = (SOURCES / "kernels.h").read_text()
 FUZZ_SECONDS = 60
 CHECKED = [
@@ -35,10 +37,10 @@ def test_interfaces_have_one_number():
     assert int(re.search(r"MRPNN_INTERFACE (\d+)", HEADER)[1]) == structures.INTERFACE
 
 
-def test_a_library_of_another_interface_is_refused(tmp_path, monkeypatch):
+def test_a_library_of_another_interface_is_refused(monkeypatch):
     monkeypatch.setattr("inference.kernels.library.INTERFACE", structures.INTERFACE + 1)
     with pytest.raises(Unavailable, match=f"interface {structures.INTERFACE} instead of {structures.INTERFACE + 1}"):
-        Kernels(load_kernels().path)
+        Kernels(KERNELS.path)
 
 
 def test_a_file_that_is_no_library_is_refused(tmp_path):
@@ -51,9 +53,9 @@ def test_a_file_that_is_no_library_is_refused(tmp_path):
 def test_the_best_variant_is_what_the_processor_has():
     if sys.platform != "linux":
         pytest.skip("reads /proc/cpuinfo")
-    flags = set(re.search(r"^flags\s*:(.*)$", open("/proc/cpuinfo").read(), re.MULTILINE)[1].split())
+    flags = set(re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[1].split())
     avx512 = {"avx512f", "avx512dq", "avx512cd", "avx512bw", "avx512vl"}
-    assert load_kernels().best == (2 if avx512 <= flags else 1 if "avx2" in flags else 0)
+    assert KERNELS.best == (2 if avx512 <= flags else 1 if "avx2" in flags else 0)
 
 
 @pytest.mark.slow
