@@ -20,7 +20,9 @@ apart.objects.link(other)
 ball.location.x, other.location.x = -2, 2
 child = layer.layer_collection.children["Apart"]
 space = area('VIEW_3D').spaces.active
-space.region_3d.view_perspective = 'CAMERA'; space.overlay.show_overlays = False
+# Small, so that each of many pictures takes a moment.
+space.region_3d.view_perspective = 'CAMERA'; space.region_3d.view_camera_zoom = -20
+space.overlay.show_overlays = False
 space.shading.type = 'RENDERED'
 scene.render.resolution_x = 240; scene.mrpnn.depth_samples = 1
 def only(*names):
