@@ -65,7 +65,7 @@ def until_shown(window, expected, places=None):
     """Wait until the viewport shows this, and still does once no thread is at work."""
     start = time.monotonic()
     while shown(window, places) != expected:
-        assert time.monotonic() - start < LONG / 5, (expected, shown(window, places))
+        assert time.monotonic() - start < LONG, (expected, shown(window, places))
     window.until(f"not {THREADS}")
     assert shown(window, places) == expected
 
