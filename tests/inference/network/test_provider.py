@@ -74,7 +74,8 @@ def test_another_provider_gives_the_cpus_picture(openvino, tmp_path):
     """In a separate process, since onnxruntime is loaded here already."""
     picture_file = tmp_path / "picture.npy"
     script = (
-        "import sys, numpy; from tests.test_provider import picture; found = picture(provider='OPENVINO')\n"
+        "import sys, numpy; from tests.inference.network.test_provider import picture\n"
+        "found = picture(provider='OPENVINO')\n"
         "assert (found.report.provider, found.report.warnings) == ('OPENVINO', []), found.report\n"
         "numpy.save(sys.argv[1], found.rgb)"
     )
