@@ -14,7 +14,7 @@ function of G'. The part of the fluence that a sweep still lacks follows from a 
     -div(D grad psi) = sigma' (phi_new - phi_old),    D = 1 / (3 sigma_hat (1 - G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
-through the faces of the cube and none enters. The solution is too coarse to be the answer; it is a feature for the
+through the faces of the cube; that of an environment enters there, unscattered light included in phi and F. The solution is too coarse to be the answer; it is a feature for the
 network, which otherwise knows a point's surroundings in outline only.
 """
 
@@ -54,6 +54,12 @@ Phases = tuple[np.ndarray, np.ndarray]
 
 # With their opposites, all 26 directions.
 STEPS = [_directions(axis) for axis in range(3)]
+
+
+def _ordinates() -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (26, 3) towards the light of all steps, in the order of sweeps, and their shares (26,) of 4 pi."""
+    steps = np.concatenate([sign * steps for steps in STEPS for sign in (1, -1)])
+    return -steps / np.sqrt((steps**2).sum(axis=1))[:, None], _solid_angles(steps)
 
 
 def reduced_anisotropy(anisotropy: float) -> float:
@@ -157,20 +163,49 @@ class DiscreteOrdinates:
             self._correct(field, change)
         return swept
 
+    def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.
+
+        radiance: (26,), that arrives from ORDINATES. Linear in it. Raises Cancelled.
+        """
+        n = len(self.density)
+        field = np.zeros((5, n, n, n), np.float32)
+        sweeps = SWEEPS
+        if self.coarser is not None:
+            field[:4] = [self._finer(values) for values in self.coarser.environment(radiance, cancel)]
+            sweeps = FINE_SWEEPS
+        else:
+            # Exact for even light, which no albedo of 1 changes.
+            field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
+        phases = [(np.zeros(len(steps)),) * 2 for steps in STEPS]
+        for number in range(sweeps):
+            swept = self._sweep(field, phases, 1.0, cancel, radiance)
+            change = self.extinction * (swept[0] - field[0])
+            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+                break
+            field[:4] = swept
+            self._correct(field, change, limit=False)
+        return swept
+
     def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Henyey-Greenstein phase function of the beam along steps and along their opposites, (D,) each."""
         cosine = -(steps @ sun) / np.sqrt((steps**2).sum(axis=1))
         return henyey_greenstein(cosine, self.anisotropy), henyey_greenstein(-cosine, self.anisotropy)
 
-    def _correct(self, field: np.ndarray, change: np.ndarray) -> None:
-        """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet."""
+    def _correct(self, field: np.ndarray, change: np.ndarray, limit: bool = True) -> None:
+        """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet.
+
+        limit: whether sources are kept from being negative, which makes the solution not quite linear.
+        """
         n = len(self.density)
         source = _means(change) * np.float32((2.0 / n) ** 2)
         more = self._finer(solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS))
-        field[0] = np.maximum(field[0] + more, 0.0)
+        field[0] += more
         for axis in range(3):
             field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)
-        self._limit_flux(field)
+        if limit:
+            np.maximum(field[0], 0.0, out=field[0])
+            self._limit_flux(field)
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
         """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
@@ -181,19 +216,27 @@ class DiscreteOrdinates:
         size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(3.0 * abs(self.anisotropy))
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
-    def _sweep(self, field: np.ndarray, phases: list[Phases], total: float, cancel: CancelToken) -> np.ndarray:
+    def _sweep(
+        self,
+        field: np.ndarray,
+        phases: list[Phases],
+        total: float,
+        cancel: CancelToken,
+        radiance: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Fluence and flux (4, x, y, z) of the light that the sources of a field (5, x, y, z) emit.
 
-        The field holds phi, F and the beam.
+        The field holds phi, F and the beam. radiance: (26,), of the light that enters from ORDINATES, if any does.
         """
         swept = np.zeros((4, *field.shape[1:]), np.float32)
+        entering = iter(np.split(np.zeros(26) if radiance is None else np.asarray(radiance), INFLOW_ENDS))
         for axis, steps in enumerate(STEPS):
             sources = np.ascontiguousarray(np.moveaxis(field, [1 + axis, 0], [0, 1]))
             sums = np.zeros((len(sources), 4, *sources.shape[2:]), np.float32)
             for sign, phase in zip((1, -1), phases[axis]):
                 cancel.check()
                 links = None if self.links is None else self.links[axis][sign]
-                self._follow_steps(axis, sign * steps, phase / total, sources, sums, links)
+                self._follow_steps(axis, sign * steps, phase / total, sources, sums, links, next(entering))
             swept += np.moveaxis(sums, [1, 0], [0, 1 + axis])
         return swept
 
@@ -205,10 +248,11 @@ class DiscreteOrdinates:
         sources: np.ndarray,
         sums: np.ndarray,
         links: np.ndarray | None,
+        entering: np.ndarray,
     ) -> None:
         """Add fluence and flux of light along steps (D, 3) to `sums` (slices, 4, b, c).
 
-        All steps lead to one side along an axis.
+        All steps lead to one side along an axis. entering: (D,), radiance at the faces of the cube.
         """
         n, count = len(sources), len(steps)
         kinds = np.abs(steps).sum(axis=1)
@@ -221,8 +265,9 @@ class DiscreteOrdinates:
         places = [(kind - 1, np.flatnonzero(kinds == kind)) for kind in np.unique(kinds)]
         of_kind = [(kind, slice(found[0], found[-1] + 1)) for kind, found in places]
         b, c = (steps[:, other] for other in range(3) if other != axis)
-        # Light that leaves the previous slice, with a border of zeros.
-        light = np.zeros((count, sources.shape[2] + 2, sources.shape[3] + 2), np.float32)
+        # Light that leaves the previous slice, with a border of what enters.
+        light = np.empty((count, sources.shape[2] + 2, sources.shape[3] + 2), np.float32)
+        light[:] = entering[:, None, None]
         before, after = (np.empty((count, *sources.shape[2:]), np.float32) for _ in range(2))
         rows, columns = sources.shape[2:]
         for k in range(n)[:: steps[0, axis]]:
@@ -245,6 +290,12 @@ class DiscreteOrdinates:
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
     """Solid angles (D,) of steps, over 4 pi."""
     return np.array(WEIGHTS)[np.abs(steps).sum(axis=1) - 1]
+
+
+#: Unit vectors (26, 3) towards the light of the directions that are solved for, and their shares (26,) of the sphere.
+ORDINATES, ORDINATE_WEIGHTS = _ordinates()
+# Where the directions of each axis and sign end among them.
+INFLOW_ENDS = np.cumsum([len(steps) for steps in STEPS for _ in range(2)])[:-1]
 
 
 def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light of an environment in the working cube: how it enters, and what attenuates it on the way.
+
+An environment enters the coarse transport from its 26 directions, the ordinates. Each of them stands for the part of
+the sphere around it; the parts overlap smoothly, so that even light stays even and no energy is lost.
+"""
+
+import functools
+
+import numpy as np
+
+from ..grids.optical_depth_sweep import sun_optical_depth
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.environment import pixel_directions, pixel_solid_angles
+from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES
+
+#: Rows of the images that are read here; larger ones are reduced before.
+ROWS = 64
+# Sharpness of the ordinates' parts of the sphere, as of exp(k (cos - 1)), and the rounds that balance them.
+SHARPNESS, ROUNDS = 12.0, 30
+
+
+@functools.lru_cache(maxsize=4)
+def _parts(rows: int) -> np.ndarray:
+    """float64 (26, pixels): weights of an image's pixels in the radiance of each ordinate.
+
+    Sums are 1 for each ordinate, and for each pixel, weighted as the ordinates are, its share of the sphere.
+    """
+    directions = pixel_directions(rows).reshape(-1, 3)
+    share = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
+    parts = np.exp(SHARPNESS * (ORDINATES @ directions.T - 1.0)) * share
+    for _ in range(ROUNDS):
+        parts *= share / (ORDINATE_WEIGHTS @ parts)
+        parts /= parts.sum(axis=1, keepdims=True)
+    return parts
+
+
+def ordinate_radiance(image: np.ndarray) -> np.ndarray:
+    """Radiance float64 (26, C) that arrives from the ordinates, of an image (H, 2H, C) in the cube's frame."""
+    rows = len(image)
+    return _parts(rows) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
+
+
+def ordinate_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
+    """Optical depth float16 (n + 2, n + 2, n + 2, 26) from each cell out towards the ordinates, for sigma_hat = 1.
+
+    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once. Raises Cancelled.
+    """
+    n = len(coarse)
+    depths = np.empty((n, n, n, len(ORDINATES)), np.float16)
+    for k, towards in enumerate(ORDINATES):
+        cancel.check()
+        depths[..., k] = sun_optical_depth(coarse, towards, 1.0 / n)
+    return np.pad(depths, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+
+
+def environment_lattice(light: np.ndarray) -> np.ndarray:
+    """Fluence and flux float32 (66, 66, 66, 4) of `DiscreteOrdinates.environment`, outermost cells repeated once."""
+    return np.pad(np.moveaxis(light, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge")
+
+
+def read_lattice(lattice: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Trilinear values float32 (N, k) of a lattice (n + 2, n + 2, n + 2, k) at positions (N, 3) in the cube's frame."""
+    size = len(lattice)
+    index = np.clip((positions + 0.5) * (size - 2) + 0.5, 0.0, size - 1 - 1e-3).astype(np.float32)
+    cell = index.astype(np.int32)
+    fx, fy, fz = (index - cell).T[:, :, None]
+    base = (cell[:, 0] * np.intp(size) + cell[:, 1]) * size + cell[:, 2]
+    flat = lattice.reshape(-1, lattice.shape[-1])
+
+    def along_z(offset: int) -> np.ndarray:
+        low = flat.take(base + offset, axis=0).astype(np.float32, copy=False)
+        high = flat.take(base + (offset + 1), axis=0).astype(np.float32, copy=False)
+        high -= low
+        high *= fz
+        low += high
+        return low
+
+    def along_y(offset: int) -> np.ndarray:
+        low, high = along_z(offset), along_z(offset + size)
+        high -= low
+        high *= fy
+        low += high
+        return low
+
+    low, high = along_y(0), along_y(size * size)
+    high -= low
+    high *= fx
+    low += high
+    return low
