@@ -8,6 +8,7 @@ import numpy as np
 
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, make_tiles
+from .image.environment_pass import add_environment_light
 from .image.framebuffer import Framebuffer
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, solve_transport
@@ -27,6 +28,7 @@ from .runtime.progress import Progress
 from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
+from .scene.description import Sun
 from .scene.settings import Settings
 from .transport.scattered_fluence import ScatteredFluence
 
@@ -41,12 +43,13 @@ def render(
     cache: RenderCache | None = None,
     surfaces=(),
 ) -> Layer:
-    """Render volumes lit by suns.
+    """Render volumes lit by suns and environments.
 
-    volumes: list of (Volume, Medium). lights: list of Sun. progress: (fraction, message), called on the calling thread;
-    the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier renders, for
-    what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera rays end, for
-    a layer that is put over them (but not those of equirectangular cameras), and that keep light from the volumes.
+    volumes: list of (Volume, Medium). lights: list of Sun and Environment. progress: (fraction, message), called on the
+    calling thread; the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier
+    renders, for what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera
+    rays end, for a layer that is put over them (but not those of equirectangular cameras), and that keep light from the
+    volumes.
 
     The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
     Cancelled when asked to stop.
@@ -74,7 +77,7 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings)
+            plan = make_plan(volumes, lights, camera, settings, bool(surfaces))
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
             kernels = _load_kernels(settings, report)
@@ -87,7 +90,8 @@ def render_tiles(
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
     report.count("suns", len(scene.plan.suns))
-    report.count("suns left out", len(lights) - len(scene.plan.suns))
+    report.count("environments", len(scene.plan.environments))
+    report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
     yield camera.window, compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
@@ -107,6 +111,7 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
             if samples is not None:
                 add_scattered_emission(context, scene, channel_pass, tile, samples)
                 add_multiple_scattering(context, scene, channel_pass, tile, samples, work)
+                add_environment_light(context, scene, channel_pass, tile, samples)
             if channels is scene.plan.channels[-1]:
                 x0, y0, x1, y1 = tile.camera.window
                 yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))
@@ -141,7 +146,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     network = _load_network(context, plan)
     if network is not None and network.needs_ray_features:
         plan = plan.in_small_tiles(camera)
-    report, cancel, cache = context.report, context.cancel, context.cache
+    report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with report.stage("shadows"):
@@ -178,7 +183,13 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         if group is not None and channels is not None:
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
-    return PreparedScene(plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network)
+    environment = None
+    if plan.environments and any(group is not None for group in groups):
+        with report.stage("network loading"):
+            environment = cache.environment_network(settings.model, settings.provider, cancel)
+    return PreparedScene(
+        plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment
+    )
 
 
 def _load_network(context: RenderContext, plan: Plan):

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 
 from inference.network import environment_features as features
-from inference.scene.environment import pixel_directions
 from inference.transport.blurred_environment import blurred, read_image
 from inference.transport.environment_light import ordinate_radiance
 from training.files import complete_file

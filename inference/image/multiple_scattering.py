@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
 
+from typing import Protocol
+
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
@@ -21,10 +23,10 @@ def solve_transport(
 ) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted.
 
-    None for networks that need no ray features. Raises Cancelled.
+    None for networks that need no ray features, and without suns. Raises Cancelled.
     """
     network = scene.network
-    if network is None or not network.needs_ray_features:
+    if network is None or not network.needs_ray_features or not scene.plan.suns:
         return None
     directions = [sun.direction for sun in scene.plan.suns]
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
@@ -71,7 +73,7 @@ def _add_source(
         return
     context.progress.message(f"multiple scattering of {plan.group_name(source.group)}")
     with report.stage("fields"):
-        bounds = _bounds(context, scene, group.predictor, samples, inside)
+        bounds = lattice_bounds(context, scene, group.predictor, samples, inside)
         with context.progress.stage("lattices", 1):
             prepared = group.predictor.prepare(
                 float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
@@ -88,12 +90,12 @@ def _add_source(
             estimate.evaluate(inside)
         else:
             single = tile.framebuffer.single[:, indices].T / len(plan.suns)
-            _evaluate_adaptively(estimate, inside, tile.camera.window, single)
+            evaluate_adaptively(estimate, inside, tile.camera.window, single)
     tile.framebuffer.multiple[:, indices] += estimate.radiance.T
     tile.framebuffer.uncertainty += estimate.error
 
 
-def _bounds(
+def lattice_bounds(
     context: RenderContext, scene: PreparedScene, predictor: VolumePredictor, samples: DepthSamples, inside: np.ndarray
 ) -> Bounds:
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
@@ -101,11 +103,11 @@ def _bounds(
         return np.full(3, -0.5), np.full(3, 0.5)
     if context.cache.any_view or len(scene.plan.tiles) > 1:
         return predictor.extent()
-    bounds = [predictor.bounds(samples.positions(points)) for points in _batches(inside)]
+    bounds = [predictor.bounds(samples.positions(points)) for points in sample_batches(inside)]
     return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
 
 
-def _batches(points: np.ndarray) -> list[np.ndarray]:
+def sample_batches(points: np.ndarray) -> list[np.ndarray]:
     """Points in batches of one network call each."""
     return [points[i : i + POINTS_PER_TASK] for i in range(0, len(points), POINTS_PER_TASK)]
 
@@ -123,6 +125,26 @@ class _Source:
         self.albedos = distinct_albedos(medium, indices, plan.optimizations)
         irradiance = plan.suns[l].irradiance
         self.scattered = np.array([plan.volumes[v][1].albedo * irradiance for v in self.members], np.float32)
+
+
+class Estimate(Protocol):
+    """What `evaluate_adaptively` evaluates, over P pixels.
+
+    radiance: float64 (C, P), of C quantities. error: float32 (P,), standard error of their sum, over 3. pixel: int
+    (M,), of each sample.
+    """
+
+    context: RenderContext
+    samples: DepthSamples
+    pixel: np.ndarray
+    radiance: np.ndarray
+    error: np.ndarray
+
+    def evaluate(self, points: np.ndarray) -> None:
+        """Predict at some samples and add their radiance."""
+
+    def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Opacity float32 (P,), and the mean over it of the scattered light ahead, (P,) or None."""
 
 
 class _Estimate:
@@ -163,7 +185,7 @@ class _Estimate:
                 samples.positions(points), directions, values, samples.jitter(points), self._features(points)
             )
 
-        for done, radiance in context.tasks.map(task, _batches(points)):
+        for done, radiance in context.tasks.map(task, sample_batches(points)):
             weight = samples.weight[done, None] * (self.fraction[done] @ source.scattered)
             pixel = self.pixel[done]
             for (_, channels), row in zip(source.albedos, radiance):
@@ -192,8 +214,8 @@ class _Estimate:
         return opacity, ahead / np.maximum(opacity, np.float32(1e-30))
 
 
-def _evaluate_adaptively(
-    estimate: _Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
+def evaluate_adaptively(
+    estimate: Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
 ) -> None:
     """Predict where neighbouring pixels disagree, and interpolate where they agree.
 

@@ -23,9 +23,13 @@ from ..grids.working_cube import Cube, level0_density
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
+from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
+from ..transport.environment_light import environment_lattice, ordinate_depths, ordinate_radiance
 from ..transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
 from .conditions import Conditions
+from .environment_features import blurs
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -124,20 +128,65 @@ class RayPredictor(StencilPredictor):
         self.coarse = pyramid[LEVEL]
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
+        self._depths: np.ndarray | None = None
+        self._environment: tuple[tuple[float, bytes], np.ndarray] | None = None
 
     def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
         """What predicts under these conditions. Raises Cancelled."""
-        stencil = self.network.points
         with tasks.cancel.locked(self._lock):
-            if self._lattices is None or self._lattices[0] != conditions.bounds_key:
-                self._lattices = None
-                lattices = build_lattices(
-                    self.padded, conditions.sigma_hat, stencil, bounds=conditions.bounds, mapper=tasks.each
-                )
-                self._lattices = conditions.bounds_key, lattices
-            lattices = self._lattices[1]
+            lattices = self._density_lattices(conditions, tasks)
             cells = self._solve(conditions, tasks.cancel).astype(np.float32)
-        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), cells, self.anisotropy)
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedRays(self.network, lookup, cells, self.anisotropy)
+
+    def prepare_environment(
+        self,
+        network: EnvironmentNetwork,
+        image: np.ndarray,
+        conditions: Conditions,
+        thickness: float,
+        tasks: AnyTasks = SERIAL,
+    ) -> PreparedEnvironment:
+        """What predicts the light of an environment. Raises Cancelled.
+
+        image: (H, 2H, C), in the cube's frame. conditions: whose sun only gives the stencil a frame. thickness: optical
+        thickness of the cube at the largest density.
+        """
+        ordinates = ordinate_radiance(image)
+        key = conditions.sigma_hat, ordinates.tobytes()
+        with tasks.cancel.locked(self._lock):
+            lattices = self._density_lattices(conditions, tasks)
+            if self._depths is None:
+                self._depths = ordinate_depths(self.coarse, tasks.cancel)
+            if self._environment is None or self._environment[0] != key:
+                self._environment = None
+                solver = DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy)
+                solved = [solver.environment(radiance / (4.0 * np.pi), tasks.cancel) for radiance in ordinates.T]
+                self._environment = key, environment_lattice(np.stack(solved, axis=1))
+            depths, light = self._depths, self._environment[1]
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedEnvironment(
+            network,
+            lookup,
+            len(self.network.points.low),
+            depths,
+            light,
+            ordinates.astype(np.float32),
+            blurred(image, blurs(self.anisotropy)),
+            conditions.sigma_hat,
+            thickness,
+            self.anisotropy,
+        )
+
+    def _density_lattices(self, conditions: Conditions, tasks: AnyTasks) -> Lattices:
+        """Lattices of the density, which serve every light."""
+        if self._lattices is None or self._lattices[0] != conditions.bounds_key:
+            self._lattices = None
+            lattices = build_lattices(
+                self.padded, conditions.sigma_hat, self.network.points, bounds=conditions.bounds, mapper=tasks.each
+            )
+            self._lattices = conditions.bounds_key, lattices
+        return self._lattices[1]
 
     def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""

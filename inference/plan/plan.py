@@ -8,10 +8,12 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Volume
+from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
+from .lights import Light, split_lights
 from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, row_bytes
 from .overlap import overlapping
 from .resolution import BAND
@@ -50,7 +52,7 @@ class Plan:
     network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: rows of the
-    image, first and end, that are rendered together.
+    image, first and end, that are rendered together. environments: light from everywhere, without its peaks.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -64,6 +66,7 @@ class Plan:
     optimizations: frozenset[str] = ALL
     memory: int = 0
     tiles: list[tuple[int, int]] = field(default_factory=list)
+    environments: list[Environment] = field(default_factory=list)
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -183,16 +186,20 @@ def small_tile_rows(width: int, height: int) -> int:
 
 
 def make_plan(
-    volumes: Sequence[tuple[Volume, Medium]], suns: Sequence[Sun], camera: Camera, settings: Settings
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
+    camera: Camera,
+    settings: Settings,
+    surfaces: bool = False,
 ) -> Plan:
-    """Decide what to render.
+    """Decide what to render; surfaces: whether there are any.
 
     Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
     """
     if not volumes:
         raise SceneError("there is no volume to render")
-    if not suns and not any(emits(*pair) for pair in volumes):
-        raise SceneError("there is no sun: without light the image would be black")
+    if not lights and not any(emits(*pair) for pair in volumes):
+        raise SceneError("there is no sun and no environment: without light the image would be black")
     planned: list[str] = []
     left_out: list[str] = []
     volumes = [in_range(volume, medium) for volume, medium in volumes]
@@ -204,14 +211,16 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+    groups, _ = overlapping([volume for volume, _ in rendered])
+    suns, environments = split_lights(lights, settings, len(groups), surfaces, planned, left_out)
     merged = _needed_suns(suns, settings, left_out)
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
-    groups, _ = overlapping([volume for volume, _ in rendered])
     multiple, scattered_emission = [], []
     for group in groups:
-        predicted, scattered = _plan_group([rendered[v] for v in group], bool(merged), settings, planned, left_out)
+        lit = bool(merged or environments)
+        predicted, scattered = _plan_group([rendered[v] for v in group], lit, settings, planned, left_out)
         multiple.append(predicted)
         scattered_emission.append(scattered)
 
@@ -238,6 +247,7 @@ def make_plan(
         settings.leave_out,
         needed,
         tiles,
+        environments,
     )
 
 
@@ -268,7 +278,7 @@ def _channel_groups(volumes: list[tuple[Volume, Medium]], settings: Settings) ->
 
 
 def _plan_group(
-    members: list[tuple[Volume, Medium]], has_sun: bool, settings: Settings, planned: list[str], left_out: list[str]
+    members: list[tuple[Volume, Medium]], lit: bool, settings: Settings, planned: list[str], left_out: list[str]
 ) -> tuple[bool, bool]:
     """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission.
 
@@ -279,12 +289,12 @@ def _plan_group(
         attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
         for volume, medium in members
     )
-    predicted = settings.multiple and scatters and has_sun
+    predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
         planned.append(f"{names}: scattered emission")
     if not predicted:
-        reason = "its albedo or density is 0" if not scatters else "no sun shines"
+        reason = "its albedo or density is 0" if not scatters else "no light shines"
         left_out.append(f"{names}: multiple scattering, {reason if settings.multiple else 'turned off'}")
     elif len(members) > 1:
         planned.append(f"{names}: multiple scattering, as one medium")

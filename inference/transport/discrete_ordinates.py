@@ -14,9 +14,12 @@ function of G'. The part of the fluence that a sweep still lacks follows from a 
     -div(D grad psi) = sigma' (phi_new - phi_old),    D = 1 / (3 sigma_hat (1 - G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
-through the faces of the cube; that of an environment enters there, unscattered light included in phi and F. The solution is too coarse to be the answer; it is a feature for the
-network, which otherwise knows a point's surroundings in outline only.
+through the faces of the cube. That of a sun does not enter there, because its beam is known; that of an environment
+does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a feature for
+the network, which otherwise knows a point's surroundings in outline only.
 """
+
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +65,7 @@ def _ordinates() -> tuple[np.ndarray, np.ndarray]:
     return -steps / np.sqrt((steps**2).sum(axis=1))[:, None], _solid_angles(steps)
 
 
-def reduced_anisotropy(anisotropy: float) -> float:
+def reduced_anisotropy(anisotropy: Any) -> Any:
     """G', the mean cosine of the phase function without its forward peak."""
     return anisotropy / (1.0 + anisotropy)
 

@@ -6,18 +6,69 @@ the sphere around it; the parts overlap smoothly, so that even light stays even 
 """
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.environment import pixel_directions, pixel_solid_angles
+from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
 from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64
 # Sharpness of the ordinates' parts of the sphere, as of exp(k (cos - 1)), and the rounds that balance them.
 SHARPNESS, ROUNDS = 12.0, 30
+# Images with fewer rows than this are divided before they are turned, and such with more reduced.
+TURNED_ROWS = 192
+
+
+def image_in_frame(environments: Sequence[Environment], rotation: np.ndarray) -> np.ndarray:
+    """Sum of environments in a frame that `rotation` (3, 3) turns into the world: float64 (ROWS, 2 ROWS, C).
+
+    C is 1 for grey light, else 3. A pixel is the mean of the light that falls in it; linear in the environments.
+    """
+    total = np.zeros((ROWS, 2 * ROWS, 3))
+    for environment in environments:
+        total += _turned(environment, rotation)
+    grey = np.ptp(total, axis=2).max(initial=0.0) <= 1e-6 * total.max(initial=0.0)
+    return total[..., :1] if grey else total
+
+
+def _turned(environment: Environment, rotation: np.ndarray) -> np.ndarray:
+    """An environment in another frame, (ROWS, 2 ROWS, 3)."""
+    image, rows = environment.radiance.astype(np.float64), len(environment.radiance)
+    weights = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows))
+    block = rows // TURNED_ROWS
+    if block > 1:
+        # Blocks of pixels; the last ones may be smaller.
+        starts, columns = np.arange(0, rows, block), np.arange(0, 2 * rows, block)
+
+        def blocks(values: np.ndarray) -> np.ndarray:
+            return np.add.reduceat(np.add.reduceat(values, starts, axis=0), columns, axis=1)
+
+        directions = blocks(pixel_directions(rows) * weights[..., None])
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        image, weights = blocks(image * weights[..., None]), blocks(weights)
+        image = image / weights[..., None]
+    else:
+        block = -(-TURNED_ROWS // rows)
+        image = image.repeat(block, axis=0).repeat(block, axis=1)
+        directions = pixel_directions(rows * block)
+        weights = np.broadcast_to(pixel_solid_angles(rows * block), directions.shape[:2])
+    assert environment.world_from_environment is not None
+    towards = directions.reshape(-1, 3) @ environment.world_from_environment.T @ rotation
+    row = ((0.5 - np.arcsin(np.clip(towards[:, 2], -1.0, 1.0)) / np.pi) * ROWS).astype(int)
+    column = np.floor(np.arctan2(towards[:, 1], towards[:, 0]) * (ROWS / np.pi)).astype(int) % (2 * ROWS)
+    pixel = np.clip(row, 0, ROWS - 1) * (2 * ROWS) + column
+    weights, count = weights.ravel(), 2 * ROWS * ROWS
+    area = np.bincount(pixel, weights, count)
+    sums = [np.bincount(pixel, weights * channel, count) for channel in image.reshape(-1, 3).T]
+    found = np.stack(sums, axis=-1) / np.maximum(area, 1e-30)[:, None]
+    # Pixels that none falls in take the value of their neighbour.
+    for empty in np.flatnonzero(area == 0.0):
+        found[empty] = found[empty - 1] if empty else found[np.flatnonzero(area)[0]]
+    return found.reshape(ROWS, 2 * ROWS, 3)
 
 
 @functools.lru_cache(maxsize=4)
@@ -55,8 +106,13 @@ def ordinate_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarr
 
 
 def environment_lattice(light: np.ndarray) -> np.ndarray:
-    """Fluence and flux float32 (66, 66, 66, 4) of `DiscreteOrdinates.environment`, outermost cells repeated once."""
-    return np.pad(np.moveaxis(light, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge")
+    """Fluence and flux float32 (66, 66, 66, 4 C) of C channels, the outermost cells repeated once.
+
+    light: float32 (4, C, x, y, z), of `DiscreteOrdinates.environment`.
+    """
+    n = light.shape[-1]
+    cells = np.moveaxis(light, (0, 1), (3, 4)).reshape(n, n, n, -1)
+    return np.pad(cells, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
 def read_lattice(lattice: np.ndarray, positions: np.ndarray) -> np.ndarray:

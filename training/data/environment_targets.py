@@ -78,7 +78,7 @@ def make_rows(seed: int) -> dict:
         own = np.flatnonzero(medium == number)
         solver = DiscreteOrdinates(coarse, media[number, 0] * cube.edge, media[number, 1])
         for e in range(ENVIRONMENTS):
-            lattice = environment_lattice(solver.environment(radiance[:, e]) / np.float32(4.0 * np.pi))
+            lattice = environment_lattice(solver.environment(radiance[:, e] / (4.0 * np.pi))[:, None])
             light[own, e] = read_lattice(lattice, probes[own].reshape(-1, 3)).reshape(len(own), -1, 4)
 
     stencil = load_stencil()

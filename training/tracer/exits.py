@@ -14,9 +14,9 @@ import numpy as np
 
 from .density_grid import interpolate
 from .henyey_greenstein import scatter
-from .path_tracer import Sampling
+from .path_tracer import Sampling, _enter
 from .random_numbers import seed_state
-from .scene import Vertices
+from .scene import PinholeCamera, Vertices
 from .tracking import GridMedium, Ray, delta_track
 
 #: Scatterings after which a path is given up; `Exits.scatterings` of such a path.
@@ -140,3 +140,53 @@ def optical_depths(grid, positions: np.ndarray, directions: np.ndarray) -> np.nd
     cells = np.float32(grid.cells)
     at = ((np.asarray(positions, np.float32) + _HALF) * cells).astype(np.float32)
     return _depths_kernel(grid.padded, at, np.ascontiguousarray(directions, np.float32))
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def _camera_exits_kernel(grid, origin, rays, sigma, anisotropy, paths, seed):
+    padded, majorant = grid
+    cells = padded.shape[0] - 2
+    count = rays.shape[0]
+    codes = np.zeros((count, paths), np.uint16)
+    scatterings = np.zeros((count, paths), np.uint16)
+    hit = np.zeros((count, paths), np.bool_)
+    medium = GridMedium(padded, majorant, sigma, anisotropy)
+    for p in numba.prange(count):
+        meets, first = _enter(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
+        if not meets:
+            continue
+        state = seed_state(seed, p)
+        for k in range(paths):
+            collided, ray, state = delta_track(first, medium, state)
+            if not collided:
+                continue
+            hit[p, k] = True
+            n = 0
+            while n < MOST:
+                dx, dy, dz, state = scatter(ray.dx, ray.dy, ray.dz, medium.g, state)
+                ray = Ray(ray.x, ray.y, ray.z, dx, dy, dz)
+                collided, ray, state = delta_track(ray, medium, state)
+                if not collided:
+                    break
+                n += 1
+            codes[p, k] = _encode(ray.dx, ray.dy, ray.dz)
+            scatterings[p, k] = n
+    return codes, scatterings, hit
+
+
+def trace_camera_exits(grid, camera: PinholeCamera, sigma: float, anisotropy: float, sampling: Sampling):
+    """Paths from where a camera's rays scatter first: Exits (pixels, K) and whether each path scattered, bool.
+
+    sigma: extinction per cube edge. Paths that do not scatter hold nothing.
+    """
+    cells = np.float32(grid.cells)
+    codes, scatterings, hit = _camera_exits_kernel(
+        grid,
+        (np.asarray(camera.position, np.float64) + 0.5) * float(cells),
+        camera.rays().reshape(-1, 3),
+        np.float32(sigma / cells),
+        np.float32(anisotropy),
+        int(sampling.paths),
+        int(sampling.seed),
+    )
+    return Exits(codes, scatterings), hit
