@@ -120,3 +120,8 @@ class _EnvironmentEstimate:
         """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
         weight = self.samples.weight * self.fraction.sum(axis=1)
         return np.bincount(self.pixel, weight, len(self.error)).astype(np.float32), None
+
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """Half the light of each channel, since colours come from different directions; mean: (2 C, P)."""
+        channels = mean.reshape(2, -1, mean.shape[1]).mean(axis=0)
+        return list(channels) if self.predictor.channels > 1 else [channels.mean(axis=0)]

@@ -146,6 +146,9 @@ class Estimate(Protocol):
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,), and the mean over it of the scattered light ahead, (P,) or None."""
 
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """What has to be smooth where pixels are interpolated, (P,) each; mean: (C, P), over the opacity."""
+
 
 class _Estimate:
     """The network's estimate of one group's multiple scattering of one sun, in P pixels.
@@ -213,6 +216,10 @@ class _Estimate:
         ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity))
         return opacity, ahead / np.maximum(opacity, np.float32(1e-30))
 
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """The mean of the channels, which one sun lights alike; mean: (C, P)."""
+        return [mean.mean(axis=0)]
+
 
 def evaluate_adaptively(
     estimate: Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
@@ -240,15 +247,18 @@ def evaluate_adaptively(
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
-        smooth, centre_error = interpolable(
-            squares,
-            mean.mean(axis=0),
-            error * (3.0 / len(mean)),
-            opacity,
-            single.mean(axis=0),
-            ahead,
-            difference / np.sqrt(estimate.context.settings.depth_samples),
-        )
+        smooth, centre_error = np.ones(len(squares.pixels), bool), np.zeros(len(squares.pixels))
+        for part in estimate.smooth_parts(mean):
+            found, part_error = interpolable(
+                squares,
+                part,
+                error * (3.0 / len(mean)),
+                opacity,
+                single.mean(axis=0),
+                ahead,
+                difference / np.sqrt(estimate.context.settings.depth_samples),
+            )
+            smooth, centre_error = smooth & found, np.maximum(centre_error, part_error)
         smooth &= ~squares.any(split)
         interior = squares.interior(smooth) & ~evaluated & ~interpolated
         for values in (*mean, error):

@@ -99,14 +99,6 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Memory that a render may use, in GiB. A render that needs more is refused before it starts. "
         "0 uses the limit in the preferences",
     )
-    world_directions: IntProperty(
-        name="World Directions",
-        default=12,
-        min=0,
-        max=256,
-        description="Directions from which the World lights the volumes, halved where suns are bright. Each takes as "
-        "long as a sun. 0 ignores the World",
-    )
     use_exr: BoolProperty(
         name="Write EXR",
         default=False,
