@@ -111,7 +111,7 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
             if samples is not None:
                 add_scattered_emission(context, scene, channel_pass, tile, samples)
                 add_multiple_scattering(context, scene, channel_pass, tile, samples, work)
-                add_environment_light(context, scene, channel_pass, tile, samples)
+                add_environment_light(context, scene, channel_pass, tile, samples, work)
             if channels is scene.plan.channels[-1]:
                 x0, y0, x1, y1 = tile.camera.window
                 yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))

@@ -11,16 +11,26 @@ from ..scene.description import Medium
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 from .multiple_scattering import evaluate_adaptively, lattice_bounds, sample_batches
+from .work_estimate import WorkEstimate
 
 
 def add_environment_light(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    tile: Tile,
+    samples: DepthSamples,
+    work: WorkEstimate,
 ) -> None:
-    """Add single and multiple scattering of the plan's environments to the tile. Raises Cancelled."""
+    """Add single and multiple scattering of the plan's environments to the tile.
+
+    work: is told of each prediction. Raises Cancelled.
+    """
     if scene.environment_network is None:
         return
     for g, group in scene.predicted(channel_pass.channels):
         _add_group(context, scene, group, tile, samples, g, channel_pass.channels.indices)
+        work.job_predicted(tile)
 
 
 def _add_group(

@@ -12,8 +12,9 @@ EVALUATED_SHARE = 0.4
 class WorkEstimate:
     """Expects marched steps and depth samples by what a sparse grid of rays takes in the first channel pass.
 
-    A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by
-    tile."""
+    A job is one group of volumes in the light of one sun, or of all environments, in one set of colour channels; jobs
+    are predicted tile by tile.
+    """
 
     def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
         self._context, self._scene, self._tiles = context, scene, tiles
@@ -23,11 +24,13 @@ class WorkEstimate:
         self._all_steps, self._all_samples, self._steps_marched, self._samples_predicted = 0.0, 0.0, 0.0, 0.0
         plan, progress = scene.plan, context.progress
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
-        self._jobs = groups * len(plan.suns)
+        suns = groups * len(plan.suns)
+        # Environments are predicted together.
+        self._jobs = suns + groups * bool(plan.environments)
         needs_fluence = scene.network is not None and scene.network.needs_ray_features
-        progress.expect("transport", self._jobs if needs_fluence else 0)
+        progress.expect("transport", suns if needs_fluence else 0)
         # The lattices of a single sun serve every tile.
-        progress.expect("lattices", self._jobs * len(tiles) if len(plan.suns) > 1 else self._jobs)
+        progress.expect("lattices", suns * len(tiles) if len(plan.suns) > 1 else suns)
 
     def survey(self, channel_pass: ChannelPass) -> None:
         """Set what is expected of camera rays and of the network, once, where somebody wants to know."""
