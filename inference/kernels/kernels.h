@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 1
+#define MRPNN_INTERFACE 2
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -76,7 +76,7 @@ typedef struct {
 
 /* Scattered light of each sun in a group of volumes: ScatteredFluence. */
 typedef struct {
-    const uint16_t *const *lights;  /* (suns) of float16 (cells, cells, cells, 4); NULL for a group without prediction */
+    const float *const *lights;     /* (suns) of (cells, cells, cells, 4); NULL for a group without prediction */
     int64_t cells;
     double linear[9];
     double offset[3];

@@ -20,8 +20,6 @@ which come in blocks; blocks that hold no density are passed over. What remains 
 #define SCATTERED 2
 #define INTEGRALS (SCALES + SCATTERED)
 #define COLUMNS (2 + INTEGRALS)
-/* Distinct factors of the optical depth in these integrals: the scales, the first of which is 1, and the reduced one. */
-#define FACTORS (SCALES + 1)
 
 /* A ray as continuous indices into some frame: first + (step * dt) * slope. */
 typedef struct {
@@ -44,26 +42,20 @@ typedef struct {
     double *before;              /* (blocks + 1), optical depth from the ray's start */
     float *sigma;                /* (volumes, steps), extinction */
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
+    float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
     float *start, *end;          /* (groups, steps) each, optical depth of a group towards a sun at the ends of steps */
     float *whole_start, *whole_end;  /* (steps), of all volumes */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *group_tau;            /* (groups, steps) */
-    float *passed, *absorbed;    /* (groups, FACTORS, steps), exp(-a tau) and 1 - exp(-a tau) */
-    float *light;                /* (INTEGRALS, steps) */
+    float *light;                /* (steps) */
     float *edge_step, *edge_depth;  /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
 } Work;
-
-/* exp(-tau) in single precision, of an optical depth in double precision. */
-static inline float transmittance(double tau) {
-    float rounded = (float)tau;
-    return exp_minus(rounded) * (1.0f - (float)(tau - (double)rounded));
-}
 
 static inline Line line_in(const double *linear, const double *offset, const Ray *ray) {
     Line line;
@@ -84,15 +76,17 @@ static inline void position_on(const Line *line, float step, float dt, float *po
     for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
 }
 
-/* Means over the steps of one block of what a grid holds. */
-static inline void sample_block(const Grid *grid, const Line *line, int32_t number, float dt, float *mean) {
-    float value[STEPS * SAMPLES];
-    for (int n = 0; n < STEPS * SAMPLES; n++) {
-        float position[3];
-        position_on(line, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
-        value[n] = sample_grid(grid, position);
-    }
-    for (int k = 0; k < STEPS; k++) mean[k] = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+static inline void positions_on(const Line *line, Floats steps, float dt, Floats *position) {
+    Floats along = steps * dt;
+    for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
+}
+
+/* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
+static inline Floats sample_block(const Grid *grid, const Line *line, int32_t number, float dt) {
+    const Floats places = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
+    Floats position[3];
+    positions_on(line, places + (float)(number * STEPS), dt, position);
+    return sample_grid(grid, position);
 }
 
 static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, int32_t number, float dt) {
@@ -155,10 +149,11 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
             if (!block_near(scene, medium, work->lines + v, number, dt)) continue;
             near_any = 1;
             if (!(medium->sigma_t > 0.0)) continue;
-            sample_block(&medium->density, work->lines + v, number, dt, sigma);
+            Floats value = sample_block(&medium->density, work->lines + v, number, dt);
             for (int k = 0; k < STEPS; k++) {
                 int inside = (int64_t)number * STEPS + k < ray->count;
-                sigma[k] = (inside ? sigma[k] : 0.0f) * (float)medium->sigma_t;
+                float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+                sigma[k] = (inside ? mean : 0.0f) * (float)medium->sigma_t;
                 sums += sigma[k];
             }
             filled |= sums > 0.0f;
@@ -240,6 +235,17 @@ static int64_t list_edges(Work *work) {
     return edges;
 }
 
+/* Store what was found at some edges where steps start and end. */
+static inline void store_at_edges(const Work *work, int64_t edge, int used, Floats found, float *start, float *end) {
+    float values[LANES];
+    memcpy(values, &found, sizeof values);
+    for (int n = 0; n < used; n++) {
+        int32_t from = work->edge_from[edge + n], to = work->edge_to[edge + n];
+        if (from >= 0) start[from] = values[n];
+        if (to >= 0) end[to] = values[n];
+    }
+}
+
 /* Optical depths of each group and of all volumes towards one sun, at the ends of filled steps. */
 static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, int64_t edges, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
@@ -248,43 +254,66 @@ static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, in
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
     }
-    for (int64_t e = 0; e < edges; e++) {
-        float step = work->edge_step[e], depth = work->edge_depth[e], whole = 0.0f;
-        int32_t from = work->edge_from[e], to = work->edge_to[e];
+    for (int64_t e = 0; e < edges; e += LANES) {
+        Floats step, depth, whole = in_all(0.0f);
+        /* The last edge again where there are no more. */
+        FOR_LANES(n) {
+            int64_t edge = e + n < edges ? e + n : edges - 1;
+            step[n] = work->edge_step[edge], depth[n] = work->edge_depth[edge];
+        }
+        int used = edges - e < LANES ? (int)(edges - e) : LANES;
         for (int64_t g = 0; g < scene->groups; g++) {
-            float sum = 0.0f;
-            for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
-                int64_t v = scene->group_members[n];
+            Floats sum = in_all(0.0f);
+            for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
+                int64_t v = scene->group_members[m];
                 const Medium *medium = scene->media + v;
-                float position[3];
-                position_on(work->lines + v, step, ray->dt, position);
+                Floats position[3];
+                positions_on(work->lines + v, step, ray->dt, position);
                 sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
                                           : sun_depth(scene, medium, medium->suns + l, position, depth);
             }
-            if (from >= 0) work->start[g * room + from] = sum;
-            if (to >= 0) work->end[g * room + to] = sum;
+            store_at_edges(work, e, used, sum, work->start + g * room, work->end + g * room);
             whole += sum;
         }
-        if (from >= 0) work->whole_start[from] = whole;
-        if (to >= 0) work->whole_end[to] = whole;
+        store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
+    }
+}
+
+/* What is transmitted to the starts of blocks, and of steps, and what of it is lost in them, in `light`. */
+static void transmit(Work *work) {
+    for (int64_t b = 0; b < work->blocks; b += LANES) {
+        Floats rounded, rest;
+        FOR_LANES(n) {
+            double before = work->before[b + n < work->blocks ? b + n : work->blocks];
+            rounded[n] = (float)before;
+            rest[n] = (float)(before - (double)rounded[n]);
+        }
+        store(work->far + b, transmittance(rounded) * (1.0f - rest));
+    }
+    for (int64_t s = 0; s < STEPS * work->blocks; s += LANES) {
+        Floats far, tau = load(work->tau + s), lost;
+        FOR_LANES(n) far[n] = work->far[(s + n) / STEPS];
+        Floats transmitted = far * transmittance(load(work->within + s) - tau);
+        exp_minus(tau, &lost);
+        store(work->transmitted + s, transmitted);
+        store(work->light + s, transmitted * lost);
     }
 }
 
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
-static void add_single(const Scene *scene, int64_t l, const Ray *ray, const Work *work, double *single) {
-    int64_t steps = STEPS * work->room;
-    for (int64_t b = 0; b < work->blocks; b++) {
-        float light[STEPS];
-        for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            light[k] = work->transmitted[s] * mean_transmittance(work->whole_start[s], work->whole_end[s] + work->tau[s]);
-            light[k] *= ray->dt;
-            if (scene->shadow_maps) light[k] *= work->visible[s];
-        }
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            const float *sigma = work->sigma + v * steps + STEPS * b;
+static void add_single(const Scene *scene, int64_t l, const Ray *ray, Work *work, double *single) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    float *light = work->light;
+    for (int64_t s = 0; s < steps; s += LANES) {
+        Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
+        Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * ray->dt;
+        store(light + s, scene->shadow_maps ? found * load(work->visible + s) : found);
+    }
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        const float *sigma = work->sigma + v * room;
+        for (int64_t b = 0; b < work->blocks; b++) {
             float sum = 0.0f;
-            for (int k = 0; k < STEPS; k++) sum += sigma[k] * light[k];
+            for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += sigma[s] * light[s];
             single[v * scene->suns + l] += (double)sum;
         }
     }
@@ -299,7 +328,7 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
         memset(work->source, 0, (size_t)steps * sizeof *work->source);
         return;
     }
-    const uint16_t *light = fluence->lights[l];
+    const float *light = fluence->lights[l];
     Line line = line_in(fluence->linear, fluence->offset, ray);
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
@@ -321,9 +350,8 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
             shift = shift - (float)floor_of(shift) - 0.5f;
             cell = cell * fluence->cells + (int32_t)clamped(position[axis] + shift, 0.0f, most);
         }
-        const uint16_t *at = light + 4 * cell;
-        float found = half_value(at[0]) + weight[0] * half_value(at[1]) + weight[1] * half_value(at[2])
-                      + weight[2] * half_value(at[3]);
+        const float *at = light + 4 * cell;
+        float found = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
         work->source[s] = found > 0.0f ? found : 0.0f;
     }
 }
@@ -373,44 +401,36 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
     return count;
 }
 
-/* exp(-a tau) and 1 - exp(-a tau) of the steps of each group, from the step of the first sample on. */
-static void attenuate_groups(const Scene *scene, const Ray *ray, int64_t from, Work *work) {
+/* Optical thickness of steps in each group. */
+static void sum_groups(const Scene *scene, const Ray *ray, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     for (int64_t g = 0; g < scene->groups; g++) {
-        float *tau = work->group_tau + g * room;
-        for (int64_t s = 0; s < steps; s++) tau[s] = 0.0f;
-        for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
-            const float *sigma = work->sigma + scene->group_members[n] * room;
-            for (int64_t s = 0; s < steps; s++) tau[s] += sigma[s];
-        }
-        for (int64_t s = 0; s < steps; s++) tau[s] *= ray->dt;
-        for (int f = 0; f < FACTORS; f++) {
-            float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
-            float *passed = work->passed + (g * FACTORS + f) * room, *absorbed = work->absorbed + (g * FACTORS + f) * room;
-            for (int64_t s = from; s < steps; s++) {
-                passed[s] = exp_minus(factor * tau[s]);
-                absorbed[s] = one_minus_exp(factor * tau[s]);
+        for (int64_t s = 0; s < steps; s += LANES) {
+            Floats sigma = in_all(0.0f);
+            for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
+                sigma += load(work->sigma + scene->group_members[n] * room + s);
             }
+            store(work->group_tau + g * room + s, sigma * ray->dt);
         }
     }
 }
 
-/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end. */
+/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end.
+
+The lanes are the integrals: those of the sun's light with each scale, and those of scattered light. */
 static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t count, Work *work, Gathered *out) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
-    for (int i = 0; i < SCALES; i++) {
-        float *light = work->light + i * room, factor = (float)scene->scales[i];
-        for (int64_t s = from; s < steps; s++) light[s] = exp_minus(factor * (0.5f * (start[s] + end[s])));
-        for (int64_t s = from; s < steps && scene->shadow_maps; s++) light[s] *= work->visible[s];
-    }
-    const float *passed = work->passed + g * FACTORS * room, *absorbed = work->absorbed + g * FACTORS * room;
-    float ahead[INTEGRALS] = {0.0f}, tau_ahead = 0.0f;
-    const int factor_of[INTEGRALS] = {0, 1, 2, 0, SCALES};
+    const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
+    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)scene->fluence[g].reduced_fraction};
+    const Ints of_sun = {-1, -1, -1};
+    Floats ahead = in_all(0.0f);
+    float tau_ahead = 0.0f;
     int64_t n = count - 1;
     for (int64_t s = steps - 1; s >= from; s--) {
-        const float light[INTEGRALS] = {work->light[s], work->light[room + s], work->light[2 * room + s],
-                                        work->source[s], work->source[s]};
+        Floats sun = transmittance(towards_sun * (0.5f * (start[s] + end[s]))), lost;
+        if (scene->shadow_maps) sun *= work->visible[s];
+        Floats light = choose(of_sun, sun, in_all(work->source[s]));
         for (; n >= 0 && work->sample_step[n] == s; n--) {
             float *values = out->sample_features + (((out->samples + n) * scene->groups + g) * scene->suns + l) * COLUMNS;
             float inside = work->sample_inside[n], rest = (1.0f - inside) * tau[s];
@@ -422,16 +442,11 @@ static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t co
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
-            for (int i = 0; i < INTEGRALS; i++) {
-                int f = factor_of[i];
-                float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
-                values[2 + i] = light[i] * one_minus_exp(factor * rest) + exp_minus(factor * rest) * ahead[i];
-            }
+            Floats passed = exp_minus(along_ray * rest, &lost), found = light * lost + passed * ahead;
+            memcpy(values + 2, &found, INTEGRALS * sizeof *values);
         }
-        for (int i = 0; i < INTEGRALS; i++) {
-            int64_t place = factor_of[i] * room + s;
-            ahead[i] = light[i] * absorbed[place] + passed[place] * ahead[i];
-        }
+        Floats passed = exp_minus(along_ray * tau[s], &lost);
+        ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];
     }
 }
@@ -440,26 +455,23 @@ static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t co
 static void add_emission(const Scene *scene, const Ray *ray, Work *work, double *emission) {
     float dt = ray->dt;
     fill_blocks(scene, ray, scene->behind_emission, 1, work);
+    transmit(work);
     for (int64_t b = 0; b < work->blocks; b++) {
-        float through[STEPS], far = transmittance(work->before[b]);
+        float through[LANES];
         int32_t number = work->number[b];
+        Floats tau = load(work->tau + STEPS * b);
+        store(through, load(work->transmitted + STEPS * b) * mean_transmittance(in_all(0.0f), tau) * dt);
         for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            float seen = far * exp_minus(work->within[s] - work->tau[s]) * mean_transmittance(0.0f, work->tau[s]);
-            through[k] = (int64_t)number * STEPS + k < ray->count ? seen * dt : 0.0f;
+            if ((int64_t)number * STEPS + k >= ray->count) through[k] = 0.0f;
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
             if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, number, dt)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {
-                float value[STEPS * SAMPLES], sum = 0.0f;
-                for (int n = 0; n < STEPS * SAMPLES; n++) {
-                    float position[3];
-                    position_on(work->lines + v, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
-                    float found = sample_grid(medium->emission + c, position), power = 1.0f;
-                    for (int64_t times = 1; times < medium->emission_power; times++) power *= fabsf(found);
-                    value[n] = found * power;
-                }
+                float sum = 0.0f;
+                Floats value = sample_block(medium->emission + c, work->lines + v, number, dt);
+                Floats size = choose(value < 0.0f, -value, value);
+                for (int64_t times = 1; times < medium->emission_power; times++) value *= size;
                 for (int k = 0; k < STEPS; k++) {
                     sum += (0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1]) * through[k];
                 }
@@ -471,7 +483,8 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
 
 /* Divide the scratch memory; without memory, only count its bytes. */
 static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
-    int64_t used = 0, blocks = (max_count + STEPS - 1) / STEPS, steps = STEPS * blocks;
+    /* An even number of blocks, whose steps are whole lanes. */
+    int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS), steps = STEPS * blocks;
     int64_t volumes = scene->volumes, groups = scene->groups;
     work->room = blocks;
 #define TAKE(field, type, amount)                       \
@@ -483,6 +496,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(total, float, steps)
     TAKE(tau, float, steps)
     TAKE(within, float, steps)
+    TAKE(far, float, blocks)
     TAKE(transmitted, float, steps)
     TAKE(start, float, groups * steps)
     TAKE(end, float, groups * steps)
@@ -491,9 +505,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
-    TAKE(passed, float, groups * FACTORS * steps)
-    TAKE(absorbed, float, groups * FACTORS * steps)
-    TAKE(light, float, SCALES * steps)
+    TAKE(light, float, steps)
     TAKE(edge_step, float, 5 * blocks)
     TAKE(edge_depth, float, 5 * blocks)
     TAKE(edge_from, int32_t, 5 * blocks)
@@ -526,14 +538,12 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->blocks += work->blocks;
 
     double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);
+    transmit(work);
     for (int64_t b = 0; b < work->blocks; b++) {
-        float far = transmittance(work->before[b]), sum = 0.0f;
+        float sum = 0.0f;
         for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            work->transmitted[s] = far * exp_minus(work->within[s] - work->tau[s]);
             /* The middle of a step stands for the mean distance within it. */
-            float middle = (float)(work->number[b] * STEPS + k) + 0.5f;
-            sum += work->transmitted[s] * one_minus_exp(work->tau[s]) * middle;
+            sum += work->light[STEPS * b + k] * ((float)(work->number[b] * STEPS + k) + 0.5f);
         }
         reached += (double)sum;
     }
@@ -554,7 +564,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
 
     int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0;
-    if (features) attenuate_groups(scene, &ray, work->sample_step[0], work);
+    if (features) sum_groups(scene, &ray, work);
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
         look_up_sun_depths(scene, l, &ray, edges, work);

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 1
+INTERFACE = 2
 CHANNELS = 3
 
 

@@ -246,7 +246,7 @@ def _shadow_map(shadow_map: ShadowMap) -> structures.ShadowMap:
 def _fluence(fluence: ScatteredFluence | None) -> structures.Fluence:
     if fluence is None:
         return structures.Fluence(reduced_fraction=1.0)
-    lights = [np.ascontiguousarray(light, np.float16) for light in fluence.lights]
+    lights = [np.ascontiguousarray(light, np.float32) for light in fluence.lights]
     assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
     described = structures.Fluence(
