@@ -37,6 +37,11 @@ def _weights(stride: int) -> np.ndarray:
     return np.column_stack([corners - 0.25 * pyramid[:, None], pyramid])
 
 
+def _in_band(first: int, end: int) -> np.ndarray:
+    """Places of rows or columns in their bands."""
+    return np.arange(first, end) % BAND
+
+
 class Squares:
     """The squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
 
@@ -46,9 +51,10 @@ class Squares:
     def __init__(self, window: tuple[int, int, int, int], stride: int):
         x0, y0, x1, y1 = window
         width = x1 - x0
-        columns = np.arange(-(-x0 // stride) * stride, x1 - stride, stride)
-        rows = np.arange(y0, max(y1 - stride, y0))
-        rows = rows[(rows % BAND % stride == 0) & (rows % BAND + stride < BAND)]
+        columns, rows = (
+            first + np.flatnonzero((_in_band(first, end) % stride == 0) & (_in_band(first, end) + stride < BAND))
+            for first, end in ((x0, max(x1 - stride, x0)), (y0, max(y1 - stride, y0)))
+        )
         first = ((rows - y0)[:, None] * width + (columns - x0)).reshape(-1, 1)
         within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
         centre = within[stride // 2, stride // 2]
