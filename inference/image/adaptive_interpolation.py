@@ -84,14 +84,9 @@ class Squares:
 
     def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
         """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean."""
-        known = values[self.known].T
-        largest, total = np.zeros((2, len(self.known)), np.float32)
-        for place, weights in enumerate(self.weights):
-            at = self.pixels[:, place]
-            off = np.abs(values[at] - sum(weight * column for weight, column in zip(weights, known)))
-            np.maximum(largest, off * opacity[at], out=largest)
-            total += values[at] * opacity[at]
-        return largest / np.maximum(total / len(self.weights), np.float32(1e-30))
+        found, seen = values[self.pixels], opacity[self.pixels]
+        largest = (np.abs(found - self._interpolated(values, slice(None))) * seen).max(axis=1, initial=0.0)
+        return largest / np.maximum((found * seen).mean(axis=1), 1e-30)
 
     def all_known(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether corners and centre are all in a mask (P,)."""
@@ -111,12 +106,15 @@ class Squares:
 
     def fill(self, values: np.ndarray, smooth: np.ndarray, pixels: np.ndarray) -> None:
         """Interpolate values (P,) in some squares (S,), in place, at the pixels that `interior` gives, bool (P,)."""
-        known = values[self.known[smooth]]
-        for place, weights in enumerate(self.weights):
-            at = self.pixels[smooth, place]
-            wanted = pixels[at]
-            # Added one after another: the same result whatever other squares there are.
-            values[at[wanted]] = sum(weight * column for weight, column in zip(weights, known[wanted].T))
+        at = self.pixels[smooth]
+        wanted = pixels[at]
+        values[at[wanted]] = self._interpolated(values, smooth)[wanted]
+
+    def _interpolated(self, values: np.ndarray, chosen: np.ndarray | slice) -> np.ndarray:
+        """(S, places), from values (P,) at corners and centres of some squares."""
+        known = values[self.known[chosen]]
+        # Added one after another: the same result whatever other squares there are.
+        return sum(known[:, k, None] * self.weights[:, k].astype(known.dtype) for k in range(known.shape[1]))
 
 
 def interpolable(

@@ -24,7 +24,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
+from ..transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
@@ -136,8 +136,8 @@ class RayPredictor(StencilPredictor):
                 )
                 self._lattices = conditions.bounds_key, lattices
             lattices = self._lattices[1]
-            cells = self._solve(conditions, tasks.cancel).astype(np.float32)
-        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), cells, self.anisotropy)
+            light = FluenceLattice(self._solve(conditions, tasks.cancel))
+        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), light, self.anisotropy)
 
     def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""
@@ -166,11 +166,11 @@ class RayPredictor(StencilPredictor):
 
 @dataclass(frozen=True)
 class PreparedRays:
-    """A RayPredictor under certain conditions; a `PreparedPrediction`. cells: of `fluence_lattice`, float32."""
+    """A RayPredictor under certain conditions; a `PreparedPrediction`."""
 
     network: Any
     lookup: FieldLookup
-    cells: np.ndarray
+    light: FluenceLattice
     anisotropy: float
 
     def predict(
@@ -187,7 +187,7 @@ class PreparedRays:
         sun = self.lookup.sun
         gamma = angle_to_sun(omega[first], sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        around = read_fluence(self.cells, positions, omega, sun, self.anisotropy)
+        around = self.light.read(positions, omega, sun, self.anisotropy)
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
         ray = np.concatenate([ray_features, around], axis=1)
