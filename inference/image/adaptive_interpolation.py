@@ -17,7 +17,10 @@ from ..plan.resolution import BAND
 # Edge of a square in pixels, and the difference of its centre to what its corners predict that is tolerated, as a
 # fraction of the light there over the root of the number of depth samples. In smaller squares a difference concerns
 # fewer pixels.
-LEVELS = ((4, 0.03), (2, 0.07))
+LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
+# The same for squares as large as a voxel, in proportion for smaller and larger ones: nothing within a voxel varies
+# so much, but for the noise of depth sampling.
+VOXEL_DIFFERENCE = 0.06
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0
@@ -124,15 +127,15 @@ def interpolable(
     opacity: np.ndarray,
     single: np.ndarray,
     ahead: np.ndarray | None,
-    difference: float,
+    difference: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which squares may be interpolated, bool (S,), and the differences (S,) between their centres and corners.
 
     mean: (P,), multiple scattering over opacity in known pixels. error: (P,), its standard error. opacity: (P,).
     single: (P,), single scattering. ahead: (P,), mean over opacity of the scattered light ahead along a pixel's ray, or
-    None. difference: tolerated error of a centre, as a fraction of the light there.
+    None. difference: (P,), tolerated error of a centre, as a fraction of the light there.
     """
-    fraction = np.float32(difference)
+    fraction = squares.centres(difference)
     centre_error = squares.centre_error(mean)
     tolerance = fraction * squares.centres(single + mean * opacity)
     noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=1)) * squares.centres(opacity)

@@ -2,17 +2,18 @@
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..network.predictor import POINTS_PER_TASK, Bounds, PreparedPredictor, VolumePredictor
-from ..plan.plan import Channels, Plan, distinct_albedos
+from ..plan.plan import Channels, distinct_albedos
 from ..scene.camera import Camera
-from ..scene.description import Medium
+from ..scene.camera_rays import pixel_size
 from ..transport.scattered_fluence import ScatteredFluence
-from .adaptive_interpolation import CENTRE_ERROR, LEVELS, Squares, interpolable
+from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 
@@ -49,20 +50,32 @@ def prepare_prediction(
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
-    sources = []
-    indices = channel_pass.channels.indices
+    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
     for g, group in scene.predicted(channel_pass.channels):
-        sigma_t = float(group.medium.sigma_t[indices[0]])
+        members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):
-            bounds = _bounds(context, scene.plan.groups[g], group.predictor, view)
+            bounds = _bounds(context, members, group.predictor, view)
             for place, l in enumerate(channel_pass.suns):
-                sun = scene.plan.suns[l]
+                sun = plan.suns[l]
                 with context.progress.stage("lattices", 1):
-                    prepared = group.predictor.prepare(sigma_t, sun.direction, bounds, scene.occluders, context.tasks)
+                    prepared = group.predictor.prepare(
+                        float(medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
+                    )
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()
-                directions = EquivalentDirections(camera, sun, group.medium.anisotropy, context.cancel)
-                sources.append(Source(scene.plan, (g, l, place), indices, group.medium, prepared, directions))
+                source = Source(
+                    group=g,
+                    place=place,
+                    members=members,
+                    indices=indices,
+                    albedos=distinct_albedos(medium, indices, plan.optimizations),
+                    scattered=np.array([plan.volumes[v][1].albedo * sun.irradiance for v in members], np.float32),
+                    suns=len(plan.suns),
+                    voxel=min(scene.grids[v].voxel for v in members),
+                    prepared=prepared,
+                    directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                )
+                sources.append(source)
     return sources
 
 
@@ -104,36 +117,27 @@ def _batches(points: np.ndarray) -> list[np.ndarray]:
     return [points[i : i + POINTS_PER_TASK] for i in range(0, len(points), POINTS_PER_TASK)]
 
 
+@dataclass(frozen=True)
 class Source:
     """One group of volumes in the light of one sun.
 
-    members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: distinct
-    albedos of these channels, and the channels of each. scattered: float32 (V, 3), albedo times irradiance of each of
-    the group's volumes. suns: how many there are altogether.
+    group: its number. place: of the sun among those that are rendered together. members: numbers of the group's
+    volumes. indices: colour channels that are rendered together. albedos: distinct albedos of these channels, and the
+    channels of each. scattered: float32 (V, 3), albedo times irradiance of each of the group's volumes. suns: how many
+    there are altogether. voxel: shortest edge of the group's voxels. prepared: what predicts. directions: in which it
+    sees camera rays.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        numbers: tuple[int, int, int],
-        indices: list[int],
-        medium: Medium,
-        prepared: PreparedPredictor,
-        directions: EquivalentDirections,
-    ):
-        """numbers: of the group, of the sun, and of the sun among those that are rendered together. prepared: for them.
-        directions: in which the network sees camera rays."""
-        self.group, sun, self.place = numbers
-        self.members, self.indices, self.prepared, self.directions = (
-            plan.groups[self.group],
-            indices,
-            prepared,
-            directions,
-        )
-        self.albedos = distinct_albedos(medium, indices, plan.optimizations)
-        irradiance = plan.suns[sun].irradiance
-        self.scattered = np.array([plan.volumes[v][1].albedo * irradiance for v in self.members], np.float32)
-        self.suns = len(plan.suns)
+    group: int
+    place: int
+    members: list[int]
+    indices: list[int]
+    albedos: list[tuple[float, list[int]]]
+    scattered: np.ndarray
+    suns: int
+    voxel: float
+    prepared: PreparedPredictor
+    directions: EquivalentDirections
 
 
 class _Estimate:
@@ -146,6 +150,7 @@ class _Estimate:
     def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: Source):
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
+        self.camera = tile.camera
         self.fraction = samples.fraction[:, source.members]
         self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
         self.pixel = samples.pixel[samples.ray]
@@ -180,6 +185,14 @@ class _Estimate:
         features = self.samples.features
         return None if features is None else features.of(points, self.source.group, self.source.place)
 
+    def pixels_per_voxel(self) -> np.ndarray:
+        """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
+        weight = self.samples.weight * self.fraction.sum(axis=1)
+        sums = (np.bincount(self.pixel, w, len(self.error)) for w in (weight, weight * self.samples.distance))
+        opacity, moment = sums
+        width = pixel_size(self.camera, moment / np.maximum(opacity, 1e-30))
+        return np.where(opacity > 0.0, self.source.voxel / np.maximum(width, 1e-30), 0.0)
+
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
         weight = self.samples.weight * self.fraction.sum(axis=1)
@@ -213,7 +226,9 @@ def _evaluate_adaptively(
         mean[:, pixels] = estimate.radiance[:, pixels] / safe[pixels]
         error[pixels] = estimate.error[pixels] / safe[pixels]
 
-    for stride, difference in LEVELS:
+    tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
+    for stride, least in LEVELS:
+        difference = np.maximum(least, tolerance / stride)
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.

@@ -57,6 +57,16 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     return origins, directions, cosine
 
 
+def pixel_size(camera: Camera, distance: np.ndarray) -> np.ndarray:
+    """Approximate width (N,) of a pixel at distances (N,) along its ray, in world units."""
+    width = camera.resolution[0]
+    if camera.projection == "orthographic":
+        return np.full_like(distance, camera.ortho_scale / width)
+    if camera.projection == "equirectangular":
+        return distance * abs(camera.longitude[1] - camera.longitude[0]) / width
+    return distance * (2.0 * np.tan(0.5 * camera.fov) / width)
+
+
 def widest_angle(camera: Camera) -> float:
     """Approximate angle between the rays at the ends of the image's longer edge; radians."""
     if camera.projection == "orthographic":
