@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..numerics.intersection import box_interval
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from ..plan.resolution import refinement
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
@@ -81,7 +81,7 @@ class Grid:
         ends = np.array(
             [[(low, high)[b][axis] for axis, b in enumerate((x, y, z))] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
         )
-        return (ends - self.offset) @ np.linalg.inv(self.linear).T
+        return product(ends - self.offset, inverse(self.linear).T)
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""

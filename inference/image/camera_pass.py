@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..grids.grid import Grid
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
@@ -210,7 +209,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     """The camera rays that meet a volume, or None if there are none."""
     report, settings = tile.report, context.settings
     # No rays are made for pixels away from every volume.
-    around, pixel = _crop_to_volumes(tile.camera, scene.grids, "missed_pixels" in settings.leave_out)
+    around, pixel = _crop_to_volumes(tile.camera, scene.corners, "missed_pixels" in settings.leave_out)
     report.count("camera rays", len(pixel))
     report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(pixel))
     if not len(pixel):
@@ -236,15 +235,15 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     )
 
 
-def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple[Camera, np.ndarray]:
-    """The camera with the pixels around all grids as its region, and their numbers (P,) in its own window.
+def _crop_to_volumes(camera: Camera, corners: np.ndarray, crop: bool) -> tuple[Camera, np.ndarray]:
+    """The camera with the pixels around all volumes as its region, and their numbers (P,) in its own window.
 
-    crop: without, all pixels.
+    corners: (N, 3), of the volumes in the world. crop: without, all pixels.
     """
     x0, y0, x1, y1 = camera.window
     if not crop:
         return camera, np.arange((x1 - x0) * (y1 - y0))
-    left, top, right, bottom = window_around(camera, np.concatenate([grid.corners() for grid in grids]))
+    left, top, right, bottom = window_around(camera, corners)
     pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
     return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a render holds while it runs."""
 
+import functools
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
@@ -60,6 +63,11 @@ class PreparedScene:
     extended_lights: ExtendedLights | None
     groups: list[ScatteringGroup | None]
     network: System | None = None
+
+    @functools.cached_property
+    def corners(self) -> np.ndarray:
+        """Corners (8 V, 3) of the volumes in the world."""
+        return np.concatenate([grid.corners() for grid in self.grids])
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""

@@ -9,6 +9,7 @@ import numpy as np
 from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..network.predictor import POINTS_PER_TASK, Bounds, PreparedPredictor, VolumePredictor
+from ..numerics.small_matmul import product
 from ..plan.plan import Channels, distinct_albedos
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_size
@@ -169,14 +170,15 @@ class _Estimate:
             radiance = source.prepared.predict(
                 samples.positions(done), directions, values, samples.jitter(done), self._features(done)
             )
-            weight = samples.weight[done, None] * (self.fraction[done] @ source.scattered)
+            weight = samples.weight[done, None] * product(self.fraction[done], source.scattered)
             pixel = self.pixel[done]
             for (_, channels), row in zip(source.albedos, radiance):
                 for c in channels:
                     part = weight[:, c] * row
                     add_at(self.radiance[source.indices.index(c)], pixel, part)
                     parts[done] += part / 3.0
-        add_at(self.error, *samples.standard_error(parts))
+        if len(points):
+            add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos))
 

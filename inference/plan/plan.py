@@ -22,8 +22,8 @@ PARALLEL_ANGLE = 1e-6
 # A grid whose largest density lies outside is rescaled, and its extinction inversely.
 DENSITY_RANGE = (2.0**-20, 2.0**20)
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
-# into so many tiles at least, where it is large enough, that no thread waits long for the last one.
-TILE_BANDS, FEWEST_TILES = (4, 2, 1), 24
+# into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
+TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 12
 # Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
 # their depth samples are held meanwhile.
 VIEW_PIXELS = 1 << 16
@@ -303,7 +303,7 @@ def _plan_tiles(
         if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
             pixels = (x1 - x0) * (y1 - y0)
         needed = memory + pixels * ray_bytes(settings.depth_samples, volumes, suns)
-        if len(tiles) >= FEWEST_TILES and needed <= settings.memory_limit:
+        if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
             break
     return tiles, needed
 

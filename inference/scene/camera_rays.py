@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from .camera import Camera
 
 
@@ -90,7 +90,7 @@ def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, i
     if camera.projection == "equirectangular":
         return x0, y0, x1, y1
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-    local = (corners - camera.world_matrix[:3, 3]) @ np.linalg.inv(rotation).T
+    local = product(corners - camera.world_matrix[:3, 3], inverse(rotation).T)
     if camera.projection == "orthographic":
         plane = local[:, :2] / camera.ortho_scale
     elif local[:, 2].max() < -1e-6 * np.abs(local).max():
