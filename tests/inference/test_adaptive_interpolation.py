@@ -72,23 +72,23 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
     mean[squares.known[7, 4]] = 1.2
-    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03)
+    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
     # Differences at low opacity, beside much more light, or within the noise do not count.
-    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03)[0].all()
-    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07)[0].all()
-    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03)[0].all()
+    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03 * ones)[0].all()
+    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07 * ones)[0].all()
+    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03 * ones)[0].all()
     mean[squares.known[7, 4]] = 1.02
-    assert interpolable(squares, mean, dark, ones, dark, None, 0.03)[0].all()
-    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01)[0].all()
+    assert interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)[0].all()
+    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01 * ones)[0].all()
     # A shadow's edge between evaluated pixels.
     ahead = ones.copy()
     ahead[squares.pixels[3, 2]] = 0.3
-    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03)[0])) == [3]
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03 * ones)[0])) == [3]
     # A pixel that does not show the volume does not count.
     opacity = ones.copy()
     opacity[squares.known[12, 4]] = 0.0
-    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03)[0])) == [12]
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03 * ones)[0])) == [12]
 
 
 @pytest.fixture(scope="module")
