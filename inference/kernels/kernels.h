@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 2
+#define MRPNN_INTERFACE 3
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -95,10 +95,9 @@ typedef struct {
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
     int64_t depth_samples, adaptive, coarse_count;
-    int64_t skip_empty, refinements;
-    double refined_thickness;        /* optical thickness that no step of a ray that is cut again exceeds, */
-    double steps_per_voxel;          /* and the steps that it has at least, per voxel and altogether */
-    int64_t fewest_refined;
+    int64_t skip_empty;
+    double step_thickness;           /* optical thickness that steps may have where a ray begins, */
+    double step_growth;              /* and the optical depth over which that grows by e */
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
     double dark, visible, max_sun_depth;

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Camera rays through volumes, one after another; the twins are marching/ray_march.py and marching/emission.py.
 
-Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps of equal length,
-which come in blocks; blocks that hold no density are passed over. What remains of a ray are arrays over its steps. */
+Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps, which come in
+blocks of equal steps; blocks that hold no density are passed over, dense ones are cut into smaller ones. What remains of
+a ray are arrays over its steps. Places on a ray are counted in its coarse steps. */
 
 #include <math.h>
 #include <stddef.h>
@@ -21,24 +22,29 @@ which come in blocks; blocks that hold no density are passed over. What remains 
 #define INTEGRALS (SCALES + SCATTERED)
 #define COLUMNS (2 + INTEGRALS)
 
-/* A ray as continuous indices into some frame: first + (step * dt) * slope. */
+/* How often a block may be cut, and into how many at a time. */
+#define LEVELS 7
+#define MOST_PARTS 8
+
+/* A ray as continuous indices into some frame: first + place * slope. */
 typedef struct {
-    float first[3], slope[3];
+    double first[3], slope[3];
 } Line;
 
 /* One ray between two distances. */
 typedef struct {
     const double *origin, *direction;
-    double near, far;
-    int64_t count;
-    float dt;
+    double near;
+    int64_t count;  /* coarse steps, and their length */
+    double dt;
 } Ray;
 
 /* Scratch memory for one ray of up to `room` blocks. */
 typedef struct {
     int64_t room;
     int64_t blocks;
-    int32_t *number;             /* (blocks), place of each block on the ray */
+    double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
+    float *dt;                   /* (steps), length */
     double *before;              /* (blocks + 1), optical depth from the ray's start */
     float *sigma;                /* (volumes, steps), extinction */
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
@@ -50,7 +56,8 @@ typedef struct {
     float *source;               /* (steps), scattered light */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
-    float *edge_step, *edge_depth;  /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
     int64_t *sample_step;        /* (depth samples), among the steps above */
@@ -65,140 +72,134 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
             start += linear[3 * i + j] * (ray->origin[j] + ray->near * ray->direction[j]);
             slope += linear[3 * i + j] * ray->direction[j];
         }
-        line.first[i] = (float)(start + offset[i]);
-        line.slope[i] = (float)slope;
+        line.first[i] = start + offset[i];
+        line.slope[i] = slope * ray->dt;
     }
     return line;
 }
 
-static inline void position_on(const Line *line, float step, float dt, float *position) {
-    float along = step * dt;
-    for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
-}
-
-static inline void positions_on(const Line *line, Floats steps, float dt, Floats *position) {
-    Floats along = steps * dt;
-    for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
+static inline void position_at(const Line *line, double place, float *position) {
+    for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
 }
 
 /* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
-static inline Floats sample_block(const Grid *grid, const Line *line, int32_t number, float dt) {
-    const Floats places = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
+static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+    const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
     Floats position[3];
-    positions_on(line, places + (float)(number * STEPS), dt, position);
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
+    }
     return sample_grid(grid, position);
 }
 
-static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, int32_t number, float dt) {
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size) {
     float position[3];
     if (!scene->skip_empty) return 1;
-    position_on(line, (float)(number * STEPS) + 0.5f * STEPS, dt, position);
+    position_at(line, place + 0.5 * STEPS * size, position);
     return may_hold(&medium->occupancy, position);
 }
 
-static void cut(const Rays *rays, int64_t number, double near, double far, int64_t count, Ray *ray) {
+static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
+    int64_t count = rays->counts[number];
     ray->origin = rays->origins + 3 * number;
     ray->direction = rays->directions + 3 * number;
-    ray->near = near;
-    ray->far = far;
+    ray->near = rays->near_distance[number];
     ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
-    ray->dt = (float)((far - near) / (double)ray->count);
+    ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
 }
 
-/* Number of steps of a ray whose interval has been cut to where light reaches. */
-static int64_t refined_count(const Scene *scene, const Ray *ray, double densest) {
-    double crossed = 0.0, length = ray->far - ray->near;
+/* Extinction and optical thickness of the steps of a block, which are left behind the last block that is kept; returns
+whether density may be near. */
+static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work) {
+    int64_t steps = STEPS * work->room, at = STEPS * work->blocks;
+    float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at, dt = (float)(ray->dt * size);
+    int near = 0;
+    for (int k = 0; k < STEPS; k++) total[k] = 0.0f;
     for (int64_t v = 0; v < scene->volumes; v++) {
-        const double *linear = scene->media[v].linear;
-        double square = 0.0;
-        if (!(scene->media[v].sigma_t > 0.0)) continue;
-        for (int i = 0; i < 3; i++) {
-            double along = 0.0;
-            for (int j = 0; j < 3; j++) along += linear[3 * i + j] * ray->direction[j];
-            square += along * along;
+        const Medium *medium = scene->media + v;
+        float *sigma = work->sigma + v * steps + at;
+        for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
+        if (!block_near(scene, medium, work->lines + v, place, size)) continue;
+        near = 1;
+        if (!(medium->sigma_t > 0.0)) continue;
+        Floats value = sample_block(&medium->density, work->lines + v, place, size);
+        for (int k = 0; k < STEPS; k++) {
+            int inside = place + k * size < (double)ray->count;
+            float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+            sigma[k] = (inside ? mean : 0.0f) * (float)medium->sigma_t;
+            total[k] += sigma[k];
         }
-        if (square > crossed) crossed = square;
     }
-    double by_voxels = sqrt(crossed) * length * scene->steps_per_voxel;
-    double by_thickness = densest * length / scene->refined_thickness;
-    double wanted = STEPS * ceil((by_voxels > by_thickness ? by_voxels : by_thickness) / STEPS);
-    double fewest = (double)scene->fewest_refined, count = (double)ray->count;
-    wanted = wanted > fewest ? wanted : fewest;
-    return wanted < count ? (int64_t)wanted : ray->count;
+    for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
+    sums[0] = tau[0];
+    for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
+    return near;
+}
+
+/* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
+static int parts_of(const Scene *scene, const float *tau, double reached) {
+    double allowed = scene->step_thickness * exp((reached < 600.0 ? reached : 600.0) / scene->step_growth);
+    double thickest = 0.0;
+    int parts = 1;
+    for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
+    while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    return parts;
 }
 
 /* Fill the blocks of a ray up to the optical depth `behind`. */
 static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int keep_empty, Work *work) {
-    int64_t steps = STEPS * work->room, last = (ray->count + STEPS - 1) / STEPS;
-    double reached = 0.0;
-    float dt = ray->dt;
+    double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
+    double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
+    int level = 0;
     for (int64_t v = 0; v < scene->volumes; v++) {
         work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
     }
     work->blocks = 0;
     work->before[0] = 0.0;
-    for (int32_t number = 0; number < last && reached < behind; number++) {
+    while (place < whole && reached < behind) {
+        while (level > 0 && !(place < end[level])) level--;
+        double step = size[level];
         int64_t at = STEPS * work->blocks;
-        int near_any = 0, filled = keep_empty;
-        float gained = 0.0f;
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            const Medium *medium = scene->media + v;
-            float *sigma = work->sigma + v * steps + at;
-            float sums = 0.0f;
-            for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
-            if (!block_near(scene, medium, work->lines + v, number, dt)) continue;
-            near_any = 1;
-            if (!(medium->sigma_t > 0.0)) continue;
-            Floats value = sample_block(&medium->density, work->lines + v, number, dt);
-            for (int k = 0; k < STEPS; k++) {
-                int inside = (int64_t)number * STEPS + k < ray->count;
-                float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
-                sigma[k] = (inside ? mean : 0.0f) * (float)medium->sigma_t;
-                sums += sigma[k];
+        int near = sample_media(scene, ray, place, step, work);
+        const float *tau = work->tau + at;
+        /* What the blocks to come may need at most, if each is kept. */
+        int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
+        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached) : 1;
+        if (parts > 1) {
+            double from = place;
+            /* Density that begins here may begin in the step in front, behind its samples. */
+            if (gap > 0.0 && tau[0] > 0.0f) {
+                double back = gap < step ? gap : step;
+                if (4.0 * step <= MOST_PARTS * back) {
+                    while (parts * back < 4.0 * step) parts *= 2;
+                    from = place - back;
+                }
             }
-            filled |= sums > 0.0f;
-            gained += sums;
+            level++;
+            size[level] = step / parts;
+            end[level] = place + STEPS * step;
+            place = from;
+            gap = 0.0;
+            continue;
         }
-        reached += (double)gained * (double)dt;
-        if (!near_any || !filled) continue;
-        float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at;
-        for (int k = 0; k < STEPS; k++) total[k] = work->sigma[at + k];
-        for (int64_t v = 1; v < scene->volumes; v++) {
-            for (int k = 0; k < STEPS; k++) total[k] += work->sigma[v * steps + at + k];
+        float gained = work->within[at + STEPS - 1];
+        reached += (double)gained;
+        gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
+        if (near && (keep_empty || gained > 0.0f)) {
+            for (int k = 0; k < STEPS; k++) work->dt[at + k] = (float)(ray->dt * step);
+            work->place[work->blocks] = place;
+            work->size[work->blocks] = step;
+            work->before[work->blocks + 1] = work->before[work->blocks] + (double)gained;
+            work->blocks++;
         }
-        for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
-        sums[0] = tau[0];
-        for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
-        work->number[work->blocks] = number;
-        work->before[work->blocks + 1] = work->before[work->blocks] + (double)sums[STEPS - 1];
-        work->blocks++;
+        place += STEPS * step;
     }
 }
 
-/* The part of a ray between where it enters density and where it becomes opaque; returns the largest extinction in it. */
-static double refine(const Ray *ray, double behind, const Work *work, double *near, double *far) {
-    float densest = 0.0f;
-    int64_t first = 0, last = ray->count;
-    double dt = (ray->far - ray->near) / (double)ray->count;
-    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
-        for (int k = 0; k < STEPS && !found; k++) {
-            if (!(work->tau[STEPS * b + k] > 0.0f)) continue;
-            /* From the step in front of the first filled one, because samples may miss density that begins there. */
-            first = (int64_t)work->number[b] * STEPS + k - 1;
-            found = 1;
-        }
-    }
-    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
-        for (int k = 0; k < STEPS && !found; k++) {
-            densest = work->total[STEPS * b + k] > densest ? work->total[STEPS * b + k] : densest;
-            if (!(work->before[b] + (double)work->within[STEPS * b + k] > behind)) continue;
-            last = (int64_t)work->number[b] * STEPS + k + 1;
-            found = 1;
-        }
-    }
-    *near = ray->near + (double)(first > 0 ? first : 0) * dt;
-    *far = last < ray->count ? ray->near + (double)last * dt : ray->far;
-    return (double)densest;
+/* A place within a step. */
+static inline double place_in(const Work *work, int64_t step, double inside) {
+    int64_t block = step / STEPS;
+    return work->place[block] + ((double)(step % STEPS) + inside) * work->size[block];
 }
 
 static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Work *work) {
@@ -208,7 +209,7 @@ static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Wo
         float position[3];
         work->visible[s] = 1.0f;
         if (!(work->total[s] > 0.0f)) continue;
-        position_on(&line, (float)(work->number[s / STEPS] * STEPS + s % STEPS) + 0.5f, ray->dt, position);
+        position_at(&line, place_in(work, s, 0.5), position);
         work->visible[s] = visibility_of(map, position);
     }
 }
@@ -217,15 +218,15 @@ static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Wo
 static int64_t list_edges(Work *work) {
     int64_t edges = 0;
     for (int64_t b = 0; b < work->blocks; b++) {
-        int joined_before = b > 0 && work->number[b] == work->number[b - 1] + 1;
-        int joined_after = b + 1 < work->blocks && work->number[b + 1] == work->number[b] + 1;
+        int joined_before = b > 0 && work->place[b] == work->place[b - 1] + STEPS * work->size[b - 1];
+        int joined_after = b + 1 < work->blocks && work->place[b + 1] == work->place[b] + STEPS * work->size[b];
         float before = (float)work->before[b];
         for (int k = 0; k <= STEPS; k++) {
             int32_t from = k < STEPS ? (int32_t)(STEPS * b + k) : -1;
             int32_t to = k > 0 ? (int32_t)(STEPS * b + k - 1) : joined_before ? (int32_t)(STEPS * b - 1) : -1;
             int wanted = (from >= 0 && work->total[from] > 0.0f) || (to >= 0 && work->total[to] > 0.0f);
             if (!wanted || (k == STEPS && joined_after)) continue;
-            work->edge_step[edges] = (float)(work->number[b] * STEPS + k);
+            work->edge_place[edges] = work->place[b] + k * work->size[b];
             work->edge_depth[edges] = k > 0 ? work->within[STEPS * b + k - 1] + before : before;
             work->edge_from[edges] = from;
             work->edge_to[edges] = to;
@@ -247,7 +248,7 @@ static inline void store_at_edges(const Work *work, int64_t edge, int used, Floa
 }
 
 /* Optical depths of each group and of all volumes towards one sun, at the ends of filled steps. */
-static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, int64_t edges, Work *work) {
+static void look_up_sun_depths(const Scene *scene, int64_t l, int64_t edges, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
     for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
@@ -255,11 +256,12 @@ static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, in
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
     }
     for (int64_t e = 0; e < edges; e += LANES) {
-        Floats step, depth, whole = in_all(0.0f);
+        double place[LANES];
+        Floats depth, whole = in_all(0.0f);
         /* The last edge again where there are no more. */
         FOR_LANES(n) {
             int64_t edge = e + n < edges ? e + n : edges - 1;
-            step[n] = work->edge_step[edge], depth[n] = work->edge_depth[edge];
+            place[n] = work->edge_place[edge], depth[n] = work->edge_depth[edge];
         }
         int used = edges - e < LANES ? (int)(edges - e) : LANES;
         for (int64_t g = 0; g < scene->groups; g++) {
@@ -267,8 +269,11 @@ static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, in
             for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
                 int64_t v = scene->group_members[m];
                 const Medium *medium = scene->media + v;
+                const Line *line = work->lines + v;
                 Floats position[3];
-                positions_on(work->lines + v, step, ray->dt, position);
+                for (int axis = 0; axis < 3; axis++) {
+                    FOR_LANES(n) position[axis][n] = (float)(place[n] * line->slope[axis] + line->first[axis]);
+                }
                 sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
                                           : sun_depth(scene, medium, medium->suns + l, position, depth);
             }
@@ -301,12 +306,12 @@ static void transmit(Work *work) {
 }
 
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
-static void add_single(const Scene *scene, int64_t l, const Ray *ray, Work *work, double *single) {
+static void add_single(const Scene *scene, int64_t l, Work *work, double *single) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     float *light = work->light;
     for (int64_t s = 0; s < steps; s += LANES) {
         Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
-        Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * ray->dt;
+        Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
         store(light + s, scene->shadow_maps ? found * load(work->visible + s) : found);
     }
     for (int64_t v = 0; v < scene->volumes; v++) {
@@ -338,11 +343,12 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
         jitter[i] = (float)scene->jitter[i];
     }
     for (int64_t s = 0; s < steps; s++) {
-        float number = (float)(work->number[s / STEPS] * STEPS + s % STEPS), position[3];
+        /* Number of the step on a ray that consists of such steps alone. */
+        float number = (float)(place_in(work, s, 0.0) / work->size[s / STEPS]), position[3];
         int64_t cell = 0;
         work->source[s] = 0.0f;
         if (!(tau[s] > 0.0f)) continue;
-        position_on(&line, number + 0.5f, ray->dt, position);
+        position_at(&line, place_in(work, s, 0.5), position);
         for (int axis = 0; axis < 3; axis++) {
             /* Jittered from step to step, so that neighbouring rays do not enter a cell at the same step. */
             float shift = number * jitter[axis];
@@ -390,8 +396,7 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
         int64_t s = STEPS * block + step;
         work->sample_step[n] = s;
         work->sample_inside[n] = (float)inside;
-        double along = (double)work->number[block] * STEPS + step + inside;
-        out->sample_distance[sample] = ray->near + along * (double)ray->dt;
+        out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
         out->sample_weight[sample] = weights[n] * alpha;
         float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
         for (int64_t v = 0; v < scene->volumes; v++) {
@@ -402,7 +407,7 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
 }
 
 /* Optical thickness of steps in each group. */
-static void sum_groups(const Scene *scene, const Ray *ray, Work *work) {
+static void sum_groups(const Scene *scene, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s += LANES) {
@@ -410,7 +415,7 @@ static void sum_groups(const Scene *scene, const Ray *ray, Work *work) {
             for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
                 sigma += load(work->sigma + scene->group_members[n] * room + s);
             }
-            store(work->group_tau + g * room + s, sigma * ray->dt);
+            store(work->group_tau + g * room + s, sigma * load(work->dt + s));
         }
     }
 }
@@ -453,23 +458,22 @@ static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t co
 
 /* Emitted radiance of the channels, the integral of T(t) e(x(t)) dt. */
 static void add_emission(const Scene *scene, const Ray *ray, Work *work, double *emission) {
-    float dt = ray->dt;
     fill_blocks(scene, ray, scene->behind_emission, 1, work);
     transmit(work);
     for (int64_t b = 0; b < work->blocks; b++) {
         float through[LANES];
-        int32_t number = work->number[b];
-        Floats tau = load(work->tau + STEPS * b);
+        double place = work->place[b], size = work->size[b];
+        Floats tau = load(work->tau + STEPS * b), dt = load(work->dt + STEPS * b);
         store(through, load(work->transmitted + STEPS * b) * mean_transmittance(in_all(0.0f), tau) * dt);
         for (int k = 0; k < STEPS; k++) {
-            if ((int64_t)number * STEPS + k >= ray->count) through[k] = 0.0f;
+            if (!(place + k * size < (double)ray->count)) through[k] = 0.0f;
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
-            if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, number, dt)) continue;
+            if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, place, size)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {
                 float sum = 0.0f;
-                Floats value = sample_block(medium->emission + c, work->lines + v, number, dt);
+                Floats value = sample_block(medium->emission + c, work->lines + v, place, size);
                 Floats size = choose(value < 0.0f, -value, value);
                 for (int64_t times = 1; times < medium->emission_power; times++) value *= size;
                 for (int k = 0; k < STEPS; k++) {
@@ -483,14 +487,18 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
 
 /* Divide the scratch memory; without memory, only count its bytes. */
 static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
-    /* An even number of blocks, whose steps are whole lanes. */
-    int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS), steps = STEPS * blocks;
+    /* Coarse blocks, and what cutting adds: at each level at most some 30 blocks are cut before the steps that are
+    allowed grow past any optical depth. An even number, whose steps are whole lanes. */
+    int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
+    int64_t steps = STEPS * blocks;
     int64_t volumes = scene->volumes, groups = scene->groups;
     work->room = blocks;
 #define TAKE(field, type, amount)                       \
     work->field = memory ? (type *)(memory + used) : 0; \
     used += ((int64_t)sizeof(type) * (amount) + 63) / 64 * 64;
-    TAKE(number, int32_t, blocks)
+    TAKE(place, double, blocks)
+    TAKE(size, double, blocks)
+    TAKE(dt, float, steps)
     TAKE(before, double, blocks + 1)
     TAKE(sigma, float, volumes * steps)
     TAKE(total, float, steps)
@@ -506,7 +514,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
     TAKE(light, float, steps)
-    TAKE(edge_step, float, 5 * blocks)
+    TAKE(edge_place, double, 5 * blocks)
     TAKE(edge_depth, float, 5 * blocks)
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
@@ -519,21 +527,13 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
 
 static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
     Ray ray;
-    double densest = 0.0;
     int64_t steps = STEPS * work->room;
-    cut(rays, r, rays->near_distance[r], rays->far_distance[r], rays->counts[r], &ray);
+    start_ray(rays, r, &ray);
     if (out->emission) {
         double *emission = out->emission + r * scene->channels;
         for (int64_t c = 0; c < scene->channels; c++) emission[c] = 0.0;
         add_emission(scene, &ray, work, emission);
     }
-    for (int64_t n = 0; n < scene->refinements; n++) {
-        double near, far;
-        fill_blocks(scene, &ray, scene->behind, 0, work);
-        densest = refine(&ray, scene->behind, work, &near, &far);
-        cut(rays, r, near, far, ray.count, &ray);
-    }
-    if (scene->refinements) cut(rays, r, ray.near, ray.far, refined_count(scene, &ray, densest), &ray);
     fill_blocks(scene, &ray, scene->behind, 0, work);
     out->blocks += work->blocks;
 
@@ -543,18 +543,18 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
         float sum = 0.0f;
         for (int k = 0; k < STEPS; k++) {
             /* The middle of a step stands for the mean distance within it. */
-            sum += work->light[STEPS * b + k] * ((float)(work->number[b] * STEPS + k) + 0.5f);
+            sum += work->light[STEPS * b + k] * (float)place_in(work, STEPS * b + k, 0.5);
         }
         reached += (double)sum;
     }
     out->alpha[r] = alpha;
-    out->depth[r] = ray.near + reached * (double)ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
+    out->depth[r] = ray.near + reached * ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
     for (int64_t v = 0; v < scene->volumes; v++) {
         double depth = 0.0;
         for (int64_t b = 0; b < work->blocks; b++) {
             const float *sigma = work->sigma + v * steps + STEPS * b;
             float sum = 0.0f;
-            for (int k = 0; k < STEPS; k++) sum += sigma[k] * ray.dt;
+            for (int k = 0; k < STEPS; k++) sum += sigma[k] * work->dt[STEPS * b + k];
             depth += (double)sum;
         }
         out->optical_depth[r * scene->volumes + v] = depth;
@@ -564,11 +564,11 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
 
     int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0;
-    if (features) sum_groups(scene, &ray, work);
+    if (features) sum_groups(scene, work);
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
-        look_up_sun_depths(scene, l, &ray, edges, work);
-        add_single(scene, l, &ray, work, single);
+        look_up_sun_depths(scene, l, edges, work);
+        add_single(scene, l, work, single);
         for (int64_t g = 0; g < scene->groups && features; g++) {
             look_up_source(scene, g, l, &ray, work);
             gather_features(scene, g, l, count, work, out);

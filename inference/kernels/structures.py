@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 2
+INTERFACE = 3
 CHANNELS = 3
 
 
@@ -126,10 +126,8 @@ class Scene(Shared):
         ("adaptive", c_int64),
         ("coarse_count", c_int64),
         ("skip_empty", c_int64),
-        ("refinements", c_int64),
-        ("refined_thickness", c_double),
-        ("steps_per_voxel", c_double),
-        ("fewest_refined", c_int64),
+        ("step_thickness", c_double),
+        ("step_growth", c_double),
         ("behind", c_double),
         ("behind_emission", c_double),
         ("min_alpha", c_double),

@@ -20,18 +20,8 @@ from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_counts
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
-from .ray_march import (
-    DARK,
-    FEWEST_REFINED,
-    JITTER,
-    MAX_OPTICAL_DEPTH,
-    REFINED_STEP_THICKNESS,
-    MarchOptions,
-    RaySegment,
-    optical_depth_behind,
-    refinements,
-)
-from .ray_steps import STEPS, RayBatch, step_counts, steps_per_voxel
+from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, MarchOptions, RaySegment, optical_depth_behind
+from .ray_steps import STEP_GROWTH, STEP_THICKNESS, STEPS, RayBatch, step_counts
 
 
 class CompiledMarch:
@@ -144,10 +134,8 @@ class CompiledMarch:
             adaptive="faint_rays" in options.optimizations,
             coarse_count=COARSE_COUNT,
             skip_empty="empty_space" in options.optimizations,
-            refinements=refinements(self._media),
-            refined_thickness=REFINED_STEP_THICKNESS,
-            steps_per_voxel=steps_per_voxel(self._media),
-            fewest_refined=FEWEST_REFINED,
+            step_thickness=STEP_THICKNESS,
+            step_growth=STEP_GROWTH,
             behind=optical_depth_behind(options),
             behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
             min_alpha=MIN_ALPHA,

@@ -102,10 +102,10 @@ class DepthSamples:
     def standard_error(self, parts: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors of the sums over some rays of weighted values: the rays' pixels (S,), and errors (S,).
 
-        parts: (M,), weighted values. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of the Legendre coefficients that the values at
-        the nodes determine. A smooth integrand leaves little in them; noise contributes as much to each as to the mean,
-        apart from what cancels because the jitter along a ray is a lattice. With one sample the error is taken to be
-        the sum itself.
+        parts: (M,), weighted values. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of
+        the Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them;
+        noise contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a
+        lattice. With one sample the error is taken to be the sum itself.
         """
         chosen = self.sampled[points]
         chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]
