@@ -135,13 +135,15 @@ def _tiles(
         return tile
 
     windows, tasks = scene.plan.tiles, context.tasks
-    context.progress.message("light in the view")
     if scene.plan.small and not context.cache.any_view:
+        context.progress.message("single scattering")
         marched = list(tasks.map(march, windows))
         view = [samples for _, samples in marched if samples is not None]
         sources = prepare_prediction(context, scene, channel_pass, camera, view)
+        context.progress.message("multiple scattering")
         return tasks.map(lambda one: predict(*one), marched)
     sources = prepare_prediction(context, scene, channel_pass, camera, ())
+    context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
 
 

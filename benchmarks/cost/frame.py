@@ -81,12 +81,17 @@ def main():
     rate, before = sgemm_rate(), process_peak_memory()
     settings = Settings(arguments.depth_samples, compiled=not arguments.numpy, threads=arguments.threads)
     cache = RenderCache()
-    print(f"{arguments.size[0]} x {arguments.size[1]}, {arguments.depth_samples} depth samples, {arguments.light}, ", end="")
+    print(
+        f"{arguments.size[0]} x {arguments.size[1]}, {arguments.depth_samples} depth samples, {arguments.light}, ",
+        end="",
+    )
     print(f"{os.cpu_count()} cores, matrix product {rate / 1e9:.0f} Gflop/s")
     for name, view in (("first frame", camera), ("next frame", turned(camera))):
         start, processor = time.perf_counter(), time.process_time()
         layer = render([(volume, MEDIUM)], lights, view, settings, cache=cache)
-        describe(name, time.perf_counter() - start, time.process_time() - processor, layer.report, rate / os.cpu_count())
+        describe(
+            name, time.perf_counter() - start, time.process_time() - processor, layer.report, rate / os.cpu_count()
+        )
     print(f"covered: {(layer.alpha > 0.02).mean():.0%} of the picture, kernels: {layer.report.kernels}")
     if before is not None:
         print(f"memory: {(layer.report.peak_memory - before) / 2**20:.0f} MiB more than before")

@@ -57,7 +57,7 @@ def step_means():
 def light_ahead():
     """Light along rays of 400 steps of up to two optical depths."""
     random = np.random.default_rng(2)
-    blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(np.arange(50), 60))
+    blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(np.arange(50.0), 60), np.ones(3000))
     tau = random.random((1, 3000, 8)) ** 6 * 2.0
     depth = np.cumsum(random.random((60, 401)) * 0.3, axis=1)
     depths = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]

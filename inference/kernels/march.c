@@ -43,6 +43,7 @@ typedef struct {
 typedef struct {
     int64_t room;
     int64_t blocks;
+    int64_t looked_at;           /* blocks, also those that are not kept */
     double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
     float *dt;                   /* (steps), length */
     double *before;              /* (blocks + 1), optical depth from the ray's start */
@@ -154,13 +155,14 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     for (int64_t v = 0; v < scene->volumes; v++) {
         work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
     }
-    work->blocks = 0;
+    work->blocks = work->looked_at = 0;
     work->before[0] = 0.0;
     while (place < whole && reached < behind) {
         while (level > 0 && !(place < end[level])) level--;
         double step = size[level];
         int64_t at = STEPS * work->blocks;
         int near = sample_media(scene, ray, place, step, work);
+        work->looked_at += near;
         const float *tau = work->tau + at;
         /* What the blocks to come may need at most, if each is kept. */
         int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
@@ -535,7 +537,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
         add_emission(scene, &ray, work, emission);
     }
     fill_blocks(scene, &ray, scene->behind, 0, work);
-    out->blocks += work->blocks;
+    out->blocks += work->looked_at;
 
     double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);
     transmit(work);

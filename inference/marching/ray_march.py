@@ -147,7 +147,7 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         sample_weight=weight,
         sample_fraction=fraction.T,
         sample_features=features,
-        steps_evaluated=blocks.ray.size * STEPS,
+        steps_evaluated=blocks.looked_at * STEPS,
     )
 
 

@@ -110,13 +110,15 @@ class Blocks:
     """Some blocks of some rays, in the order of the rays and front to back.
 
     rays: number of rays. ray: int (P,), of each block. place, size: float64 (P,), where it begins on its ray, and the
-    size of its steps. rank: int (P,), how many blocks of the ray come before it here.
+    size of its steps. looked_at: number of blocks that were looked at to find these. rank: int (P,), how many blocks of
+    the ray come before it here.
     """
 
     rays: int
     ray: np.ndarray
     place: np.ndarray
     size: np.ndarray
+    looked_at: int = 0
 
     def __post_init__(self) -> None:
         first = np.searchsorted(self.ray, np.arange(self.rays))
@@ -194,7 +196,7 @@ def cut_into_blocks(
     place, reached, gap = np.zeros((3, count))
     level = np.zeros(count, int)
     size, end = np.ones((count, LEVELS + 1)), np.zeros((count, LEVELS + 1))
-    found = []
+    found, looked_at = [], 0
     while True:
         ray = np.flatnonzero((place < whole) & (reached < cutting.behind))
         if not len(ray):
@@ -203,6 +205,7 @@ def cut_into_blocks(
             level[ray] -= (level[ray] > 0) & (place[ray] >= end[ray, level[ray]])
         blocks = Blocks(count, ray, place[ray], size[ray, level[ray]])
         sigma, near = _look_at(media, lines, blocks, cutting)
+        looked_at += int(near.sum())
         tau = sigma.sum(axis=0) * (lines.dt[ray] * blocks.size).astype(np.float32)[:, None]
         parts = np.where(level[ray] < LEVELS, _parts(tau, reached[ray]), 1)
         kept = parts == 1
@@ -227,7 +230,7 @@ def cut_into_blocks(
                         enumerate(list(zip(*found))[:3]))  # fmt: skip
     order = np.argsort(ray, kind="stable")
     sigma = np.concatenate([block[3] for block in found], axis=1)
-    return lines, Blocks(count, ray[order].astype(int), place[order], size[order]), sigma[:, order]
+    return lines, Blocks(count, ray[order].astype(int), place[order], size[order], looked_at), sigma[:, order]
 
 
 def _look_at(

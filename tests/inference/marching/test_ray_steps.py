@@ -86,7 +86,7 @@ def test_a_ray_does_not_depend_on_its_neighbours(sigma_t):
 def test_sums_along_rays_are_those_of_loops():
     random = np.random.default_rng(3)
     ray = np.sort(random.integers(0, 12, 70))
-    blocks = Blocks(12, ray, np.arange(70))
+    blocks = Blocks(12, ray, np.arange(70.0), np.ones(70))
     values = random.random(70)
     np.testing.assert_allclose(blocks.sums(values), [values[ray == r].sum() for r in range(12)])
     for p in range(70):
