@@ -45,7 +45,7 @@ class Grid:
         self.emission = [_part(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
-        self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
+        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)

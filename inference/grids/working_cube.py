@@ -150,7 +150,7 @@ def _resample_sheared(
     density: np.ndarray | SparseGrid, index_from_cube: np.ndarray, origin: np.ndarray, cancel: CancelToken
 ) -> np.ndarray:
     grid = density if isinstance(density, SparseGrid) else DenseGrid(density)
-    occupancy = Occupancy(grid.cells(), grid.CELL, grid.cells_first)
+    occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
     inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
     for i, j in np.ndindex(LEVEL0_CELLS, LEVEL0_CELLS // ROWS):

@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 3
+#define MRPNN_INTERFACE 4
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -28,6 +28,7 @@ typedef struct {
 /* Cells of a grid that may hold a value other than 0. */
 typedef struct {
     const uint8_t *filled;   /* (size[0], size[1], size[2]) */
+    const float *peaks;      /* the same cells: largest density near */
     int64_t size[3];
     double first[3];         /* position of voxel 0 in the cells, in voxels */
     double scale;            /* cells per voxel */
@@ -97,7 +98,9 @@ typedef struct {
     int64_t depth_samples, adaptive, coarse_count;
     int64_t skip_empty;
     double step_thickness;           /* optical thickness that steps may have where a ray begins, */
-    double step_growth;              /* and the optical depth over which that grows by e */
+    double step_growth;              /* and the optical depth over which that grows by e; */
+    double peak_thickness;           /* the same of steps as dense as the densest place near, which are not cut below */
+    double peak_growth, finest;      /* a part of a coarse step */
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
     double dark, visible, max_sun_depth;

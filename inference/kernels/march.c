@@ -93,11 +93,14 @@ static inline Floats sample_block(const Grid *grid, const Line *line, double pla
     return sample_grid(grid, position);
 }
 
-static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size) {
+/* Whether a volume may hold something in a block. nearby: raised by the largest extinction that it may have there. */
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
+                             double *nearby) {
     float position[3];
-    if (!scene->skip_empty) return 1;
     position_at(line, place + 0.5 * STEPS * size, position);
-    return may_hold(&medium->occupancy, position);
+    int64_t cell = cell_around(&medium->occupancy, position);
+    *nearby += (double)medium->occupancy.peaks[cell] * medium->sigma_t;
+    return !scene->skip_empty || medium->occupancy.filled[cell];
 }
 
 static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
@@ -110,17 +113,18 @@ static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
 }
 
 /* Extinction and optical thickness of the steps of a block, which are left behind the last block that is kept; returns
-whether density may be near. */
-static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work) {
+whether density may be near. nearby: the largest extinction there may be. */
+static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work, double *nearby) {
     int64_t steps = STEPS * work->room, at = STEPS * work->blocks;
     float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at, dt = (float)(ray->dt * size);
     int near = 0;
+    *nearby = 0.0;
     for (int k = 0; k < STEPS; k++) total[k] = 0.0f;
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
         float *sigma = work->sigma + v * steps + at;
         for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
-        if (!block_near(scene, medium, work->lines + v, place, size)) continue;
+        if (!block_near(scene, medium, work->lines + v, place, size, nearby)) continue;
         near = 1;
         if (!(medium->sigma_t > 0.0)) continue;
         Floats value = sample_block(&medium->density, work->lines + v, place, size);
@@ -138,12 +142,16 @@ static int sample_media(const Scene *scene, const Ray *ray, double place, double
 }
 
 /* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
-static int parts_of(const Scene *scene, const float *tau, double reached) {
-    double allowed = scene->step_thickness * exp((reached < 600.0 ? reached : 600.0) / scene->step_growth);
-    double thickest = 0.0;
+static int parts_of(const Scene *scene, const float *tau, double reached, double size, double peak) {
+    double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
+    double allowed = scene->step_thickness * exp(depth / scene->step_growth);
+    double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
     int parts = 1;
     for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
     while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    /* Coarse steps need not be cut where none can be thick. */
+    if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness)) return parts;
+    while (parts < MOST_PARTS && peak > parts * allowed_peak && size > parts * scene->finest) parts *= 2;
     return parts;
 }
 
@@ -161,12 +169,13 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         while (level > 0 && !(place < end[level])) level--;
         double step = size[level];
         int64_t at = STEPS * work->blocks;
-        int near = sample_media(scene, ray, place, step, work);
+        double nearby;
+        int near = sample_media(scene, ray, place, step, work, &nearby);
         work->looked_at += near;
         const float *tau = work->tau + at;
         /* What the blocks to come may need at most, if each is kept. */
         int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
-        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached) : 1;
+        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, nearby * (ray->dt * step)) : 1;
         if (parts > 1) {
             double from = place;
             /* Density that begins here may begin in the step in front, behind its samples. */
@@ -472,7 +481,9 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
-            if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, place, size)) continue;
+            double nearby = 0.0;
+            if (!(medium->emission_factor > 0.0)) continue;
+            if (!block_near(scene, medium, work->lines + v, place, size, &nearby)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {
                 float sum = 0.0f;
                 Floats value = sample_block(medium->emission + c, work->lines + v, place, size);

@@ -109,13 +109,14 @@ static inline Floats sample_grid(const Grid *grid, const Floats *position) {
     return grid->table ? sample_sparse(grid, position) : sample_dense(grid, position);
 }
 
-static inline int may_hold(const Occupancy *cells, const float *position) {
+/* Number of the cell around a position. */
+static inline int64_t cell_around(const Occupancy *cells, const float *position) {
     int64_t base = 0;
     for (int axis = 0; axis < 3; axis++) {
         float cell = (position[axis] + (float)cells->first[axis]) * (float)cells->scale;
         base = base * cells->size[axis] + (int32_t)clamped(cell, 0.0f, (float)(cells->size[axis] - 1));
     }
-    return cells->filled[base];
+    return base;
 }
 
 /* Depths of the four columns around points where their rays towards the sun meet slices, and the points among them.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 3
+INTERFACE = 4
 CHANNELS = 3
 
 
@@ -50,7 +50,13 @@ class Grid(Shared):
 
 
 class Occupancy(Shared):
-    _fields_ = [("filled", c_void_p), ("size", c_int64 * 3), ("first", c_double * 3), ("scale", c_double)]
+    _fields_ = [
+        ("filled", c_void_p),
+        ("peaks", c_void_p),
+        ("size", c_int64 * 3),
+        ("first", c_double * 3),
+        ("scale", c_double),
+    ]
 
 
 class SunColumns(Shared):
@@ -128,6 +134,9 @@ class Scene(Shared):
         ("skip_empty", c_int64),
         ("step_thickness", c_double),
         ("step_growth", c_double),
+        ("peak_thickness", c_double),
+        ("peak_growth", c_double),
+        ("finest", c_double),
         ("behind", c_double),
         ("behind_emission", c_double),
         ("min_alpha", c_double),

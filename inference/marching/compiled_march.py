@@ -21,7 +21,16 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_counts
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, MarchOptions, RaySegment, optical_depth_behind
-from .ray_steps import STEP_GROWTH, STEP_THICKNESS, STEPS, RayBatch, step_counts
+from .ray_steps import (
+    FINEST,
+    PEAK_GROWTH,
+    PEAK_THICKNESS,
+    STEP_GROWTH,
+    STEP_THICKNESS,
+    STEPS,
+    RayBatch,
+    step_counts,
+)
 
 
 class CompiledMarch:
@@ -136,6 +145,9 @@ class CompiledMarch:
             skip_empty="empty_space" in options.optimizations,
             step_thickness=STEP_THICKNESS,
             step_growth=STEP_GROWTH,
+            peak_thickness=PEAK_THICKNESS,
+            peak_growth=PEAK_GROWTH,
+            finest=FINEST,
             behind=optical_depth_behind(options),
             behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
             min_alpha=MIN_ALPHA,
@@ -189,7 +201,11 @@ def _grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
 def _occupancy(occupancy: Occupancy) -> structures.Occupancy:
     filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
     return structures.Occupancy(
-        filled=filled, size=np.array(filled.shape), first=np.float64(occupancy.first), scale=1.0 / occupancy.cell
+        filled=filled,
+        peaks=np.ascontiguousarray(occupancy.peaks, np.float32),
+        size=np.array(filled.shape),
+        first=np.float64(occupancy.first),
+        scale=1.0 / occupancy.cell,
     )
 
 

@@ -22,6 +22,9 @@ STEPS_PER_EDGE = 128
 # Optical thickness of a step above which its block is cut where the ray begins, and the optical depth over which that
 # grows by e: what lies deeper is seen less.
 STEP_THICKNESS, STEP_GROWTH = 0.3, 8.0
+# The same of steps as dense as the densest place near, towards which light may vary as much; and the finest step, as a
+# part of a coarse one, that blocks are cut into for that.
+PEAK_THICKNESS, PEAK_GROWTH, FINEST = 0.3, 3.0, 0.0625
 # How often a block may be cut, and into how many at a time.
 LEVELS, MOST_PARTS = 7, 8
 # Evenly spaced points per step at which volumes are sampled; whatever depends on their mean is evaluated once per step.
@@ -204,10 +207,11 @@ def cut_into_blocks(
         for _ in range(LEVELS):
             level[ray] -= (level[ray] > 0) & (place[ray] >= end[ray, level[ray]])
         blocks = Blocks(count, ray, place[ray], size[ray, level[ray]])
-        sigma, near = _look_at(media, lines, blocks, cutting)
+        sigma, near, nearby = _look_at(media, lines, blocks, cutting)
         looked_at += int(near.sum())
         tau = sigma.sum(axis=0) * (lines.dt[ray] * blocks.size).astype(np.float32)[:, None]
-        parts = np.where(level[ray] < LEVELS, _parts(tau, reached[ray]), 1)
+        peak = nearby * (lines.dt[ray] * blocks.size)
+        parts = np.where(level[ray] < LEVELS, _parts(tau, reached[ray], blocks.size, peak), 1)
         kept = parts == 1
         gained = sums_within(tau)[:, -1]
         some = kept & near & (cutting.keep_empty | (gained > 0.0))
@@ -235,30 +239,40 @@ def cut_into_blocks(
 
 def _look_at(
     media: Sequence[BoundMedium], lines: RayLines, blocks: Blocks, cutting: Cutting
-) -> tuple[np.ndarray, np.ndarray]:
-    """Extinction (V, P, STEPS) of blocks, and whether any volume may hold something there, bool (P,)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Extinction (V, P, STEPS) of blocks, whether any volume may hold something there, bool (P,), and the largest
+    extinction float64 (P,) that there may be.
+    """
     sigma = np.zeros((len(media), len(blocks.ray), STEPS), np.float32)
+    nearby = np.zeros(len(blocks.ray))
     anywhere = cutting.always_first & (blocks.place == 0.0)
     inside = blocks.steps(0.0) < lines.count[blocks.ray, None]
     for v, medium in enumerate(media):
-        near = np.ones(len(blocks.ray), bool)
-        if cutting.skip_empty:
-            near = medium.grid.occupancy.near(lines.index(v, blocks.ray, blocks.place + 0.5 * STEPS * blocks.size))
+        middle = lines.index(v, blocks.ray, blocks.place + 0.5 * STEPS * blocks.size)
+        near = medium.grid.occupancy.near(middle) | (not cutting.skip_empty)
+        nearby += medium.grid.occupancy.peak(middle).astype(np.float64) * medium.sigma_t
         anywhere = anywhere | near
         if medium.sigma_t > 0.0:
             some = Blocks(blocks.rays, blocks.ray[near], blocks.place[near], blocks.size[near])
             mean = lines.mean(medium.grid.sample_density, v, some)
             sigma[v, near] = mean * inside[near] * np.float32(medium.sigma_t)
-    return sigma, anywhere
+    return sigma, anywhere, nearby
 
 
-def _parts(tau: np.ndarray, reached: np.ndarray) -> np.ndarray:
+def _parts(tau: np.ndarray, reached: np.ndarray, size: np.ndarray, peak: np.ndarray) -> np.ndarray:
     """Into how many parts blocks are cut, int (P,): 1 where their steps are thin enough.
 
-    tau: (P, STEPS), optical thickness of steps. reached: (P,), optical depth in front of the block.
+    tau: (P, STEPS), optical thickness of steps. reached: (P,), optical depth in front of the block. size: (P,), of
+    steps. peak: (P,), optical thickness of a step as dense as the densest place near.
     """
-    allowed = STEP_THICKNESS * np.exp(np.minimum(reached, 600.0) / STEP_GROWTH)
+    depth = np.minimum(reached, 600.0)
+    allowed = STEP_THICKNESS * np.exp(depth / STEP_GROWTH)
+    allowed_peak = PEAK_THICKNESS * np.exp(depth / PEAK_GROWTH)
     thickest, parts = tau.max(axis=1).astype(np.float64), np.ones(len(tau), int)
     while np.any(more := (parts < MOST_PARTS) & (thickest > parts * allowed)):
+        parts[more] *= 2
+    # Coarse steps need not be cut where none can be thick.
+    filled = (thickest > 0.0) & (peak > 2.0 * size * PEAK_THICKNESS)
+    while np.any(more := filled & (parts < MOST_PARTS) & (peak > parts * allowed_peak) & (size > parts * FINEST)):
         parts[more] *= 2
     return parts
