@@ -21,6 +21,8 @@ network, which otherwise knows a point's surroundings in outline only.
 import numpy as np
 
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..kernels.field_structures import OrdinateSweep
+from ..kernels.library import Kernels
 from ..numerics.exponential import one_minus_exp
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
@@ -66,18 +68,26 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None.
+    surfaces, or None. kernels: compiled ones, or None.
     """
 
-    def __init__(self, density: np.ndarray, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None = None):
+    def __init__(
+        self,
+        density: np.ndarray,
+        sigma_hat: float,
+        anisotropy: float,
+        triangles: np.ndarray | None = None,
+        kernels: Kernels | None = None,
+    ):
         n = len(density)
+        self.kernels = kernels
         self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - anisotropy**2))
         self.anisotropy = reduced_anisotropy(anisotropy)
         self.extinction = self.sigma * density
         reduced = np.float32(sigma_hat * (1.0 - anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(_means(density), sigma_hat, anisotropy, triangles)
+            self.coarser = DiscreteOrdinates(_means(density), sigma_hat, anisotropy, triangles, kernels)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * _means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
@@ -88,34 +98,22 @@ class DiscreteOrdinates:
             if not boundaries.empty:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
-        diagonal, couplings = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
-        self.equation = diagonal.astype(np.float32), couplings.astype(np.float32)
-        self.transmittances = self._transmittances()
+        self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
+        self.transmitted, self.mean = self._transmittances()
 
-    def _transmittances(self) -> list[list[tuple[np.ndarray, np.ndarray]]]:
-        """Transmittance of cells and mean of exp(-tau) within them, main axis first.
+    def _transmittances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Transmittance of cells and mean of exp(-tau) within them, float32 (3, x, y, z).
 
-        Per main axis and kind of neighbour: across a face, an edge or a corner.
+        For each kind of neighbour: across a face, an edge or a corner.
         """
-        n, kinds = len(self.density), []
+        n = len(self.density)
         extinction = self.extinction
         if self.boundaries is not None:
             extinction = np.where(self.boundaries.inside, np.float32(n * 1e3), extinction)
-        for length in np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n):
-            tau = np.maximum(extinction * length, MIN_DEPTH)
-            lost = one_minus_exp(tau)
-            kinds.append((1.0 - lost, lost / tau))
-
-        def main_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
-            return np.ascontiguousarray(np.moveaxis(values, axis, 0))
-
-        return [
-            [
-                (main_axis_first(transmitted, axis), main_axis_first(mean, axis))
-                for transmitted, mean in kinds[: 3 - axis]
-            ]
-            for axis in range(3)
-        ]
+        lengths = np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n)
+        tau = np.maximum(extinction * lengths[:, None, None, None], MIN_DEPTH)
+        lost = one_minus_exp(tau)
+        return 1.0 - lost, lost / tau
 
     def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
@@ -124,7 +122,7 @@ class DiscreteOrdinates:
         through. Raises Cancelled.
         """
         n = len(self.density)
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n)
+        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
         across = np.maximum(2.0 * half, MIN_DEPTH)
@@ -154,7 +152,7 @@ class DiscreteOrdinates:
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
-            self._correct(field, change)
+            self._correct(field, change, cancel)
         return swept
 
     def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,11 +160,12 @@ class DiscreteOrdinates:
         cosine = -(steps @ sun) / np.sqrt((steps**2).sum(axis=1))
         return henyey_greenstein(cosine, self.anisotropy), henyey_greenstein(-cosine, self.anisotropy)
 
-    def _correct(self, field: np.ndarray, change: np.ndarray) -> None:
+    def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken) -> None:
         """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet."""
         n = len(self.density)
         source = _means(change) * np.float32((2.0 / n) ** 2)
-        more = self._finer(solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS))
+        found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, self.kernels, cancel)
+        more = self._finer(found.astype(np.float32))
         field[0] = np.maximum(field[0] + more, 0.0)
         for axis in range(3):
             field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)
@@ -187,59 +186,86 @@ class DiscreteOrdinates:
         The field holds phi, F and the beam.
         """
         swept = np.zeros((4, *field.shape[1:]), np.float32)
+        follow = self._follow_steps if self.kernels is None else self._follow_compiled
         for axis, steps in enumerate(STEPS):
-            sources = np.ascontiguousarray(np.moveaxis(field, [1 + axis, 0], [0, 1]))
-            sums = np.zeros((len(sources), 4, *sources.shape[2:]), np.float32)
             for sign, phase in zip((1, -1), phases[axis]):
                 cancel.check()
                 links = None if self.links is None else self.links[axis][sign]
-                self._follow_steps(axis, sign * steps, phase / total, sources, sums, links)
-            swept += np.moveaxis(sums, [1, 0], [0, 1 + axis])
+                follow(axis, sign * steps, phase / total, field, swept, links)
         return swept
+
+    def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
+        unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
+        scattered = unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
+        return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 
     def _follow_steps(
         self,
         axis: int,
         steps: np.ndarray,
         phase: np.ndarray,
-        sources: np.ndarray,
-        sums: np.ndarray,
+        field: np.ndarray,
+        swept: np.ndarray,
         links: np.ndarray | None,
     ) -> None:
-        """Add fluence and flux of light along steps (D, 3) to `sums` (slices, 4, b, c).
+        """Add fluence and flux of light along steps (D, 3) to `swept` (4, x, y, z).
 
         All steps lead to one side along an axis.
         """
-        n, count = len(sources), len(steps)
-        kinds = np.abs(steps).sum(axis=1)
-        unit = steps / np.sqrt(kinds)[:, None]
-        one = np.ones((count, 1))
-        scattered = np.concatenate([one, 3.0 * self.anisotropy * unit], axis=1) / (4.0 * np.pi)
-        emit = np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32)
-        gather = (4.0 * np.pi * _solid_angles(steps) * np.concatenate([one, unit], axis=1).T).astype(np.float32)
-        # Steps are sorted by kind.
-        places = [(kind - 1, np.flatnonzero(kinds == kind)) for kind in np.unique(kinds)]
-        of_kind = [(kind, slice(found[0], found[-1] + 1)) for kind, found in places]
-        b, c = (steps[:, other] for other in range(3) if other != axis)
+        n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
+        emit, gather = self._weights(steps, phase)
+        across = [place for place in range(3) if place != axis]
+        field, swept, transmitted, mean = (
+            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.transmitted, self.mean)
+        )
         # Light that leaves the previous slice, with a border of zeros.
-        light = np.zeros((count, sources.shape[2] + 2, sources.shape[3] + 2), np.float32)
-        before, after = (np.empty((count, *sources.shape[2:]), np.float32) for _ in range(2))
-        rows, columns = sources.shape[2:]
+        light = np.zeros((len(steps), n + 2, n + 2), np.float32)
         for k in range(n)[:: steps[0, axis]]:
-            source = (emit @ sources[k].reshape(5, -1)).reshape(before.shape)
-            for d in range(count):
-                arriving = light[d, 1 - b[d] : 1 - b[d] + rows, 1 - c[d] : 1 - c[d] + columns]
-                if links is not None:
-                    arriving = arriving * links[k, d]
-                np.subtract(arriving, source[d], out=before[d])
+            arriving = np.stack(
+                [leaving[1 - b : 1 - b + n, 1 - c : 1 - c + n] for leaving, (b, c) in zip(light, steps[:, across])]
+            )
+            if links is not None:
+                arriving *= links[k]
             # Within a cell radiance tends towards the source function: I = S + (I_0 - S) exp(-tau).
-            for kind, which in of_kind:
-                transmitted, mean = self.transmittances[axis][kind]
-                np.multiply(before[which], transmitted[k], out=after[which])
-                before[which] *= mean[k]
-            np.add(after, source, out=light[:, 1:-1, 1:-1])
-            before += source
-            sums[k] += (gather @ before.reshape(count, -1)).reshape(sums[k].shape)
+            source = np.tensordot(emit, field[k], 1)
+            arriving -= source
+            light[:, 1:-1, 1:-1] = arriving * transmitted[k][kinds] + source
+            swept[k] += np.tensordot(gather.T, arriving * mean[k][kinds] + source, 1)
+
+    def _follow_compiled(
+        self,
+        axis: int,
+        steps: np.ndarray,
+        phase: np.ndarray,
+        field: np.ndarray,
+        swept: np.ndarray,
+        links: np.ndarray | None,
+    ) -> None:
+        """As `_follow_steps`."""
+        assert self.kernels is not None
+        n, count = len(self.density), len(steps)
+        emit, gather = self._weights(steps, phase)
+        self.kernels.prepare(
+            "sweep_ordinates",
+            OrdinateSweep(
+                cells=n,
+                axis=axis,
+                sign=steps[0, axis],
+                directions=count,
+                steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
+                kinds=np.abs(steps).sum(axis=1) - 1,
+                emit=emit,
+                gather=gather,
+                field=field,
+                transmitted=self.transmitted,
+                mean=self.mean,
+                links=links,
+                sums=swept,
+                scratch=np.zeros(2 * count * (n + 2) ** 2 + 11 * n, np.float32),
+            ),
+        )
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
