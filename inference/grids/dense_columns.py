@@ -19,7 +19,9 @@ class DenseColumns:
     columns.
     """
 
-    def __init__(self, padded: np.ndarray, direction: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None):
+    def __init__(
+        self, padded: np.ndarray, direction: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None
+    ):
         main = int(np.abs(direction).argmax())
         shape = [padded.shape[axis] + MORE for axis in range(3) if axis != main]
         # One more slice at either end, beyond which there is no density.

@@ -71,9 +71,7 @@ class Grid:
                 cancel.check()
                 key = bytes(direction)
                 if key not in self._sun_depths:
-                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(
-                        self.density, direction, cancel, kernels
-                    )
+                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel, kernels)
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:

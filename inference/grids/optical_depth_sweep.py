@@ -157,9 +157,7 @@ def compiled_sweep(
     return by_slice
 
 
-def column_placement(
-    shear: Shear, slices: np.ndarray, weights: Weights
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def column_placement(shear: Shear, slices: np.ndarray, weights: Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where slices meet the columns: first column int (n, 2), weights float32 (n, 2, 4) and fractions (n, 2)."""
     shifts = [shear.shift(int(index)) for index in slices]
     starts = np.array([[-whole - BEFORE - first for whole, first in zip(w, shear.first)] for w, _ in shifts], np.int64)

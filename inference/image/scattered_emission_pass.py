@@ -21,7 +21,7 @@ def add_scattered_emission(
             continue
         with report.stage("emission"):
             emission = context.cache.scattered_emission(
-                plan.members(g), [scene.grids[v] for v in group], g, context.cancel
+                plan.members(g), [scene.grids[v] for v in group], g, context.cancel, context.kernels
             )
         warnings = emission.warnings(plan.group_name(g))
         report.warnings += [warning for warning in warnings if warning not in report.warnings]

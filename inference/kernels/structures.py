@@ -15,7 +15,7 @@ class Shared(ctypes.Structure):
     """A structure that keeps alive what its pointers point to."""
 
     def __init__(self, **fields: Any):
-        """Arrays become pointers or, where the structure holds their numbers itself, copies; a tuple: several pointers."""
+        """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers."""
         super().__init__()
         self.kept: list[Any] = []
         types: dict[str, Any] = {field[0]: field[1] for field in self._fields_}
