@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..grids.working_cube import Cube, level0_density
-from ..kernels.field_structures import Halving, LatticePart, Refinement
+from ..kernels.field_structures import LatticePart, Refinement
 from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
 from ..plan.resolution import LEVEL0_CELLS
@@ -46,23 +47,6 @@ def density_pyramid(level0: np.ndarray, kernels: Kernels | None = None) -> list[
         levels.append(np.empty([n // 2 for n in levels[-1].shape], np.float32))
         halve(levels[-2], levels[-1], kernels)
     return levels
-
-
-def halve(fine: np.ndarray, coarse: np.ndarray, kernels: Kernels | None = None) -> None:
-    """Fill coarse cells, float32 (x, y, z), with the means of 2 x 2 x 2 fine ones."""
-    if kernels is None:
-        pairs = fine[0::2] + fine[1::2]
-        pairs = pairs[:, 0::2] + pairs[:, 1::2]
-        np.multiply(pairs[:, :, 0::2] + pairs[:, :, 1::2], np.float32(0.125), out=coarse)
-        return
-    assert fine.strides[2] == coarse.strides[2] == fine.itemsize
-    data = Halving(
-        fine_strides=np.array(fine.strides[:2]) // fine.itemsize,
-        coarse_strides=np.array(coarse.strides[:2]) // coarse.itemsize,
-        size=np.array(coarse.shape),
-    )
-    data.fine, data.coarse = fine.ctypes.data, coarse.ctypes.data
-    kernels.prepare("halve", data)
 
 
 def margins(stencil: Stencil) -> list[int]:

@@ -59,7 +59,7 @@ typedef struct {
     const float *mean;           /* (3, n, n, n), mean of exp(-tau) within them */
     const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
     float *sums;                 /* (4, n, n, n), fluence and flux, added to */
-    float *scratch;              /* (2, directions, n + 2, n + 2) of zeros, and (11, n) */
+    float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */
 } OrdinateSweep;
 
 /* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */

@@ -34,12 +34,13 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
     int64_t row = sweep->axis == 0 ? n : n * n, column = sweep->axis == 2 ? n : 1;
     float *light[2] = {sweep->scratch, sweep->scratch + count * border * border};
     float *parts = light[1] + count * border * border, *sums = parts + PARTS * n;
+    /* The few rows whose cells are apart in memory; one kind of direction goes along them. */
+    float *apart = sums + SUMS * n;
     /* Rows that no direction leaves are followed one after another, which keeps them in the cache. */
     int lateral = 0;
     for (int64_t d = 0; d < count; d++) lateral |= sweep->steps[2 * d] != 0;
     int64_t together = lateral ? n : 1;
-    /* The few rows whose cells are apart in memory; one kind of direction goes along them. */
-    float *apart = sums + SUMS * n;
+    memset(sweep->scratch, 0, (size_t)(2 * count * border * border) * sizeof(float));
     for (int64_t first = 0; first < n; first += together) {
         for (int64_t k = 0; k < n; k++) {
             int64_t number = sweep->sign > 0 ? k : n - 1 - k;

@@ -18,8 +18,12 @@ through the faces of the cube and none enters. The solution is too coarse to be 
 network, which otherwise knows a point's surroundings in outline only.
 """
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 
+from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import OrdinateSweep
 from ..kernels.library import Kernels
@@ -87,9 +91,9 @@ class DiscreteOrdinates:
         reduced = np.float32(sigma_hat * (1.0 - anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(_means(density), sigma_hat, anisotropy, triangles, kernels)
+            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
-        coarse_diffusion = 1.0 / (3.0 * _means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
+        coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
         self.links: list[dict[int, np.ndarray]] | None = None
         coarse_boundaries = None
@@ -125,8 +129,7 @@ class DiscreteOrdinates:
         tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
-        across = np.maximum(2.0 * half, MIN_DEPTH)
-        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * one_minus_exp(across) / across
+        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * self.mean[0]
         phases = [self._phases(steps, sun) for steps in STEPS]
         # The quadrature of the phase function need not be exactly 1.
         total = (
@@ -136,16 +139,24 @@ class DiscreteOrdinates:
         )
         field = np.zeros((5, n, n, n), np.float32)
         field[4] = beam
-        sweeps = SWEEPS
+        swept, sweeps = np.empty((4, n, n, n), np.float32), SWEEPS
+        follow = [
+            self._follower(axis, sign, phase / total, field, swept)
+            for axis, pair in enumerate(phases)
+            for sign, phase in zip((1, -1), pair)
+        ]
         if self.coarser is not None:
-            coarse_visibility = _means(visibility) if isinstance(visibility, np.ndarray) else visibility
+            coarse_visibility = self._means(visibility) if isinstance(visibility, np.ndarray) else visibility
             coarse = self.coarser.light(sun, coarse_visibility, cancel)
             field[:4] = [self._finer(values) for values in coarse]
             sweeps = FINE_SWEEPS
         for number in range(sweeps):
             if self.boundaries is not None:
                 field *= ~self.boundaries.inside
-            swept = self._sweep(field, phases, total, cancel)
+            swept.fill(0.0)
+            for one in follow:
+                cancel.check()
+                one()
             change = self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
@@ -163,7 +174,7 @@ class DiscreteOrdinates:
     def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken) -> None:
         """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet."""
         n = len(self.density)
-        source = _means(change) * np.float32((2.0 / n) ** 2)
+        source = self._means(change) * np.float32((2.0 / n) ** 2)
         found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, self.kernels, cancel)
         more = self._finer(found.astype(np.float32))
         field[0] = np.maximum(field[0] + more, 0.0)
@@ -180,19 +191,42 @@ class DiscreteOrdinates:
         size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(3.0 * abs(self.anisotropy))
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
-    def _sweep(self, field: np.ndarray, phases: list[Phases], total: float, cancel: CancelToken) -> np.ndarray:
-        """Fluence and flux (4, x, y, z) of the light that the sources of a field (5, x, y, z) emit.
+    def _means(self, values: np.ndarray) -> np.ndarray:
+        """Means of 2 x 2 x 2 cells."""
+        means = np.empty([n // 2 for n in values.shape], np.float32)
+        halve(np.ascontiguousarray(values, np.float32), means, self.kernels)
+        return means
 
-        The field holds phi, F and the beam.
+    def _follower(
+        self, axis: int, sign: int, phase: np.ndarray, field: np.ndarray, swept: np.ndarray
+    ) -> Callable[[], object]:
+        """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
+
+        phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam.
         """
-        swept = np.zeros((4, *field.shape[1:]), np.float32)
-        follow = self._follow_steps if self.kernels is None else self._follow_compiled
-        for axis, steps in enumerate(STEPS):
-            for sign, phase in zip((1, -1), phases[axis]):
-                cancel.check()
-                links = None if self.links is None else self.links[axis][sign]
-                follow(axis, sign * steps, phase / total, field, swept, links)
-        return swept
+        steps = sign * STEPS[axis]
+        links = None if self.links is None else self.links[axis][sign]
+        emit, gather = self._weights(steps, phase)
+        if self.kernels is None:
+            return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links)
+        n = len(self.density)
+        data = OrdinateSweep(
+            cells=n,
+            axis=axis,
+            sign=sign,
+            directions=len(steps),
+            steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
+            kinds=np.abs(steps).sum(axis=1) - 1,
+            emit=emit,
+            gather=gather,
+            field=field,
+            transmitted=self.transmitted,
+            mean=self.mean,
+            links=links,
+            sums=swept,
+            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 11 * n, np.float32),
+        )
+        return functools.partial(self.kernels.prepare, "sweep_ordinates", data)
 
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
@@ -205,17 +239,17 @@ class DiscreteOrdinates:
         self,
         axis: int,
         steps: np.ndarray,
-        phase: np.ndarray,
+        weights: tuple[np.ndarray, np.ndarray],
         field: np.ndarray,
         swept: np.ndarray,
         links: np.ndarray | None,
     ) -> None:
-        """Add fluence and flux of light along steps (D, 3) to `swept` (4, x, y, z).
+        """Add fluence and flux of light along steps (D, 3), all of which lead to one side along an axis, to `swept`.
 
-        All steps lead to one side along an axis.
+        weights: from `_weights`.
         """
         n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
-        emit, gather = self._weights(steps, phase)
+        emit, gather = weights
         across = [place for place in range(3) if place != axis]
         field, swept, transmitted, mean = (
             np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.transmitted, self.mean)
@@ -233,39 +267,6 @@ class DiscreteOrdinates:
             arriving -= source
             light[:, 1:-1, 1:-1] = arriving * transmitted[k][kinds] + source
             swept[k] += np.tensordot(gather.T, arriving * mean[k][kinds] + source, 1)
-
-    def _follow_compiled(
-        self,
-        axis: int,
-        steps: np.ndarray,
-        phase: np.ndarray,
-        field: np.ndarray,
-        swept: np.ndarray,
-        links: np.ndarray | None,
-    ) -> None:
-        """As `_follow_steps`."""
-        assert self.kernels is not None
-        n, count = len(self.density), len(steps)
-        emit, gather = self._weights(steps, phase)
-        self.kernels.prepare(
-            "sweep_ordinates",
-            OrdinateSweep(
-                cells=n,
-                axis=axis,
-                sign=steps[0, axis],
-                directions=count,
-                steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
-                kinds=np.abs(steps).sum(axis=1) - 1,
-                emit=emit,
-                gather=gather,
-                field=field,
-                transmitted=self.transmitted,
-                mean=self.mean,
-                links=links,
-                sums=swept,
-                scratch=np.zeros(2 * count * (n + 2) ** 2 + 11 * n, np.float32),
-            ),
-        )
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
@@ -295,12 +296,6 @@ def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:
             links.append(np.moveaxis(link, axis, 0))
         found[sign] = np.stack(links, axis=1).astype(np.float32)
     return found
-
-
-def _means(values: np.ndarray) -> np.ndarray:
-    """Means of 2 x 2 x 2 cells."""
-    n = len(values) // 2
-    return values.reshape(n, 2, n, 2, n, 2).mean(axis=(1, 3, 5))
 
 
 def _interpolated(values: np.ndarray) -> np.ndarray:
