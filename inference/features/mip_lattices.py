@@ -161,7 +161,7 @@ def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> t
 
 
 @dataclass(frozen=True)
-class _Between:
+class Between:
     """Where fine cells lie between the cells of a grid, along each axis.
 
     below: int32, the cell below each fine cell. share: float32, of the next one.
@@ -171,7 +171,7 @@ class _Between:
     share: list[np.ndarray]
 
     @classmethod
-    def of(cls, centres: Sequence[np.ndarray], shape: Sequence[int]) -> "_Between":
+    def of(cls, centres: Sequence[np.ndarray], shape: Sequence[int]) -> "Between":
         """Of fine centres in cells of the grid, whose centres are integers; clamped at the border."""
         below, share = [], []
         for position, count in zip(centres, shape):
@@ -259,8 +259,8 @@ def build_lattices(
         depth = None if sun is None else sun.unit_depths[source - 1]
         visibility = None if sun is None or sun.visibility is None else sun.visibility[source - 1]
         cells = LEVEL0_CELLS >> source
-        fine = _Between.of([c * n + margin[m] - 0.5 for c in cube], padded[m].shape)
-        coarse = _Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
+        fine = Between.of([c * n + margin[m] - 0.5 for c in cube], padded[m].shape)
+        coarse = Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
         least = float(np.exp(-MAX_SHADOW_DEPTH * BETA**source))
         depth_scale = sigma_hat * BETA**source
         if kernels is not None:

@@ -51,12 +51,13 @@ typedef struct {
     int64_t axis, sign;          /* that all directions share */
     int64_t directions;
     const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1 */
-    const int64_t *kinds;        /* (directions), of `transmitted` and `mean` */
+    const int64_t *kinds;        /* (directions), of `leaving` and `within` */
     const float *emit;           /* (directions, 5), weights of the field's parts in the source */
     const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux */
     const float *field;          /* (5, n, n, n), fluence, flux and beam */
-    const float *transmitted;    /* (3, n, n, n), transmittance of cells across a face, an edge and a corner */
-    const float *mean;           /* (3, n, n, n), mean of exp(-tau) within them */
+    const float *leaving;        /* (3, n, n, n), share of the source in what leaves a cell across a face, an edge and
+                                    a corner */
+    const float *within;         /* (3, n, n, n), and in the mean within it */
     const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
     float *sums;                 /* (4, n, n, n), fluence and flux, added to */
     float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */

@@ -16,15 +16,15 @@ static void load(const float *from, int64_t stride, int64_t n, float *to) {
 
 /* Follow one direction through a row of cells: radiance tends towards the source function. */
 static void follow(int64_t n, const float *restrict parts, const float *restrict emit, const float *restrict arriving,
-                   const float *restrict link, const float *restrict transmitted, const float *restrict mean,
-                   const float *restrict gather, float *restrict leaving, float *restrict sums) {
+                   const float *restrict link, const float *restrict leaving, const float *restrict within,
+                   const float *restrict gather, float *restrict after, float *restrict sums) {
     for (int64_t c = 0; c < n; c++) {
         float source = emit[0] * parts[c];
         for (int i = 1; i < PARTS; i++) source += emit[i] * parts[i * n + c];
-        float light = link ? arriving[c] * link[c] : arriving[c], beyond = light - source;
-        leaving[c] = beyond * transmitted[c] + source;
-        float within = beyond * mean[c] + source;
-        for (int i = 0; i < SUMS; i++) sums[i * n + c] += gather[i] * within;
+        float light = link ? arriving[c] * link[c] : arriving[c], rise = source - light;
+        after[c] = rise * leaving[c] + light;
+        float mean = rise * within[c] + light;
+        for (int i = 0; i < SUMS; i++) sums[i * n + c] += gather[i] * mean;
     }
 }
 
@@ -53,15 +53,15 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
                 for (int64_t d = 0; d < count; d++) {
                     const int64_t *step = sweep->steps + 2 * d;
                     int64_t kind = sweep->kinds[d] * cube + at;
-                    const float *transmitted = sweep->transmitted + kind, *mean = sweep->mean + kind;
+                    const float *leaving = sweep->leaving + kind, *within = sweep->within + kind;
                     if (column != 1) {
-                        load(transmitted, column, n, apart);
-                        load(mean, column, n, apart + n);
-                        transmitted = apart, mean = apart + n;
+                        load(leaving, column, n, apart);
+                        load(within, column, n, apart + n);
+                        leaving = apart, within = apart + n;
                     }
                     follow(n, parts, sweep->emit + PARTS * d,
                            before + (d * border + r + 1 - step[0]) * border + 1 - step[1],
-                           sweep->links ? sweep->links + ((number * count + d) * n + r) * n : NULL, transmitted, mean,
+                           sweep->links ? sweep->links + ((number * count + d) * n + r) * n : NULL, leaving, within,
                            sweep->gather + SUMS * d, after + (d * border + r + 1) * border + 1, sums);
                 }
                 for (int i = 0; i < SUMS; i++) {

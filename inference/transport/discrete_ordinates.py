@@ -46,6 +46,8 @@ TOLERANCE, MAX_ITERATIONS = 0.1, 40
 CELL_DIFFUSION = 0.2
 # Lower bound of the optical thickness of a cell.
 MIN_DEPTH = np.float32(1e-6)
+# Optical thickness of a cell below which a series takes the place of differences.
+THIN_CELL = np.float32(0.03)
 
 
 def _directions(axis: int) -> np.ndarray:
@@ -103,12 +105,13 @@ class DiscreteOrdinates:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
-        self.transmitted, self.mean = self._transmittances()
+        self.leaving, self.within = self._source_shares()
 
-    def _transmittances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Transmittance of cells and mean of exp(-tau) within them, float32 (3, x, y, z).
+    def _source_shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Share of the source function in the radiance that leaves a cell, and in its mean within it.
 
-        For each kind of neighbour: across a face, an edge or a corner.
+        float32 (3, x, y, z), for each kind of neighbour: across a face, an edge or a corner. These are 1 - exp(-tau)
+        and 1 - (1 - exp(-tau)) / tau.
         """
         n = len(self.density)
         extinction = self.extinction
@@ -117,7 +120,8 @@ class DiscreteOrdinates:
         lengths = np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n)
         tau = np.maximum(extinction * lengths[:, None, None, None], MIN_DEPTH)
         lost = one_minus_exp(tau)
-        return 1.0 - lost, lost / tau
+        # The difference from 1 loses all digits in thin cells.
+        return lost, np.where(tau < THIN_CELL, tau * (0.5 - tau * (1.0 / 6.0 - tau / 24.0)), 1.0 - lost / tau)
 
     def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
@@ -129,7 +133,7 @@ class DiscreteOrdinates:
         tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
-        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * self.mean[0]
+        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.within[0])
         phases = [self._phases(steps, sun) for steps in STEPS]
         # The quadrature of the phase function need not be exactly 1.
         total = (
@@ -220,8 +224,8 @@ class DiscreteOrdinates:
             emit=emit,
             gather=gather,
             field=field,
-            transmitted=self.transmitted,
-            mean=self.mean,
+            leaving=self.leaving,
+            within=self.within,
             links=links,
             sums=swept,
             scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 11 * n, np.float32),
@@ -251,22 +255,21 @@ class DiscreteOrdinates:
         n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
         emit, gather = weights
         across = [place for place in range(3) if place != axis]
-        field, swept, transmitted, mean = (
-            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.transmitted, self.mean)
+        field, swept, leaving, within = (
+            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
         )
         # Light that leaves the previous slice, with a border of zeros.
         light = np.zeros((len(steps), n + 2, n + 2), np.float32)
         for k in range(n)[:: steps[0, axis]]:
             arriving = np.stack(
-                [leaving[1 - b : 1 - b + n, 1 - c : 1 - c + n] for leaving, (b, c) in zip(light, steps[:, across])]
+                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(light, steps[:, across])]
             )
             if links is not None:
                 arriving *= links[k]
-            # Within a cell radiance tends towards the source function: I = S + (I_0 - S) exp(-tau).
-            source = np.tensordot(emit, field[k], 1)
-            arriving -= source
-            light[:, 1:-1, 1:-1] = arriving * transmitted[k][kinds] + source
-            swept[k] += np.tensordot(gather.T, arriving * mean[k][kinds] + source, 1)
+            # Within a cell radiance tends towards the source function: I = I_0 + (S - I_0) (1 - exp(-tau)).
+            rise = np.tensordot(emit, field[k], 1) - arriving
+            light[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
+            swept[k] += np.tensordot(gather.T, arriving + rise * within[k][kinds], 1)
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
@@ -294,7 +297,7 @@ def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:
                 if step[a] < 0:
                     place[a] += 1
             links.append(np.moveaxis(link, axis, 0))
-        found[sign] = np.stack(links, axis=1).astype(np.float32)
+        found[sign] = np.ascontiguousarray(np.stack(links, axis=1), np.float32)
     return found
 
 
