@@ -156,28 +156,33 @@ class RayPredictor(StencilPredictor):
     def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
-            # Sequentially: on several threads they contend for the interpreter lock between short operations and take
-            # longer.
-            cells = [found for sun in suns for found in tasks.each(lambda one: self._solve(one, tasks.cancel), [sun])]
+            if suns:
+                self._solver(suns[0])
+            cells = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
         return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
 
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
         """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
-        if key not in self._fluence:
+        found = self._fluence.get(key)
+        if found is None:
             if len(self._fluence) >= MAX_LATTICES:
                 self._fluence.clear()
-            # All suns of a render share their optical thickness and occluders.
-            solver_key = conditions.sigma_hat, conditions.occluders
-            if self._transport is None or self._transport[0] != solver_key:
-                solver = DiscreteOrdinates(
-                    self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels
-                )
-                self._transport = solver_key, solver
-            solver, shadow_map = self._transport[1], conditions.shadow_map
+            solver, shadow_map = self._solver(conditions), conditions.shadow_map
             visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
-            self._fluence[key] = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
-        return self._fluence[key]
+            found = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
+            self._fluence[key] = found
+        return found
+
+    def _solver(self, conditions: Conditions) -> DiscreteOrdinates:
+        """Solver of the transport; all suns of a render share their optical thickness and occluders."""
+        key = conditions.sigma_hat, conditions.occluders
+        if self._transport is None or self._transport[0] != key:
+            solver = DiscreteOrdinates(
+                self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels
+            )
+            self._transport = key, solver
+        return self._transport[1]
 
 
 @dataclass(frozen=True)
