@@ -236,7 +236,9 @@ def test_work_that_is_cancelled_ends(work):
     assert len(asked) == 2
 
 
-@pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper", "rpnn"])
+@pytest.mark.parametrize(
+    "model", ["mrpnn", *(pytest.param(model, marks=pytest.mark.slow) for model in ("mrpnn-paper", "rpnn"))]
+)
 def test_pictures_of_fire_and_smoke_are_equal(model):
     """Of overlapping volumes, one of which emits light."""
     smoke, fog = cloud(2), cloud(3)
