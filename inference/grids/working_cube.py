@@ -5,7 +5,7 @@ Positions in its frame lie in [-1/2, 1/2]^3. Networks see the medium's optical t
 extinction per unit density times the edge of the cube, dimensionless.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,14 +115,23 @@ def level0_density(
         return cells
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
     weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]
+    firsts, bands = zip(*map(_banded, weights))
     if kernels is not None:
-        _mean_cells(kernels, volume.density, cube, weights, cells, cancel)
+        _mean_cells(kernels, volume.density, cube, (firsts, bands), cells, cancel)
         return cells
     for low, slab in _slabs(volume.density, cube):
         cancel.check()
-        x, y, z = (part[:, start : start + n] for part, start, n in zip(weights, low - cube.low, slab.shape))
-        met = np.flatnonzero(x.any(axis=1))
-        cells[met] += np.tensordot(x[met], np.matmul(y, np.matmul(slab, z.T)), 1)
+        first = low - cube.low
+        planes = np.zeros((len(slab), *(cube.high - cube.low)[1:]), np.float32)
+        planes[:, first[1] : first[1] + slab.shape[1], first[2] : first[2] + slab.shape[2]] = slab
+        for axis in (2, 1):
+            shape = [-1 if a == axis else 1 for a in range(3)]
+            planes = sum(
+                part.reshape(shape) * planes.take(firsts[axis] + n, axis) for n, part in enumerate(bands[axis].T)
+            )
+        for number, plane in enumerate(planes, first[0]):
+            met = np.flatnonzero(weights[0][:, number])
+            cells[met] += weights[0][met, number][:, None, None] * plane
     return np.maximum(cells, 0.0, out=cells)
 
 
@@ -130,25 +139,25 @@ def _mean_cells(
     kernels: Kernels,
     density: np.ndarray | SparseGrid,
     cube: Cube,
-    weights: list[np.ndarray],
+    bands: tuple[Sequence[np.ndarray], Sequence[np.ndarray]],
     cells: np.ndarray,
     cancel: CancelToken,
 ) -> None:
-    """Fill cells with the means of a density, by its weights (cells, voxels) along each axis."""
+    """Fill cells with the means of a density; bands: of `_banded`, along each axis."""
     if isinstance(density, SparseGrid):
         grid = describe_blocks(density)
     else:
         grid = structures.Grid(values=np.ascontiguousarray(density, np.float32), shape=np.array(density.shape))
-    firsts, bands = zip(*map(_banded, weights))
-    widths, n, voxels = [band.shape[1] for band in bands], LEVEL0_CELLS, cube.high - cube.low
+    firsts, weights = bands
+    widths, n, voxels = [band.shape[1] for band in weights], LEVEL0_CELLS, cube.high - cube.low
     data = CellMeans(
         density=grid,
         low=cube.low,
         voxels=voxels,
         cells=n,
         widths=np.array(widths),
-        firsts=firsts,
-        weights=bands,
+        firsts=tuple(firsts),
+        weights=tuple(weights),
         strides=np.array(cells.strides) // cells.itemsize,
         held=np.full(widths[0], -1, np.int64),
         scratch=np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32),

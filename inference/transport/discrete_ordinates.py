@@ -267,9 +267,11 @@ class DiscreteOrdinates:
             if links is not None:
                 arriving *= links[k]
             # Within a cell radiance tends towards the source function: I = I_0 + (S - I_0) (1 - exp(-tau)).
-            rise = np.tensordot(emit, field[k], 1) - arriving
+            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, field[k]))
+            rise = source - arriving
             light[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
-            swept[k] += np.tensordot(gather.T, arriving + rise * within[k][kinds], 1)
+            mean = arriving + rise * within[k][kinds]
+            swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
