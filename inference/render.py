@@ -203,7 +203,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
             context.progress.message(f"shadows of {volume.name}")
-            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
+            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel, context.kernels))
             context.progress.advance("shadows", count * len(plan.suns))
     see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
@@ -213,7 +213,9 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     context.progress.message("density pyramids")
     with report.stage("fields"):
         groups = [
-            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel) if plan.multiple[g] else None
+            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel, context.kernels)
+            if plan.multiple[g]
+            else None
             for g, members in enumerate(plan.groups)
         ]
     for g, group in enumerate(groups):

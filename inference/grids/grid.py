@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..kernels.library import Kernels
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import inverse, product
 from ..plan.resolution import refinement
@@ -56,8 +57,10 @@ class Grid:
         self._sun_depths: dict[bytes, SunOpticalDepth] = {}
         self._lock = threading.Lock()
 
-    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
-        """Optical depth towards each sun; directions: unit vectors (3,) in the world.
+    def sun_depths(
+        self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER, kernels: Kernels | None = None
+    ) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: unit vectors (3,) in the world. kernels: compiled ones, or None.
 
         Those of the last call are cached. Raises Cancelled.
         """
@@ -68,7 +71,7 @@ class Grid:
                 cancel.check()
                 key = bytes(direction)
                 if key not in self._sun_depths:
-                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel)
+                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel, kernels)
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:

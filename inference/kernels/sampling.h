@@ -119,6 +119,10 @@ static inline int64_t cell_around(const Occupancy *cells, const float *position)
     return base;
 }
 
+static inline int may_hold(const Occupancy *cells, const float *position) {
+    return cells->filled[cell_around(cells, position)];
+}
+
 /* Depths of the four columns around points where their rays towards the sun meet slices, and the points among them.
 
 place: in the padded grid. ahead: slices from there to the slice. number: of the slice. corners: pairs of columns. */

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 4
+INTERFACE = 5
 CHANNELS = 3
 
 
@@ -15,7 +15,7 @@ class Shared(ctypes.Structure):
     """A structure that keeps alive what its pointers point to."""
 
     def __init__(self, **fields: Any):
-        """Arrays become pointers or, where the structure holds their numbers itself, copies."""
+        """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers."""
         super().__init__()
         self.kept: list[Any] = []
         types: dict[str, Any] = {field[0]: field[1] for field in self._fields_}
@@ -24,6 +24,10 @@ class Shared(ctypes.Structure):
                 value = self._pointer(value)
             elif issubclass(types[name], ctypes.Array) and isinstance(value, np.ndarray):
                 value = types[name](*value.ravel().tolist())
+            elif issubclass(types[name], ctypes.Array) and isinstance(value, tuple):
+                value = types[name](*map(self._pointer, value))
+            elif isinstance(value, Shared):
+                self.kept.append(value)
             setattr(self, name, value)
 
     def _pointer(self, value: Any) -> int | None:

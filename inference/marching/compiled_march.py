@@ -8,14 +8,13 @@ from ctypes import c_int32, c_void_p
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..grids.dense_grid import DenseGrid
-from ..grids.occupancy import Occupancy
+from ..grids.described import describe_grid, describe_occupancy
 from ..grids.sparse_columns import SparseColumns
 from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
 from ..kernels import structures
 from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
-from ..scene.sparse_grid import EDGE, SparseGrid
+from ..scene.sparse_grid import EDGE
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_counts
@@ -167,8 +166,8 @@ def _doubles(values: np.ndarray) -> np.ndarray:
 
 def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
     grid = medium.grid
-    emission = [_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
-    density, occupancy = _grid(grid.density), _occupancy(grid.occupancy)
+    emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
         density=density,
         occupancy=occupancy,
@@ -182,31 +181,6 @@ def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
     )
     described.kept += [density, occupancy, *emission]
     return described
-
-
-def _grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
-    shape = np.array(grid.shape)
-    if isinstance(grid, DenseGrid):
-        assert np.array_equal(grid.padded.shape, shape + 3)
-        padded = np.ascontiguousarray(grid.padded, np.float32)
-        return structures.Grid(values=padded, size=np.array(padded.shape), shape=shape)
-    table, values = np.ascontiguousarray(grid.table, np.int32), np.ascontiguousarray(grid.values, np.float32)
-    # Voxels from -1 to the shape + 1 are read.
-    assert np.all(grid.first >= 1) and np.all(grid.first + shape + 1 < EDGE * np.array(table.shape))
-    return structures.Grid(
-        values=values, table=table, size=np.array(table.shape), shape=shape, first=grid.first, rows=len(values)
-    )
-
-
-def _occupancy(occupancy: Occupancy) -> structures.Occupancy:
-    filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
-    return structures.Occupancy(
-        filled=filled,
-        peaks=np.ascontiguousarray(occupancy.peaks, np.float32),
-        size=np.array(filled.shape),
-        first=np.float64(occupancy.first),
-        scale=1.0 / occupancy.cell,
-    )
 
 
 def _sun_columns(depth: SunOpticalDepth, sigma_t: float) -> structures.SunColumns:
