@@ -30,7 +30,7 @@ class DenseColumns:
         self.size = shape
         if kernels is not None:
             fractions = compiled_sweep(kernels, padded, direction, 1.0, cubic, self.depths[1:-1], cancel)
-            self.offsets[1:-1] = np.float32(BEFORE) - fractions
+            self.offsets[1:-1] = np.float32(BEFORE) - np.asarray(fractions)
             return
         for number, columns, *fractions in sweep(padded, direction, weights=cubic):
             cancel.check()

@@ -202,7 +202,7 @@ def pyramid(kernels: Kernels, random: np.random.Generator) -> None:
 def resampling(kernels: Kernels, random: np.random.Generator) -> None:
     """Values of a grid at other voxels, anywhere."""
     grid = random_grid(random)
-    filled = random.random(grid.cells().shape) < 0.7
+    filled, peaks = random.random(grid.cells().shape) < 0.7, grid.cell_peaks()
     spoil_blocks(random, grid)
     linear, offset, places = (
         spoiled(random, (3, 3), np.float64),
@@ -214,7 +214,7 @@ def resampling(kernels: Kernels, random: np.random.Generator) -> None:
     resample(
         grid,
         int(random.integers(1, 5)),
-        Occupancy(filled, grid.CELL, grid.cells_first),
+        Occupancy(filled, peaks, grid.CELL, grid.cells_first),
         placement,
         out,
         kernels=kernels,

@@ -69,20 +69,21 @@ static float *check_columns(int64_t variant, const float *padded) {
 static void check_march(int64_t variant, const float *padded, const float *depths) {
     static float offsets[2 * (PADDED + 2)];
     static uint8_t filled[64];
+    static float peaks[64];
     for (int n = 0; n < PADDED + 2; n++) offsets[2 * n] = offsets[2 * n + 1] = 2.0f;
-    for (int n = 0; n < 64; n++) filled[n] = 1;
+    for (int n = 0; n < 64; n++) filled[n] = 1, peaks[n] = 1.0f;
     SunColumns sun = {.depths = depths, .offsets = offsets, .slices = PADDED + 2, .size = {COLUMNS, COLUMNS},
                       .first = 1, .main = 0, .others = {1, 2}, .step = 1, .move = {1.0, 0.0, 0.0}, .length = 1.0,
                       .direction = {1.0, 0.0, 0.0}};
     Medium medium = {.density = {.values = padded, .size = {PADDED, PADDED, PADDED}, .shape = {N, N, N}},
-                     .occupancy = {.filled = filled, .size = {4, 4, 4}, .first = {1.0, 1.0, 1.0}, .scale = 1.0 / 3.0},
+                     .occupancy = {.filled = filled, .peaks = peaks, .size = {4, 4, 4}, .first = {1.0, 1.0, 1.0}, .scale = 1.0 / 3.0},
                      .suns = &sun, .linear = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .sigma_t = 0.05};
     int64_t group_starts[2] = {0, 1}, members[1] = {0}, counts[1] = {400}, sample_counts[1];
     double nodes[4] = {0.0, 0.0, 0.5, 0.0}, weights[4] = {0.0, 0.0, 1.0, 0.0};
     Scene scene = {.volumes = 1, .suns = 1, .groups = 1, .channels = 1, .media = &medium, .group_starts = group_starts,
                    .group_members = members, .nodes = nodes + 1, .node_weights = weights + 1, .depth_samples = 1,
-                   .coarse_count = 16, .skip_empty = 1, .refined_thickness = 1.0, .steps_per_voxel = 2.0,
-                   .fewest_refined = 4, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0, .visible = 6.0,
+                   .coarse_count = 16, .skip_empty = 1, .step_thickness = 0.3, .step_growth = 8.0,
+                   .peak_thickness = 0.3, .peak_growth = 3.0, .finest = 0.0625, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0, .visible = 6.0,
                    .max_sun_depth = 30.0, .max_tau_sun = 60.0, .max_tau_ahead = 8.0, .scales = {1.0, 0.578, 0.334}};
     double origin[3] = {-2.0, N / 2, N / 2}, direction[3] = {1.0, 0.0, 0.0}, near_distance = 0.0, far_distance = N + 3.0;
     int64_t (*scratch_bytes)(const Scene *, int64_t) = (int64_t(*)(const Scene *, int64_t))need("mrpnn_scratch_bytes");
