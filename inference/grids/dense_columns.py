@@ -29,8 +29,8 @@ class DenseColumns:
         self.offsets = np.ones((len(self.depths), 2), np.float32)
         self.size = shape
         if kernels is not None:
-            fractions = compiled_sweep(kernels, padded, direction, 1.0, cubic, self.depths[1:-1], cancel)
-            self.offsets[1:-1] = np.float32(BEFORE) - np.asarray(fractions)
+            beyond = compiled_sweep(kernels, padded, direction, 1.0, cubic, self.depths[1:-1], cancel)
+            self.offsets[1:-1] = np.float32(BEFORE) - beyond
             return
         for number, columns, *fractions in sweep(padded, direction, weights=cubic):
             cancel.check()

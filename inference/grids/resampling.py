@@ -76,7 +76,7 @@ def _values(
     grid: DenseGrid | SparseGrid, power: int, occupancy: Occupancy, placement: Placement, shape: tuple[int, ...]
 ) -> np.ndarray:
     """As `resample`, float32 of a shape."""
-    centres = np.stack(np.indices(shape), axis=-1).reshape(-1, 3) @ placement.linear.T + placement.offset
+    centres = np.indices(shape).reshape(3, -1).T @ placement.linear.T + placement.offset
     values = np.zeros(len(centres), np.float32)
     for place in placement.places:
         index = (centres + place).T.astype(np.float32)
