@@ -153,11 +153,11 @@ int main(int count, char **arguments) {
         printf("the library cannot be loaded\n");
         return 1;
     }
-    int64_t interface = ((int64_t(*)(void))need("mrpnn_interface"))();
+    int64_t number = ((int64_t(*)(void))need("mrpnn_interface"))();
     int64_t best = ((int64_t(*)(void))need("mrpnn_best_variant"))();
     static float padded[PADDED * PADDED * PADDED];
     for (int n = 0; n < N * N * N; n++) padded[((n / N / N + 1) * PADDED + n / N % N + 1) * PADDED + n % N + 1] = 1.0f;
-    expect("interface", 0, (double)interface, MRPNN_INTERFACE, 0.0);
+    expect("number", 0, (double)number, MRPNN_INTERFACE, 0.0);
     for (int64_t variant = 0; variant <= best; variant++) {
         float *depths = check_columns(variant, padded);
         check_march(variant, padded, depths);
