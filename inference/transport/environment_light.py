@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
 from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES
@@ -92,16 +93,17 @@ def ordinate_radiance(image: np.ndarray) -> np.ndarray:
     return _parts(rows) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
 
 
-def ordinate_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
+def ordinate_depths(coarse: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None) -> np.ndarray:
     """Optical depth float16 (n + 2, n + 2, n + 2, 26) from each cell out towards the ordinates, for sigma_hat = 1.
 
-    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once. Raises Cancelled.
+    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once.
+    kernels: compiled ones, or None. Raises Cancelled.
     """
     n = len(coarse)
     depths = np.empty((n, n, n, len(ORDINATES)), np.float16)
     for k, towards in enumerate(ORDINATES):
         cancel.check()
-        depths[..., k] = sun_optical_depth(coarse, towards, 1.0 / n)
+        depths[..., k] = sun_optical_depth(coarse, towards, 1.0 / n, kernels)
     return np.pad(depths, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
