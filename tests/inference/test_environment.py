@@ -8,6 +8,7 @@ import pytest
 
 from inference import Camera, Environment, Medium, RenderCache, SceneError, Settings, Sun, Volume, render
 from inference.network import environment_features as features
+from inference.network.baselines import register_baselines
 from inference.network.environment_network import FOLDER, load_environment_network
 from inference.network.weights_file import WEIGHTS
 from inference.plan.lights import ENVIRONMENT_MODELS
@@ -209,6 +210,7 @@ def test_beside_a_sun_it_adds_up():
 
 def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
     """Beside surfaces or other volumes, and with networks that know suns alone."""
+    register_baselines()
     dome = Environment(sky(), name="dome")
     layer = picture([dome], model="single-scattering")
     assert layer.report.counts["suns"] == 12 and layer.report.counts["environments"] == 0
