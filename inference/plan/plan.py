@@ -52,7 +52,7 @@ class Plan:
 
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. suns: those that contribute,
     parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
-    network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
+    network treats as one medium. multiple: (G,), whether a network predicts in a group.
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
     (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
@@ -216,8 +216,10 @@ def make_plan(
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
     for group in groups:
-        lit = bool(merged or environments)
-        predicted, scattered = _plan_group([rendered[v] for v in group], lit, settings, planned, left_out)
+        members, lit = [rendered[v] for v in group], bool(merged or environments)
+        predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
+        # The network for environments predicts their single scattering, too.
+        predicted |= bool(environments) and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
 
@@ -282,10 +284,7 @@ def _plan_group(
     Adds sentences to `planned` and `left_out`.
     """
     names = " and ".join(volume.name for volume, _ in members)
-    scatters = any(
-        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
-        for volume, medium in members
-    )
+    scatters = _scatters(members, settings)
     predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
@@ -299,6 +298,14 @@ def _plan_group(
         stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
         planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
+
+
+def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
+    """Whether a group of volumes scatters light."""
+    return any(
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        for volume, medium in members
+    )
 
 
 def _plan_tiles(

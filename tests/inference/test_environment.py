@@ -198,8 +198,16 @@ def test_colours_do_not_mix_and_the_environment_is_not_in_the_layer():
         np.testing.assert_allclose(coloured.rgb[..., c], grey.rgb[..., c], rtol=0.05, atol=0.01)
     assert np.all(coloured.rgb[coloured.alpha == 0.0] == 0.0)
     np.testing.assert_allclose(coloured.single + coloured.multiple, coloured.rgb, rtol=1e-4, atol=1e-6)
-    only = picture([Environment(light)], multiple=False)
-    np.testing.assert_allclose(only.single, only.rgb, atol=1e-6)
+
+
+def test_without_multiple_scattering_there_is_single_scattering():
+    dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8), 2.0)
+    whole, only, both = (
+        picture(lights, multiple=multiple) for lights, multiple in (([dome], 1), ([dome], 0), ([sun, dome], 0))
+    )
+    assert whole.single.mean() > 0.05 and not both.multiple.any()
+    np.testing.assert_allclose(only.rgb, whole.single, rtol=0.02, atol=0.01)
+    np.testing.assert_allclose(both.rgb, only.rgb + picture([sun], multiple=False).rgb, rtol=0.02, atol=0.01)
 
 
 def test_beside_a_sun_it_adds_up():
