@@ -15,7 +15,7 @@ from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .lights import Light, split_lights
-from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
+from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -224,7 +224,9 @@ def make_plan(
         scattered_emission.append(scattered)
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
-    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
+    memory += (
+        sum(len(group) > 1 for group in groups) * MERGED_BYTES + bool(environments) * len(groups) * ENVIRONMENT_BYTES
+    )
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged), memory)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")

@@ -10,8 +10,11 @@ from inference import Camera, Environment, Medium, RenderCache, SceneError, Sett
 from inference.network import environment_features as features
 from inference.network.baselines import register_baselines
 from inference.network.environment_network import FOLDER, load_environment_network
+from inference.network.network import load_network
+from inference.network.predictor import VolumePredictor
 from inference.network.weights_file import WEIGHTS
 from inference.plan.lights import ENVIRONMENT_MODELS
+from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
 from inference.transport.blurred_environment import blurred
@@ -225,3 +228,16 @@ def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
     assert any("12 directions" in sentence for sentence in layer.report.planned)
     with pytest.raises(SceneError, match="without light"):
         picture([])
+
+
+def test_the_estimate_of_memory_includes_the_lattices():
+    medium, settings = Medium(15.0, 1.0, 0.5), Settings()
+    dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8))
+    with_dome, without = (make_plan([(BLOB, medium)], lights, camera(), settings) for lights in ([sun, dome], [sun]))
+    predictor = VolumePredictor(load_network("mrpnn"), BLOB, 0.5)
+    bounds = np.full(3, -0.5), np.full(3, 0.5)
+    network = load_environment_network("mrpnn")
+    prepared = predictor.prepare_environment(network, [dome], 15.0, bounds).prediction
+    held = sum(values.nbytes for values in vars(prepared).values() if isinstance(values, np.ndarray))
+    # While they are padded, both copies are held.
+    assert 4 * prepared.light.nbytes + held < with_dome.memory - without.memory
