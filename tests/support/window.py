@@ -66,9 +66,9 @@ for other in [one for one in bpy.context.window_manager.windows if one.screen.is
     with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()
 """
 
-# Blender keeps one flag for "scripts must not write", which each call of a class's method saves and restores. Where a
-# render thread begins while a panel is drawn, the two restore it out of order and it stays set for good: operators that
-# a timer calls fail. The same trick clears it: a method that may write returns while an operator on another thread runs.
+# Blender keeps one flag for "scripts must not write", which each call of a method of a class saves and restores. A
+# render thread that begins while a panel is drawn restores it out of order, and it stays set for good: operators that
+# a timer calls fail. The same trick clears it: a method that may write returns while an operator runs on a thread.
 STUCK = "can't modify blend data in this state (drawing/rendering)"
 CLEARING = """
 import bpy, threading, time
