@@ -209,7 +209,7 @@ def make_plan(
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     groups, _ = overlapping([volume for volume, _ in rendered])
-    suns, environments = split_lights(lights, settings, len(groups), surfaces, planned, left_out)
+    suns, environments = split_lights(lights, settings, surfaces, planned, left_out)
     merged = _needed_suns(suns, settings, left_out)
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:

@@ -220,7 +220,7 @@ def test_beside_a_sun_it_adds_up():
 
 
 def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
-    """Beside surfaces or other volumes, and with networks that know suns alone."""
+    """Beside surfaces, and with networks that know suns alone."""
     register_baselines()
     dome = Environment(sky(), name="dome")
     layer = picture([dome], model="single-scattering")
@@ -228,6 +228,20 @@ def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
     assert any("12 directions" in sentence for sentence in layer.report.planned)
     with pytest.raises(SceneError, match="without light"):
         picture([])
+
+
+def test_volumes_apart_are_lit_one_by_one():
+    far = np.eye(4)
+    far[0, 3] = 2.5
+    other = Volume(BLOB.density, far @ BLOB.world_from_index, "other")
+    medium, settings = Medium(15.0, 1.0, 0.5), Settings(depth_samples=4)
+    dome, even = Environment(sky()), Environment(np.full((1, 2, 3), 0.4))
+    whole = render([(BLOB, medium), (other, medium)], [dome], camera(), settings)
+    assert whole.report.counts["environments"] == 1 and whole.report.counts["suns"] == 0
+    np.testing.assert_allclose(whole.rgb, picture([dome]).rgb, rtol=0.05, atol=0.02)
+    # The white furnace holds for all of them.
+    layer = render([(BLOB, medium), (other, medium)], [even], camera(), settings)
+    np.testing.assert_allclose(layer.rgb + (1.0 - layer.alpha[..., None]) * 0.4, 0.4, rtol=0.005)
 
 
 def test_the_estimate_of_memory_includes_the_lattices():
