@@ -54,9 +54,9 @@ def prepare_prediction(
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
-    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
     if not context.settings.multiple:
-        return sources
+        return []
+    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):
