@@ -82,13 +82,29 @@ def equivalent_directions(
     pixel: int (N,) of the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the
     plane of ray and sun.
     """
+    x0, y0, x1, _ = camera.window
+    row, column = np.divmod(pixel, x1 - x0)
+    return _equivalent(camera, column + x0 + 0.5, row + y0 + 0.5, directions, sun, anisotropy)
+
+
+def equivalent_directions_of(directions: np.ndarray, sun: Sun, anisotropy: float) -> np.ndarray:
+    """As `equivalent_directions`, for rays of no camera: unit (N, 3) in the world."""
+    width, height = 2 * MAX_KNOTS, MAX_KNOTS
+    everywhere = Camera(np.eye(4), "equirectangular", resolution=(width, height))
+    x = (0.5 + np.arctan2(directions[:, 0], -directions[:, 2]) / (2.0 * np.pi)) * width
+    y = (0.5 - np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)) / np.pi) * height
+    return _equivalent(everywhere, x, y, directions, sun, anisotropy)
+
+
+def _equivalent(
+    camera: Camera, x: np.ndarray, y: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
+) -> np.ndarray:
+    """As `equivalent_directions`, at points (N,) of the image."""
     g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     if abs(g) < MIN_ANISOTROPY:
         return directions
-    x0, y0, x1, _ = camera.window
-    row, column = np.divmod(pixel, x1 - x0)
     lights = ExtendedLights(camera, [sun], [lambda cosine: henyey_greenstein(cosine, g)], split_forward=False)
-    mean = lights.phase(column + x0 + 0.5, row + y0 + 0.5)[0][:, 0, 0]
+    mean = lights.phase(x, y)[0][:, 0, 0]
     # Invert the Henyey-Greenstein phase function for the cosine.
     cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)
     across = directions - (directions @ sun.direction)[:, None] * sun.direction
