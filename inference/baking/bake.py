@@ -112,11 +112,13 @@ class _Bake:
                 sources.append((g, source))
                 for v in self.scene.plan.groups[g]:
                     radiance[v] += self._radiance(v, channels, source)
+        steady = [np.zeros_like(values) for values in radiance]
         for g, scatters in enumerate(self.scene.plan.scattered_emission):
             for v in self.scene.plan.groups[g] if scatters else ():
-                radiance[v] += self._scattered_emission(g, v)
+                steady[v] = self._scattered_emission(g, v)
+        groups = self.scene.plan.groups
         return {
-            v: self._lit(v, radiance[v], [s for g, s in sources if v in self.scene.plan.groups[g]])
+            v: self._lit(v, radiance[v], steady[v], [source for g, source in sources if v in groups[g]])
             for v in range(len(radiance))
         }
 
@@ -205,22 +207,20 @@ class _Bake:
             )
         return radiance
 
-    def _lit(self, v: int, radiance: np.ndarray, sources: list[PointRadiance]) -> LitVolume:
+    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[PointRadiance]) -> LitVolume:
+        """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
         lattice, report = self.lattices[v], self.context.report
+        radiance = radiance + steady
         directional = None
         if self.context.settings.directional and sources:
             self.context.progress.message(f"other directions of {volume.name}")
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-                return np.mean([source(positions, directions) for source in sources], axis=0).mean(axis=0) * len(
-                    sources
-                )
+                return np.sum([source(positions, directions) for source in sources], axis=0).mean(axis=0)
 
             lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
             with report.stage("directions"):
-                directional = fit_directions(
-                    lattice, radiance, self.visibilities[v], lobe, self.view, predict, self.context.cancel
-                )
+                directional = fit_directions(lattice, radiance, steady, self.visibilities[v], lobe, self.view, predict)
         scattering = lattice.density[..., None] * (medium.sigma_t * medium.albedo).astype(np.float32)
         return LitVolume(radiance * scattering, lattice.world_from_index, directional, volume.name, report)

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..runtime.cancellation import CancelToken
 from ..scene.description import Sun
 from .lattice import DIRECTIONS, BakeLattice, Visibility
 from .lit_volume import COEFFICIENTS, BakedView, DirectionalFactor, Lobe, directional_terms
@@ -35,16 +34,17 @@ def make_lobe(suns: Sequence[Sun], anisotropy: float) -> Lobe:
 def fit_directions(
     lattice: BakeLattice,
     radiance: np.ndarray,
+    steady: np.ndarray,
     visibility: Visibility,
     lobe: Lobe,
     view: BakedView,
     predict: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    cancel: CancelToken,
 ) -> DirectionalFactor | None:
     """The DirectionalFactor of one volume; None where nothing scatters.
 
-    radiance: (nx, ny, nz, 3), as baked, 0 in voxels that need none. predict: grey radiance (N,) at world positions
-    (N, 3) along unit directions (N, 3). Raises Cancelled.
+    radiance: (nx, ny, nz, 3), as baked, 0 in voxels that need none. steady: the part of it, of the same shape, that is
+    taken to be the same in all directions. predict: grey radiance (N,) at world positions
+    (N, 3) along unit directions (N, 3); it may raise Cancelled.
     """
     stride = max(-(-max(radiance.shape[:3]) // NODES), 1)
     nodes, voxels = _representatives(radiance, stride)
@@ -52,10 +52,10 @@ def fit_directions(
         return None
     positions = lattice.positions(voxels)
     baked = radiance[tuple(voxels.T)].mean(axis=1).astype(np.float64)
+    same = steady[tuple(voxels.T)].mean(axis=1)
     samples = np.empty((len(nodes), len(DIRECTIONS)))
     for number, direction in enumerate(DIRECTIONS):
-        cancel.check()
-        samples[:, number] = predict(positions, np.broadcast_to(direction, positions.shape).copy())
+        samples[:, number] = same + predict(positions, np.broadcast_to(direction, positions.shape).copy())
     # A ray along a direction shows a point to a viewer on the other side of it.
     opposite = [int(np.abs(DIRECTIONS + direction).sum(axis=1).argmin()) for direction in DIRECTIONS]
     seen = visibility.transmittances(voxels)[:, opposite] + MIN_TRANSMITTANCE

@@ -34,13 +34,16 @@ class BakedVolume:
 
 @dataclass
 class BakedScene:
-    """One frame's baked light. volumes: that were baked. names: of all volumes of the frame. seconds: of the bake."""
+    """One frame's baked light. volumes: that were baked. names: of all volumes of the frame. seconds: of the bake.
+    directional: whether other directions were baked.
+    """
 
     frame: int
     volumes: list[BakedVolume]
     names: list[str]
     seconds: float
     warnings: list[str]
+    directional: bool = True
 
 
 @dataclass
@@ -69,7 +72,7 @@ def bake_scene(
     warnings = [*scene.warnings, *check_runtime()]
     names, seconds = volume_names(scene), 0.0
     if not scene.volumes:
-        return BakedScene(scene.frame, [], names, 0.0, warnings)
+        return BakedScene(scene.frame, [], names, 0.0, warnings, settings.directional)
     keys = light_keys(scene, settings)
     stale = [v for v, name in enumerate(names) if target.keys.get(name) != keys[v]]
     # Overlapping volumes share their light.
@@ -80,7 +83,7 @@ def bake_scene(
         if stale and set(group) & set(stale)
     )
     if not wanted:
-        return BakedScene(scene.frame, [], names, 0.0, warnings)
+        return BakedScene(scene.frame, [], names, 0.0, warnings, settings.directional)
     try:
         lit = inference.bake(
             [scene.volumes[v] for v in wanted],
@@ -103,7 +106,7 @@ def bake_scene(
         path = os.path.join(target.folder, f"{stem}_{scene.frame:04d}.vdb")
         write_light(path, one, scale)
         baked.append(BakedVolume(name, keys[v], path, scale, one.directional))
-    return BakedScene(scene.frame, baked, names, seconds, warnings + lit[0].report.warnings)
+    return BakedScene(scene.frame, baked, names, seconds, warnings + lit[0].report.warnings, settings.directional)
 
 
 def _file_name(name: str) -> str:

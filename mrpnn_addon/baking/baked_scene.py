@@ -5,11 +5,15 @@ Each volume gets a second Volume object beside it, which only shines. The volume
 stay as they are.
 """
 
+from dataclasses import replace
+
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from ..nodes.material import LIGHT_MARK
+from ..scene.reader import SceneDescription
 from .bake_job import BakedScene, BakedVolume
+from .content import light_keys, volume_names
 from .light_material import light_material, set_frame
 
 COLLECTION = "Baked Light"
@@ -27,6 +31,7 @@ class MRPNN_PG_light(bpy.types.PropertyGroup):
     """A scene's baked light, and what *Remove Baked Light* restores."""
 
     active: BoolProperty(name="Baked")
+    directional: BoolProperty(name="Other Directions", default=True)
     volumes: CollectionProperty(name="Volumes", type=MRPNN_PG_lit_volume)
     collection: PointerProperty(name="Collection", type=bpy.types.Collection)
     engine: StringProperty(name="Render Engine Before")
@@ -42,17 +47,28 @@ def baked_keys(scene) -> dict[str, str]:
     return found
 
 
-def stale_volumes(scene, names: list[str], keys: list[str]) -> list[str]:
-    """Volumes whose baked light is missing or out of date, and baked light whose volume is gone, by name."""
-    known = baked_keys(scene)
-    changed = [name for name, key in zip(names, keys) if known.get(name) != key]
-    return changed + [item.name for item in scene.mrpnn_light.volumes if item.name not in names]
+def stale_light(scene, description: SceneDescription) -> list[str]:
+    """Sentences about light that is out of date, missing or left over; sequences are not compared."""
+    state = scene.mrpnn_light
+    if not state.active:
+        return []
+    settings = replace(scene.mrpnn.settings(), directional=state.directional)
+    names, known = volume_names(description), baked_keys(scene)
+    sequences = {item.name for item in state.volumes if not item.key}
+    found = [
+        f'the baked light of "{name}" is out of date; Bake Light'
+        for name, key in zip(names, light_keys(description, settings))
+        if known.get(name) != key and name not in sequences
+    ]
+    left = [item.name for item in state.volumes if item.name not in names]
+    return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
 
 
 def show_light(scene, baked: BakedScene) -> None:
     """Show one frame's light, instead of what was shown of its volumes before."""
     state = scene.mrpnn_light
     _prepare(scene)
+    state.directional = baked.directional
     for one in baked.volumes:
         _show(scene, one)
     gone = [item.name for item in state.volumes if item.name not in baked.names]
@@ -70,7 +86,7 @@ def show_sequence(scene, frames: list[BakedScene]) -> None:
             first.setdefault(one.name, (frame.frame, one))
     _prepare(scene)
     names = [name for frame in frames for name in frame.names]
-    show_light(scene, BakedScene(frames[0].frame, [one for _, one in first.values()], names, 0.0, []))
+    show_light(scene, replace(frames[0], volumes=[one for _, one in first.values()], names=names))
     for item in scene.mrpnn_light.volumes:
         if item.name not in first:
             continue
@@ -97,7 +113,7 @@ def remove_light(scene) -> None:
     if state.volume_bounces >= 0 and hasattr(scene, "cycles"):
         scene.cycles.volume_bounces = state.volume_bounces
     state.volumes.clear()
-    for name in ("active", "collection", "engine", "volume_bounces"):
+    for name in ("active", "directional", "collection", "engine", "volume_bounces"):
         state.property_unset(name)
 
 
