@@ -2,18 +2,19 @@
 """Scene in, layer out: the stages of a render in their order."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from .image.camera_pass import march_tile
-from .image.context import ChannelPass, PreparedScene, RenderContext, make_tiles
+from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.framebuffer import Framebuffer
 from .image.layer import Layer, compose_layer
-from .image.multiple_scattering import add_multiple_scattering, solve_transport
-from .image.scattered_emission_pass import add_scattered_emission
+from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
+from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
+from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
@@ -28,7 +29,7 @@ from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
 from .scene.settings import Settings
-from .transport.scattered_fluence import ScatteredFluence
+from .transport.scattered_emission import ScatteredEmission
 
 
 def render(
@@ -95,33 +96,77 @@ def render_tiles(
 
 def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer):
     """Render into the framebuffer; yield the window and Layer of each finished tile."""
-    tiles = make_tiles(scene.plan, camera, framebuffer) if scene.plan.volumes else []
-    work = WorkEstimate(context, scene, tiles)
-    for channels in scene.plan.channels if tiles else []:
-        fluence = solve_transport(context, scene, channels)
-        channel_pass = _channel_pass(context, scene, channels, fluence)
+    if not scene.plan.volumes:
+        return
+    emission = prepare_scattered_emission(context, scene)
+    passes = [(channels, suns) for channels in scene.plan.channels for suns in _suns_of_passes(scene)]
+    work = WorkEstimate(context, scene, camera, len(passes))
+    for number, (channels, suns) in enumerate(passes):
+        channel_pass = _channel_pass(context, scene, channels, suns)
         work.survey(channel_pass)
-        for tile in tiles:
-            samples = march_tile(context, scene, channel_pass, tile)
-            work.tile_marched(tile)
-            if samples is not None:
-                add_scattered_emission(context, scene, channel_pass, tile, samples)
-                add_multiple_scattering(context, scene, channel_pass, tile, samples, work)
-            if channels is scene.plan.channels[-1]:
-                x0, y0, x1, y1 = tile.camera.window
-                yield tile.camera.window, compose_layer(tile.framebuffer, (y1 - y0, x1 - x0))
+        for tile in _tiles(context, scene, channel_pass, camera, emission):
+            window = tile.camera.window
+            framebuffer.add(camera.window, tile.framebuffer, window)
+            context.report.merge(tile.report, context.tasks.threads)
+            work.tile_finished(tile)
+            if number == len(passes) - 1:
+                x0, y0, x1, y1 = window
+                yield window, compose_layer(framebuffer.part(camera.window, window), (y1 - y0, x1 - x0))
 
 
-def _channel_pass(
-    context: RenderContext, scene: PreparedScene, channels: Channels, fluence: list[ScatteredFluence | None] | None
-) -> ChannelPass:
-    """Some colour channels, ready to be marched."""
-    settings, media = context.settings, scene.media(channels)
+def _tiles(
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    camera: Camera,
+    emission: Mapping[int, ScatteredEmission],
+) -> Iterator[Tile]:
+    """The tiles of a pass, each rendered on one thread. Raises Cancelled."""
+
+    def march(window: tuple[int, int, int, int]) -> tuple[Tile, DepthSamples | None]:
+        tile = Tile.of(camera, window)
+        return tile, march_tile(context, scene, channel_pass, tile)
+
+    def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
+        if samples is not None:
+            if channel_pass.first:
+                add_scattered_emission(context, scene, channel_pass, tile, samples, emission)
+            add_multiple_scattering(context, sources, tile, samples)
+        return tile
+
+    windows, tasks = scene.plan.tiles, context.tasks
+    if scene.plan.small and not context.cache.any_view:
+        context.progress.message("single scattering")
+        marched = list(tasks.map(march, windows))
+        view = [samples for _, samples in marched if samples is not None]
+        sources = prepare_prediction(context, scene, channel_pass, camera, view)
+        context.progress.message("multiple scattering")
+        return tasks.map(lambda one: predict(*one), marched)
+    sources = prepare_prediction(context, scene, channel_pass, camera, ())
+    context.progress.message("single and multiple scattering")
+    return tasks.map(lambda window: predict(*march(window)), windows)
+
+
+def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:
+    """Numbers of the suns that are rendered together: all of them, unless each takes lookup lattices of its own."""
+    suns = list(range(len(scene.plan.suns)))
+    alone = scene.network is not None and not scene.network.needs_ray_features and len(suns) > 1
+    return [[sun] for sun in suns] if alone else [suns]
+
+
+def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int]) -> ChannelPass:
+    """Some colour channels and suns, ready to be marched."""
+    fluence = solve_transport(context, scene, channels, suns)
+    settings, media, shadow_maps = context.settings, scene.media(channels, suns), scene.occluders.shadow_maps
     options = MarchOptions(
-        settings.depth_samples, fluence, scene.occluders.shadow_maps, scene.plan.groups, settings.leave_out
+        settings.depth_samples,
+        fluence,
+        None if shadow_maps is None else [shadow_maps[l] for l in suns],
+        scene.plan.groups,
+        settings.leave_out,
     )
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping)
-    return ChannelPass(channels, media, fluence, march)
+    return ChannelPass(channels, suns, suns[:1] in ([], [0]), media, march)
 
 
 def load_compiled(settings: Settings, report: Report) -> Kernels | None:
@@ -139,8 +184,6 @@ def load_compiled(settings: Settings, report: Report) -> Kernels | None:
 def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
-    if network is not None and network.needs_ray_features:
-        plan = plan.in_small_tiles(camera)
     report, cancel, cache = context.report, context.cancel, context.cache
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
@@ -160,7 +203,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
             context.progress.message(f"shadows of {volume.name}")
-            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
+            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel, context.kernels))
             context.progress.advance("shadows", count * len(plan.suns))
     see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
@@ -170,7 +213,9 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     context.progress.message("density pyramids")
     with report.stage("fields"):
         groups = [
-            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel) if plan.multiple[g] else None
+            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel, context.kernels)
+            if plan.multiple[g]
+            else None
             for g, members in enumerate(plan.groups)
         ]
     for g, group in enumerate(groups):

@@ -8,6 +8,7 @@ from typing import Any
 
 from .grids.grid import Grid
 from .grids.merge import merge
+from .kernels.library import Kernels
 from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
@@ -65,28 +66,40 @@ class RenderCache:
             return [grid for _, grid in found]
 
     def group(
-        self, network: System, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken = NEVER
+        self,
+        network: System,
+        members: Members,
+        grids: Sequence[Grid],
+        number: int,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
     ) -> ScatteringGroup:
         """The ScatteringGroup of some volumes.
 
-        grids: Grid of each member. number: of the group in its render; replaces the group that had it before.
+        grids: Grid of each member. number: of the group in its render; replaces the group that had it before. kernels:
+        compiled ones, or None.
         """
         with cancel.locked(self._lock):
-            volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
+            volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel, kernels)
             known: VolumePredictor | None = self._predictors.get(number)
             if known is None or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
-                known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel)
+                known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel, kernels)
             return ScatteringGroup(volume, medium, known)
 
     def scattered_emission(
-        self, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken = NEVER
+        self,
+        members: Members,
+        grids: Sequence[Grid],
+        number: int,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
     ) -> ScatteredEmission:
         """Light that a group of volumes emits and scatters; arguments as for `group`."""
         with cancel.locked(self._lock):
             known = self._emission.pop(number, None)
             if known is None or not _same_members(known[0], members):
-                known = members, ScatteredEmission(grids, [medium for _, medium in members], cancel)
+                known = members, ScatteredEmission(grids, [medium for _, medium in members], cancel, kernels)
             self._emission[number] = known
             return known[1]
 
@@ -99,13 +112,18 @@ class RenderCache:
                     del cached[number]
 
     def _merge(
-        self, members: Members, grids: Sequence[Grid], number: int, cancel: CancelToken
+        self,
+        members: Members,
+        grids: Sequence[Grid],
+        number: int,
+        cancel: CancelToken,
+        kernels: Kernels | None,
     ) -> tuple[Volume, Medium]:
         """Members of a group as one medium."""
         known = self._merged.pop(number, None)
         if known is None or not _same_members(known[0], members):
             names = " and ".join(volume.name for volume, _ in members)
-            known = members, merge(grids, [medium for _, medium in members], names, cancel)
+            known = members, merge(grids, [medium for _, medium in members], names, cancel, kernels)
         self._merged[number] = known
         return known[1]
 

@@ -57,10 +57,10 @@ def step_means():
 def light_ahead():
     """Light along rays of 400 steps of up to two optical depths."""
     random = np.random.default_rng(2)
-    blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(np.arange(50), 60))
+    blocks = Blocks(60, np.repeat(np.arange(60), 50), np.tile(8.0 * np.arange(50), 60), np.ones(3000))
     tau = random.random((1, 3000, 8)) ** 6 * 2.0
     depth = np.cumsum(random.random((60, 401)) * 0.3, axis=1)
-    depths = depth[blocks.ray[:, None], blocks.number[:, None] * 8 + np.arange(9)][None, None]
+    depths = depth[blocks.ray[:, None], blocks.place.astype(int)[:, None] + np.arange(9)][None, None]
     block, step, inside = 50 * np.arange(60) + random.integers(0, 3, 60), random.integers(0, 8, 60), random.random(60)
     source = random.random((1, 1, 3000, 8))
     samples = SampleSteps(block, step, inside)

@@ -8,7 +8,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
-from ..marching.extended_lights import equivalent_directions_of
+from ..marching.extended_lights import EquivalentDirections
 from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
@@ -39,7 +39,7 @@ class PointRadiance:
                 context.progress.message(f"multiple scattering of {plan.group_name(g)}")
                 directions = [sun.direction for sun in plan.suns]
                 fluence = group.predictor.fluence(self._sigma_t, directions, scene.occluders, context.tasks)
-        media = scene.media(channels)
+        media = scene.media(channels, list(range(len(plan.suns))))
         self._media: list[BoundMedium] = [media[v] for v in plan.groups[g]]
         self._ready: dict[int, PreparedPredictor] = {}
         self._march = None if fluence is None else self._prepare_march(scene, fluence)
@@ -102,7 +102,7 @@ class PointRadiance:
         """Yield batches of points and their radiance (A, n) in the light of one sun of irradiance 1."""
         albedos = [albedo for albedo, _ in self.albedos]
         if sun.spread is not None:
-            directions = equivalent_directions_of(directions, sun, self._anisotropy)
+            directions = EquivalentDirections.of(directions, sun, self._anisotropy)
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
             some = None if features is None else features[span]

@@ -7,14 +7,20 @@ the cube as the mip's stencil points: density is 0 there, and the optical depth 
 the redirection to the boundary in appendix A.3 of the paper gives.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..grids.working_cube import Cube, level0_density
+from ..kernels.field_structures import LatticePart, Refinement
+from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
 from ..plan.resolution import LEVEL0_CELLS
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Volume
 from .stencil import MIPS, Stencil
 
 # beta of the scaled transmittance: field i stores exp(-beta^(i + 1) tau).
@@ -34,14 +40,12 @@ MAX_SHADOW_DEPTH = 10.0
 VISIBILITY_SAMPLES = (1, 1, 1, 2, 4, 4, 4)
 
 
-def density_pyramid(level0: np.ndarray) -> list[np.ndarray]:
+def density_pyramid(level0: np.ndarray, kernels: Kernels | None = None) -> list[np.ndarray]:
     """Levels 0 to 8 by 2 x 2 x 2 means, float32; level m has 2^(8 - m) cells along an edge."""
     levels = [level0]
     while levels[-1].shape[0] > 1:
-        fine = levels[-1]
-        pairs = fine[0::2] + fine[1::2]
-        pairs = pairs[:, 0::2] + pairs[:, 1::2]
-        levels.append((pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.125))
+        levels.append(np.empty([n // 2 for n in levels[-1].shape], np.float32))
+        halve(levels[-2], levels[-1], kernels)
     return levels
 
 
@@ -58,13 +62,35 @@ def padded_levels(pyramid: Sequence[np.ndarray], stencil: Stencil) -> list[np.nd
     return [np.pad(level, margin) for level, margin in zip(pyramid, margins(stencil))]
 
 
-def unit_optical_depths(padded: Sequence[np.ndarray], direction: np.ndarray) -> list[np.ndarray]:
+def padded_pyramid(
+    volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER, kernels: Kernels | None = None
+) -> list[np.ndarray]:
+    """As `padded_levels` of a volume's density, without copies of the levels. Raises Cancelled."""
+    padded = [
+        np.zeros(((LEVEL0_CELLS >> m) + 2 * margin,) * 3, np.float32) for m, margin in enumerate(margins(stencil))
+    ]
+    levels = [inner_cells(values, m, stencil) for m, values in enumerate(padded)]
+    level0_density(volume, cube, cancel, kernels, levels[0])
+    for fine, coarse in zip(levels[:-1], levels[1:]):
+        cancel.check()
+        halve(fine, coarse, kernels)
+    return padded
+
+
+def inner_cells(padded: np.ndarray, m: int, stencil: Stencil) -> np.ndarray:
+    """The cells of level m that lie in the cube, a view of the padded level."""
+    return padded[(slice(margins(stencil)[m], -margins(stencil)[m]),) * 3]
+
+
+def unit_optical_depths(
+    padded: Sequence[np.ndarray], direction: np.ndarray, kernels: Kernels | None = None
+) -> list[np.ndarray]:
     """Optical depth towards the sun through levels 1 to 7 for sigma_hat = 1, on the padded lattices.
 
-    direction: (3,) unit vector towards the sun in the cube's frame.
+    direction: (3,) unit vector towards the sun in the cube's frame. kernels: compiled ones, or None.
     """
     return [
-        sun_optical_depth(level, direction, step_length=1.0 / (LEVEL0_CELLS >> m))
+        sun_optical_depth(level, direction, 1.0 / (LEVEL0_CELLS >> m), kernels)
         for m, level in enumerate(padded[1:], start=1)
     ]
 
@@ -78,14 +104,6 @@ def visibility_levels(stencil: Stencil, shadow_map: ShadowMap) -> list[np.ndarra
         shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, parts)
         for m, (margin, parts) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)
     ]
-
-
-def _shaded(visibility: np.ndarray, scale: float) -> np.ndarray:
-    """Factor of a scaled transmittance for a visibility of the sun; computed in place."""
-    least = np.float32(np.exp(-MAX_SHADOW_DEPTH * scale))
-    visibility *= np.float32(1.0) - least
-    visibility += least
-    return visibility
 
 
 @dataclass
@@ -142,41 +160,44 @@ def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> t
     return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
 
 
-def _along(grid: np.ndarray, below: np.ndarray, above_share: np.ndarray, axis: int) -> np.ndarray:
-    """Linear interpolation along one axis, between cells `below` and the next."""
-    refined = grid.take(below, axis)
-    if not above_share.any():
-        return refined
-    rise = grid.take(below + 1, axis)
-    rise -= refined
-    rise *= above_share.reshape([-1 if a == axis else 1 for a in range(3)])
-    refined += rise
-    return refined
+@dataclass(frozen=True)
+class Between:
+    """Where fine cells lie between the cells of a grid, along each axis.
 
-
-def _refined_planes(grid: np.ndarray, centres: Sequence[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
-    """Linear interpolation of the grid at fine-cell centres, one plane (y, z) of the first axis at a time.
-
-    centres: three arrays, positions in cells of the grid, whose centres are integers; clamped at the border. Yields the
-    number of each plane and the plane, which the next one overwrites: with several threads, allocating each anew would
-    cost more than the arithmetic.
+    below: int32, the cell below each fine cell. share: float32, of the next one.
     """
-    below, share = [], []
-    for axis, position in enumerate(centres):
-        # Round, so that fine centres that coincide with a cell's centre do so exactly.
-        position = np.clip(np.round(position, 6), 0.0, grid.shape[axis] - 1.0)
-        cell = np.minimum(position.astype(int), grid.shape[axis] - 2)
-        below.append(cell)
-        share.append((position - cell).astype(np.float32))
-    first, last = below[0][0], below[0][-1] + 2
-    # The short axes first, before the grid grows along the long one.
-    grid = _along(_along(grid[first:last], below[2], share[2], 2), below[1], share[1], 1)
-    plane = np.empty(grid.shape[1:], np.float32)
-    for number, (cell, part) in enumerate(zip(below[0] - first, share[0])):
-        np.subtract(grid[cell + 1], grid[cell], out=plane)
-        plane *= part
-        plane += grid[cell]
-        yield number, plane
+
+    below: list[np.ndarray]
+    share: list[np.ndarray]
+
+    @classmethod
+    def of(cls, centres: Sequence[np.ndarray], shape: Sequence[int]) -> "Between":
+        """Of fine centres in cells of the grid, whose centres are integers; clamped at the border."""
+        below, share = [], []
+        for position, count in zip(centres, shape):
+            # Round, so that fine centres that coincide with a cell's centre do so exactly.
+            position = np.clip(np.round(position, 6), 0.0, count - 1.0)
+            below.append(np.minimum(position.astype(np.int32), count - 2))
+            share.append((position - below[-1]).astype(np.float32))
+        return cls(below, share)
+
+    def interpolated(self, grid: np.ndarray) -> np.ndarray:
+        """The grid at the fine cells."""
+        for axis, (below, share) in enumerate(zip(self.below, self.share)):
+            low, high = grid.take(below, axis), grid.take(below + 1, axis)
+            grid = low + (high - low) * share.reshape([-1 if a == axis else 1 for a in range(3)])
+        return grid
+
+    def described(self, grid: np.ndarray | None) -> Refinement:
+        """For the kernel; None: left out."""
+        if grid is None:
+            return Refinement()
+        return Refinement(
+            values=np.ascontiguousarray(grid, np.float32),
+            shape=np.array(grid.shape),
+            below=tuple(self.below),
+            share=tuple(self.share),
+        )
 
 
 @dataclass(frozen=True)
@@ -199,13 +220,15 @@ def build_lattices(
     bounds: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5),
     mapper: Callable[..., Iterable[None]] = map,
     earlier: Lattices | None = None,
+    kernels: Kernels | None = None,
 ) -> Lattices:
     """Lattices of mips 0 to 7 for one optical thickness and one sun.
 
     padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. sun: None for lattices
     of the density alone, which serve every sun. bounds: lowest and highest (3,), in the cube's frame, of the points to
     describe; what their stencils cannot reach is not built. mapper: `map`, or `Tasks.each` to build parts on several
-    threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused.
+    threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused. kernels: compiled
+    ones, or None.
 
     Density is interpolated before taking the logarithm, and optical depth before the exponential.
     """
@@ -232,27 +255,41 @@ def build_lattices(
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
         cube[0] = cube[0][start : start + planes[m]]
-        if not earlier:
-            for i, plane in _refined_planes(padded[m], [c * n + margin[m] - 0.5 for c in cube]):
-                plane *= scale
-                plane += np.float32(1.0)
-                np.log(plane, out=plane)
-                plane *= 1.0 / density_step
-                columns[i, ..., 0] = np.rint(np.minimum(plane, np.float32(QUANTA), out=plane), out=plane)
-        if sun is None:
-            return
+        density = None if earlier else padded[m]
+        depth = None if sun is None else sun.unit_depths[source - 1]
+        visibility = None if sun is None or sun.visibility is None else sun.visibility[source - 1]
         cells = LEVEL0_CELLS >> source
-        centres = [c * cells + margin[source] - 0.5 for c in cube]
-        visibility = None
-        if sun.visibility is not None:
-            visibility = _refined_planes(sun.visibility[source - 1], centres)
-        for i, plane in _refined_planes(sun.unit_depths[source - 1], centres):
-            plane *= np.float32(-sigma_hat * BETA**source)
-            np.exp(plane, out=plane)
+        fine = Between.of([c * n + margin[m] - 0.5 for c in cube], padded[m].shape)
+        coarse = Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
+        least = float(np.exp(-MAX_SHADOW_DEPTH * BETA**source))
+        depth_scale = sigma_hat * BETA**source
+        if kernels is not None:
+            grids = [fine.described(density), coarse.described(depth), coarse.described(visibility)]
+            kernels.prepare(
+                "fill_lattice",
+                LatticePart(
+                    shape=np.array(part.shape),
+                    density=grids[0],
+                    depth=grids[1],
+                    visibility=grids[2],
+                    density_scale=float(scale),
+                    density_step=float(density_step),
+                    depth_scale=depth_scale,
+                    least_visible=least,
+                    packed=columns,
+                    columns=columns.shape[-1],
+                    scratch=np.empty(2 * part.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
+                ),
+            )
+            return
+        if density is not None:
+            feature = np.log(np.float32(1.0) + scale * fine.interpolated(density))
+            columns[..., 0] = np.rint(np.minimum(feature * np.float32(1.0 / density_step), QUANTA))
+        if depth is not None:
+            passed = np.exp(np.float32(-depth_scale) * coarse.interpolated(depth))
             if visibility is not None:
-                plane *= _shaded(next(visibility)[1], BETA**source)
-            plane *= np.float32(QUANTA)
-            columns[i, ..., 1] = np.rint(plane, out=plane)
+                passed *= coarse.interpolated(visibility) * np.float32(1.0 - least) + np.float32(least)
+            columns[..., 1] = np.rint(passed * np.float32(QUANTA))
 
     # Small parts, so that a cancelled render ends soon.
     planes = [max(CELLS_PER_TASK // lattice[0].size, 1) for lattice in packed]

@@ -46,3 +46,10 @@ class DenseGrid:
         for axis in range(3):
             filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], self.CELL), axis=axis)
         return filled
+
+    def cell_peaks(self) -> np.ndarray:
+        """float32, the largest value in cells of CELL x CELL x CELL voxels."""
+        peaks = self.padded
+        for axis in range(3):
+            peaks = np.maximum.reduceat(peaks, np.arange(0, peaks.shape[axis], self.CELL), axis=axis)
+        return peaks

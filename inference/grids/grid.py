@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..kernels.library import Kernels
 from ..numerics.intersection import box_interval
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from ..plan.resolution import refinement
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
@@ -45,7 +46,7 @@ class Grid:
         self.emission = [_part(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
-        self.occupancy = Occupancy(filled, self.density.CELL, self.density.cells_first)
+        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = np.linalg.inv(volume.world_from_index)
@@ -56,8 +57,10 @@ class Grid:
         self._sun_depths: dict[bytes, SunOpticalDepth] = {}
         self._lock = threading.Lock()
 
-    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
-        """Optical depth towards each sun; directions: unit vectors (3,) in the world.
+    def sun_depths(
+        self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER, kernels: Kernels | None = None
+    ) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: unit vectors (3,) in the world. kernels: compiled ones, or None.
 
         Those of the last call are cached. Raises Cancelled.
         """
@@ -68,7 +71,7 @@ class Grid:
                 cancel.check()
                 key = bytes(direction)
                 if key not in self._sun_depths:
-                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel)
+                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel, kernels)
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:
@@ -81,7 +84,7 @@ class Grid:
         ends = np.array(
             [[(low, high)[b][axis] for axis, b in enumerate((x, y, z))] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
         )
-        return (ends - self.offset) @ np.linalg.inv(self.linear).T
+        return product(ends - self.offset, inverse(self.linear).T)
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""

@@ -1,27 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Several overlapping volumes as one medium."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from ..kernels.library import Kernels
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Volume
+from ..scene.sparse_grid import SparseGrid
+from .dense_grid import DenseGrid
 from .grid import Grid
-
-# Points evaluated at a time.
-POINTS_PER_BATCH = 1 << 20
+from .resampling import INNER, Placement, resample
 
 
 def merge(
-    grids: Sequence[Grid], media: Sequence[Medium], name: str, cancel: CancelToken = NEVER
+    grids: Sequence[Grid],
+    media: Sequence[Medium],
+    name: str,
+    cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
 ) -> tuple[Volume, Medium]:
     """One Volume and Medium with the extinction of several, and their mean albedo and mean cosine.
 
-    grids: Grid of each volume. Voxels are those of the finest grid, or the smallest multiple of them that leaves at
-    most 256 along an edge. The extinction is exact for grey media; for others each colour channel is proportional to
-    the mean. Albedo and mean cosine are weighted by extinction and by scattering. Raises Cancelled.
+    grids: Grid of each volume. kernels: compiled ones, or None. Voxels are those of the finest grid, or the smallest
+    multiple of them that leaves at most 256 along an edge. The extinction is exact for grey media; for others each
+    colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering.
+    Raises Cancelled.
     """
     finest = min(grids, key=lambda grid: grid.voxel)
     # Corners of all grids as indices of the finest.
@@ -41,7 +47,7 @@ def merge(
     grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
     density, totals = np.zeros(shape, np.float32), []
     for grid, factor in zip(grids, grey):
-        values = resampled(grid, grid.sample_density, world_from_index, shape, cancel)
+        values = resampled(grid, grid.density, world_from_index, shape, cancel, kernels)
         totals.append(float(values.sum(dtype=np.float64)))
         density += np.float32(factor) * values
     amounts = np.array(totals)[:, None]
@@ -56,38 +62,27 @@ def merge(
 
 def resampled(
     grid: Grid,
-    sample: Callable[[np.ndarray], np.ndarray],
+    values: DenseGrid | SparseGrid,
     world_from_index: np.ndarray,
     shape: np.ndarray,
     cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
+    power: int = 1,
 ) -> np.ndarray:
     """Values of a Grid at the voxels of another: float32 of `shape`.
 
-    sample: values (N,) of the grid at continuous indices (3, N). world_from_index: (4, 4) transform of the other grid.
-    Takes the interpolant at voxel centres, or the mean of 2 x 2 x 2 points per voxel where those are the larger voxels.
-    Raises Cancelled.
+    values: the grid's density, or a channel of its emission. world_from_index: (4, 4) transform of the other grid.
+    kernels: compiled ones, or None. power: of the values. Takes the interpolant at voxel centres, or the mean of 2 x 2
+    x 2 points per voxel where those are the larger voxels. Raises Cancelled.
     """
-    values = np.zeros(shape, np.float32)
-    index_from_other = grid.linear @ world_from_index[:3, :3]
+    out = np.zeros(shape, np.float32)
+    linear = grid.linear @ world_from_index[:3, :3]
     offset = grid.linear @ world_from_index[:3, 3] + grid.offset
     # Voxels of the other grid that the support can reach.
     back = (grid.corners() - world_from_index[:3, 3]) @ np.linalg.inv(world_from_index[:3, :3]).T
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
-    size = np.linalg.norm(index_from_other, axis=0).max()
-    places = np.array([0.0]) if size < 1.5 else np.array([-0.25, 0.25])
-    inner = np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
-    axes = [np.arange(l, h) for l, h in zip(low, high)]
-    rows = max(POINTS_PER_BATCH // max(len(axes[1]) * len(axes[2]), 1), 1)
-    for start in range(0, len(axes[0]), rows):
-        cancel.check()
-        slab = np.stack(np.meshgrid(axes[0][start : start + rows], *axes[1:], indexing="ij"), axis=-1)
-        centre = slab.reshape(-1, 3) @ index_from_other.T + offset
-        found = np.zeros(len(centre), np.float32)
-        for place in inner @ index_from_other.T:
-            index = (centre + place).T.astype(np.float32)
-            filled = np.flatnonzero(grid.occupancy.near(index))
-            found[filled] += sample(index[:, filled]) / len(inner)
-        x = slice(low[0] + start, low[0] + start + len(slab))
-        values[x, low[1] : high[1], low[2] : high[2]] = found.reshape(slab.shape[:3])
-    return values
+    places = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
+    reached = out[tuple(map(slice, low, high))]
+    resample(values, power, grid.occupancy, Placement(linear, offset, places).beside(low), reached, cancel, kernels)
+    return out

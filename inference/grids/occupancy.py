@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which parts of a grid are empty, so that camera rays may skip them."""
+"""Which parts of a grid are empty, so that camera rays may skip them, and how dense the others are at most."""
 
 import numpy as np
 
@@ -10,20 +10,14 @@ REACH = 2
 class Occupancy:
     """Coarse cells of a grid, such that every point near a value other than 0 lies in a filled cell.
 
-    filled: bool (cx, cy, cz), cells that hold a value other than 0. cell: voxels along an edge of a cell, more than
-    REACH. first: (3,), position of voxel 0 in the cells.
+    filled: bool (cx, cy, cz), cells that hold a value other than 0. peaks: float32 (cx, cy, cz), largest density in
+    each. cell: voxels along an edge of a cell, more than REACH. first: (3,), position of voxel 0 in the cells.
     """
 
-    def __init__(self, filled: np.ndarray, cell: int, first: np.ndarray):
+    def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
         self.cell, self.first = cell, first
-        # Neighbours of filled cells count as filled.
-        for axis in range(3):
-            around = np.moveaxis(filled, axis, 0)
-            grown = around.copy()
-            grown[1:] |= around[:-1]
-            grown[:-1] |= around[1:]
-            filled = np.moveaxis(grown, 0, axis)
-        self.filled = np.ascontiguousarray(filled)
+        # Neighbours of filled cells count as filled, and what they hold as near.
+        self.filled, self.peaks = _grown(filled), _grown(peaks)
 
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""
@@ -31,10 +25,29 @@ class Occupancy:
 
     def near(self, index: np.ndarray) -> np.ndarray:
         """bool (N,): False only where all values within REACH of continuous indices float32 (3, N) are 0."""
+        return self.filled.reshape(-1).take(self._cell(index))
+
+    def peak(self, index: np.ndarray) -> np.ndarray:
+        """Upper bound float32 (N,) of the density within REACH of continuous indices float32 (3, N)."""
+        return self.peaks.reshape(-1).take(self._cell(index))
+
+    def _cell(self, index: np.ndarray) -> np.ndarray:
+        """Numbers (N,) of cells."""
         base: np.ndarray | int = 0
         for at, first, size in zip(index, self.first, self.filled.shape):
             # Points outside are clamped onto the border.
             cell = (at + np.float32(first)) * np.float32(1.0 / self.cell)
             cell = np.clip(cell, np.float32(0.0), np.float32(size - 1))
             base = base * np.intp(size) + cell.astype(np.int32)
-        return self.filled.reshape(-1).take(base)
+        return np.asarray(base)
+
+
+def _grown(cells: np.ndarray) -> np.ndarray:
+    """The largest of the values of each cell and its neighbours."""
+    for axis in range(3):
+        around = np.moveaxis(cells, axis, 0)
+        grown = around.copy()
+        np.maximum(grown[1:], around[:-1], out=grown[1:])
+        np.maximum(grown[:-1], around[1:], out=grown[:-1])
+        cells = np.moveaxis(grown, 0, axis)
+    return np.ascontiguousarray(cells)

@@ -8,21 +8,25 @@ following rows that leave it unchanged, and are stored once.
 
 import numpy as np
 
-from ..plan.sun_columns import MORE, TilePlan, reached
+from ..kernels.field_structures import BlockSweep
+from ..kernels.library import Kernels
+from ..plan.sun_columns import MORE, TilePlan
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.sparse_grid import EDGE, SparseGrid
-from .optical_depth_sweep import cubic, shift_up
+from .optical_depth_sweep import column_placement, cubic, elements, shift_up
 
 
 class SparseColumns:
     """Optical depths of one SparseGrid, with the interface of DenseColumns.
 
     tiles: float32 (T, 8, 8), depths; tile 0 is 0. table: int32 (rows of blocks, tiles, tiles): twice the number of the
-    tile that stores the row's first slice, plus 1 where each slice has a tile of its own, in their order. Raises
-    Cancelled.
+    tile that stores the row's first slice, plus 1 where each slice has a tile of its own, in their order. kernels:
+    compiled ones, or None. Raises Cancelled.
     """
 
-    def __init__(self, grid: SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER):
+    def __init__(
+        self, grid: SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None
+    ):
         plan = TilePlan(grid, direction)
         shear, slabs = plan.shear, plan.slabs
         self.first = int(grid.first[shear.main]) - 1
@@ -33,7 +37,8 @@ class SparseColumns:
         self.size = [EDGE * n for n in plan.shape]
         self.tiles = np.zeros((plan.tiles(), EDGE, EDGE), np.float32)
         self.table = np.zeros((len(slabs), *plan.shape), np.int32)
-        columns, latest = np.zeros((*plan.shape, EDGE, EDGE), np.float32), np.zeros(plan.shape, np.int32)
+        plane, latest = np.zeros(self.size, np.float32), np.zeros(plan.shape, np.int32)
+        columns = plane.reshape(plan.shape[0], EDGE, plan.shape[1], EDGE).swapaxes(1, 2)
         free = 1
         for slab, touched, left in plan.rows():
             cancel.check()
@@ -47,16 +52,17 @@ class SparseColumns:
             free += EDGE * count
             self.table[slab] = latest
             b, c = np.nonzero(slabs[slab])
+            if kernels is not None:
+                _sweep_blocks(kernels, grid, plan, slab, (b, c), plane, touched, own)
+                continue
             blocks = np.moveaxis(grid.values[slabs[slab][b, c]], shear.main + 1, 1)
-            for index in shear.towards_sun(EDGE * slab, EDGE * (slab + 1)) if count else ():
+            for index in shear.towards_sun(EDGE * slab, EDGE * (slab + 1)):
                 (tile_b, in_b, f_b), (tile_c, in_c, f_c) = plan.place(index)
-                resampled = np.zeros((len(b), EDGE * reached(in_b), EDGE * reached(in_c)), np.float32)
-                half_slice = resampled[:, in_b : in_b + EDGE + MORE, in_c : in_c + EDGE + MORE]
-                half_slice[:] = shift_up(blocks[:, index % EDGE], f_b, f_c, cubic)
-                half_slice *= np.float32(shear.half_step)
-                _add(columns, resampled, b + tile_b, c + tile_c)
+                half_slices = shift_up(blocks[:, index % EDGE], f_b, f_c, cubic) * np.float32(shear.half_step)
+                firsts = list(zip(EDGE * (b + tile_b) + in_b, EDGE * (c + tile_c) + in_c))
+                _add(plane, half_slices, firsts)
                 own[:, index % EDGE] = np.maximum(columns[touched], 0.0)
-                _add(columns, resampled, b + tile_b, c + tile_c)
+                _add(plane, half_slices, firsts)
 
     def slices(self, number: np.ndarray) -> np.ndarray:
         """Where slices of the padded grid, int (N,), are stored."""
@@ -79,9 +85,43 @@ class SparseColumns:
         return found
 
 
-def _add(columns: np.ndarray, values: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-    """Add (n, 8 i, 8 j) to i by j tiles each, whose first is (b, c)."""
-    parts = values.reshape(len(values), -1, EDGE, values.shape[2] // EDGE, EDGE)
-    for i in range(parts.shape[1]):
-        for j in range(parts.shape[3]):
-            columns[b + i, c + j] += parts[:, i, :, j]
+def _sweep_blocks(
+    kernels: Kernels,
+    grid: SparseGrid,
+    plan: TilePlan,
+    slab: int,
+    places: tuple[np.ndarray, np.ndarray],
+    columns: np.ndarray,
+    touched: np.ndarray,
+    own: np.ndarray,
+) -> None:
+    """Add a row of blocks, at places (n,) and (n,), to columns, and fill the tiles that it touches."""
+    slices = np.array(plan.shear.towards_sun(EDGE * slab, EDGE * (slab + 1)))
+    starts, taps, _ = column_placement(plan.shear, slices, cubic)
+    values = np.ascontiguousarray(grid.values, np.float32)
+    kernels.prepare(
+        "sweep_blocks",
+        BlockSweep(
+            values=values,
+            rows=len(values),
+            strides=elements(np.moveaxis(values[0], plan.shear.main, 0)),
+            blocks=len(places[0]),
+            block_rows=plan.slabs[slab][places].astype(np.int64),
+            block_places=np.stack(places, axis=1).astype(np.int64),
+            slices=slices % EDGE,
+            starts=starts,
+            weights=taps,
+            half_step=plan.shear.half_step,
+            columns=columns,
+            size=np.array(columns.shape),
+            touched=len(own),
+            tiles=np.ascontiguousarray(np.argwhere(touched)),
+            depths=own,
+        ),
+    )
+
+
+def _add(columns: np.ndarray, values: np.ndarray, firsts: list[tuple[int, int]]) -> None:
+    """Add (n, 8 + MORE, 8 + MORE) to columns from the first ones of each on."""
+    for value, (b, c) in zip(values, firsts):
+        columns[b : b + EDGE + MORE, c : c + EDGE + MORE] += value

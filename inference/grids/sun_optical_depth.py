@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.sparse_grid import SparseGrid
@@ -48,10 +49,17 @@ class Integration:
 class SunOpticalDepth:
     """Optical depth through one grid towards one sun, for an extinction of 1 per unit density and world unit.
 
-    grid: DenseGrid or SparseGrid. direction: (3,) towards the sun, d(index)/d(world unit). Raises Cancelled.
+    grid: DenseGrid or SparseGrid. direction: (3,) towards the sun, d(index)/d(world unit). kernels: compiled ones, or
+    None. Raises Cancelled.
     """
 
-    def __init__(self, grid: DenseGrid | SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER):
+    def __init__(
+        self,
+        grid: DenseGrid | SparseGrid,
+        direction: np.ndarray,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ):
         self.grid, self.direction, self.main = grid, direction, int(np.abs(direction).argmax())
         self.peak = grid.peak
         self.others = [axis for axis in range(3) if axis != self.main]
@@ -61,9 +69,9 @@ class SunOpticalDepth:
         self.length = np.float32(1.0 / abs(direction[self.main]))
         self.columns: SparseColumns | DenseColumns
         if isinstance(grid, SparseGrid):
-            self.columns = SparseColumns(grid, direction, cancel)
+            self.columns = SparseColumns(grid, direction, cancel, kernels)
         else:
-            self.columns = DenseColumns(grid.padded, direction, cancel)
+            self.columns = DenseColumns(grid.padded, direction, cancel, kernels)
 
     def integration(self, sigma_t: float) -> Integration:
         """How the optical depth is found for an extinction per unit density and world unit."""

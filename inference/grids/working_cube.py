@@ -5,25 +5,28 @@ Positions in its frame lie in [-1/2, 1/2]^3. Networks see the medium's optical t
 extinction per unit density times the edge of the cube, dimensionless.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..kernels import structures
+from ..kernels.field_structures import CellMeans
+from ..kernels.library import Kernels
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from ..scene.sparse_grid import SparseGrid
 from .bounds import active_bounds
 from .dense_grid import DenseGrid
+from .described import describe_blocks
 from .occupancy import Occupancy
+from .resampling import INNER, Placement, resample
 
 # Axes of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
-# Voxels of an axis that are averaged at a time, and planes of voxels between two polls of cancellation.
-SLAB, PLANES = 16, 4
-# Rows of cells of a plane that are resampled between two polls of cancellation.
-ROWS = 64
+# Planes between two polls of cancellation.
+PLANES = 4
 
 
 @dataclass
@@ -86,26 +89,94 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
     return ((integral[1:] - integral[:-1]) / width).astype(np.float32)
 
 
-def level0_density(volume: Volume, cube: Cube, cancel: CancelToken = NEVER) -> np.ndarray:
+def level0_density(
+    volume: Volume,
+    cube: Cube,
+    cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
     """Mean density in each cell of the cube: float32 (256, 256, 256).
 
     Exact means of the trilinear interpolant where grid and cube share their axes; for sheared transforms the mean of
-    2 x 2 x 2 points per cell. Raises Cancelled.
+    2 x 2 x 2 points per cell. kernels: compiled ones, or None. out: zeros to fill, or None. Raises Cancelled.
     """
+    cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32) if out is None else out
     index_from_world = np.linalg.inv(volume.world_from_index)
     index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
     origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
     scale = np.diag(index_from_cube)
     if np.abs(index_from_cube - np.diag(scale)).max() > PERPENDICULAR * np.abs(scale).max():
-        return _resample_sheared(volume.density, index_from_cube, origin + cube.low, cancel)
+        linear = index_from_cube / LEVEL0_CELLS
+        centre = origin + cube.low + linear @ np.full(3, 0.5 - LEVEL0_CELLS / 2)
+        grid = volume.density if isinstance(volume.density, SparseGrid) else DenseGrid(volume.density)
+        occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
+        resample(grid, 1, occupancy, Placement(linear, centre, INNER @ linear.T), cells, cancel, kernels)
+        return cells
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
     weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]
-    cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
+    firsts, bands = zip(*map(_banded, weights))
+    if kernels is not None:
+        _mean_cells(kernels, volume.density, cube, (firsts, bands), cells, cancel)
+        return cells
     for low, slab in _slabs(volume.density, cube):
         cancel.check()
-        x, y, z = (part[:, start : start + n] for part, start, n in zip(weights, low - cube.low, slab.shape))
-        _add_weighted(cells, x, _weighted(y, _weighted(z, slab, 2), 1), 0)
-    return np.maximum(cells, 0.0)
+        first = low - cube.low
+        planes = np.zeros((len(slab), *(cube.high - cube.low)[1:]), np.float32)
+        planes[:, first[1] : first[1] + slab.shape[1], first[2] : first[2] + slab.shape[2]] = slab
+        for axis in (2, 1):
+            shape = [-1 if a == axis else 1 for a in range(3)]
+            planes = sum(
+                part.reshape(shape) * planes.take(firsts[axis] + n, axis) for n, part in enumerate(bands[axis].T)
+            )
+        for number, plane in enumerate(planes, first[0]):
+            met = np.flatnonzero(weights[0][:, number])
+            cells[met] += weights[0][met, number][:, None, None] * plane
+    return np.maximum(cells, 0.0, out=cells)
+
+
+def _mean_cells(
+    kernels: Kernels,
+    density: np.ndarray | SparseGrid,
+    cube: Cube,
+    bands: tuple[Sequence[np.ndarray], Sequence[np.ndarray]],
+    cells: np.ndarray,
+    cancel: CancelToken,
+) -> None:
+    """Fill cells with the means of a density; bands: of `_banded`, along each axis."""
+    if isinstance(density, SparseGrid):
+        grid = describe_blocks(density)
+    else:
+        grid = structures.Grid(values=np.ascontiguousarray(density, np.float32), shape=np.array(density.shape))
+    firsts, weights = bands
+    widths, n, voxels = [band.shape[1] for band in weights], LEVEL0_CELLS, cube.high - cube.low
+    data = CellMeans(
+        density=grid,
+        low=cube.low,
+        voxels=voxels,
+        cells=n,
+        widths=np.array(widths),
+        firsts=tuple(firsts),
+        weights=tuple(weights),
+        strides=np.array(cells.strides) // cells.itemsize,
+        held=np.full(widths[0], -1, np.int64),
+        scratch=np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32),
+    )
+    data.out = cells.ctypes.data
+    for start in range(0, n, PLANES):
+        cancel.check()
+        data.begin, data.end = start, start + PLANES
+        kernels.prepare("mean_cells", data)
+
+
+def _banded(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First voxel int (cells,) of each row of weights (cells, voxels) that is not 0, and float32 (cells, width)."""
+    count = weights.shape[1]
+    met = weights != 0.0
+    first = met.argmax(axis=1)
+    width = max(int((count - met[:, ::-1].argmax(axis=1) - first)[met.any(axis=1)].max(initial=1)), 1)
+    first = np.minimum(first, count - width)
+    return first, np.take_along_axis(weights, first[:, None] + np.arange(width), 1)
 
 
 def _slabs(density: np.ndarray | SparseGrid, cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -117,49 +188,3 @@ def _slabs(density: np.ndarray | SparseGrid, cube: Cube) -> Iterator[tuple[np.nd
     inside = tuple(map(slice, cube.low, cube.high))
     for start in range(cube.low[0], cube.high[0], PLANES):
         yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + PLANES, cube.high[0])), *inside[1:])]
-
-
-def _weighted(weights: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
-    """Sums along one axis of values (x, y, z) with weights (cells, voxels)."""
-    shape = list(values.shape)
-    shape[axis] = len(weights)
-    sums = np.zeros(shape, np.float32)
-    _add_weighted(sums, weights, values, axis)
-    return sums
-
-
-def _add_weighted(sums: np.ndarray, weights: np.ndarray, values: np.ndarray, axis: int) -> None:
-    """Add to `sums` the sums along one axis of values (x, y, z) with weights (cells, voxels), most of which are 0."""
-    for start in range(0, values.shape[axis], SLAB):
-        few = (slice(None),) * axis + (slice(start, start + SLAB),)
-        part = weights[:, few[-1]]
-        met = np.flatnonzero(part.any(axis=1))
-        if len(met):
-            cells = slice(met[0], met[-1] + 1)
-            into, some, part = sums[(*few[:-1], cells)], values[few], part[cells]
-            # One small product per plane: see `small_matmul`.
-            if axis == 2:
-                into += np.matmul(some, part.T)
-            elif axis == 1:
-                into += np.matmul(part, some)
-            else:
-                into += np.matmul(part, some.transpose(1, 0, 2)).transpose(1, 0, 2)
-
-
-def _resample_sheared(
-    density: np.ndarray | SparseGrid, index_from_cube: np.ndarray, origin: np.ndarray, cancel: CancelToken
-) -> np.ndarray:
-    grid = density if isinstance(density, SparseGrid) else DenseGrid(density)
-    occupancy = Occupancy(grid.cells(), grid.CELL, grid.cells_first)
-    cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32)
-    inner = (np.arange(2 * LEVEL0_CELLS) + 0.5) / (2 * LEVEL0_CELLS) - 0.5
-    for i, j in np.ndindex(LEVEL0_CELLS, LEVEL0_CELLS // ROWS):
-        cancel.check()
-        rows = slice(j * ROWS, (j + 1) * ROWS)
-        axes = inner[2 * i : 2 * i + 2], inner[2 * rows.start : 2 * rows.stop], inner
-        points = np.stack(np.meshgrid(*axes, indexing="ij"))
-        index = (index_from_cube @ points.reshape(3, -1) + origin[:, None]).astype(np.float32)
-        near, fine = np.flatnonzero(occupancy.near(index)), np.zeros(index.shape[1], np.float32)
-        fine[near] = grid.sample(index[:, near])
-        cells[i, rows] = fine.reshape(2, ROWS, 2, LEVEL0_CELLS, 2).mean(axis=(0, 2, 4))
-    return cells

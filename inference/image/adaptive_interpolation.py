@@ -17,7 +17,10 @@ from ..plan.resolution import BAND
 # Edge of a square in pixels, and the difference of its centre to what its corners predict that is tolerated, as a
 # fraction of the light there over the root of the number of depth samples. In smaller squares a difference concerns
 # fewer pixels.
-LEVELS = ((4, 0.03), (2, 0.07))
+LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
+# The same for squares as large as a voxel, in proportion for smaller and larger ones: nothing within a voxel varies
+# so much, but for the noise of depth sampling.
+VOXEL_DIFFERENCE = 0.06
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0
@@ -37,6 +40,11 @@ def _weights(stride: int) -> np.ndarray:
     return np.column_stack([corners - 0.25 * pyramid[:, None], pyramid])
 
 
+def _in_band(first: int, end: int) -> np.ndarray:
+    """Places of rows or columns in their bands."""
+    return np.arange(first, end) % BAND
+
+
 class Squares:
     """The squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
 
@@ -46,9 +54,10 @@ class Squares:
     def __init__(self, window: tuple[int, int, int, int], stride: int):
         x0, y0, x1, y1 = window
         width = x1 - x0
-        columns = np.arange(-(-x0 // stride) * stride, x1 - stride, stride)
-        rows = np.arange(y0, max(y1 - stride, y0))
-        rows = rows[(rows % BAND % stride == 0) & (rows % BAND + stride < BAND)]
+        columns, rows = (
+            first + np.flatnonzero((_in_band(first, end) % stride == 0) & (_in_band(first, end) + stride < BAND))
+            for first, end in ((x0, max(x1 - stride, x0)), (y0, max(y1 - stride, y0)))
+        )
         first = ((rows - y0)[:, None] * width + (columns - x0)).reshape(-1, 1)
         within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
         centre = within[stride // 2, stride // 2]
@@ -78,14 +87,9 @@ class Squares:
 
     def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
         """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean."""
-        known = values[self.known].T
-        largest, total = np.zeros((2, len(self.known)), np.float32)
-        for place, weights in enumerate(self.weights):
-            at = self.pixels[:, place]
-            off = np.abs(values[at] - sum(weight * column for weight, column in zip(weights, known)))
-            np.maximum(largest, off * opacity[at], out=largest)
-            total += values[at] * opacity[at]
-        return largest / np.maximum(total / len(self.weights), np.float32(1e-30))
+        found, seen = values[self.pixels], opacity[self.pixels]
+        largest = (np.abs(found - self._interpolated(values, slice(None))) * seen).max(axis=1, initial=0.0)
+        return largest / np.maximum((found * seen).mean(axis=1), 1e-30)
 
     def all_known(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether corners and centre are all in a mask (P,)."""
@@ -105,12 +109,15 @@ class Squares:
 
     def fill(self, values: np.ndarray, smooth: np.ndarray, pixels: np.ndarray) -> None:
         """Interpolate values (P,) in some squares (S,), in place, at the pixels that `interior` gives, bool (P,)."""
-        known = values[self.known[smooth]]
-        for place, weights in enumerate(self.weights):
-            at = self.pixels[smooth, place]
-            wanted = pixels[at]
-            # Added one after another: the same result whatever other squares there are.
-            values[at[wanted]] = sum(weight * column for weight, column in zip(weights, known[wanted].T))
+        at = self.pixels[smooth]
+        wanted = pixels[at]
+        values[at[wanted]] = self._interpolated(values, smooth)[wanted]
+
+    def _interpolated(self, values: np.ndarray, chosen: np.ndarray | slice) -> np.ndarray:
+        """(S, places), from values (P,) at corners and centres of some squares."""
+        known = values[self.known[chosen]]
+        # Added one after another: the same result whatever other squares there are.
+        return sum(known[:, k, None] * self.weights[:, k].astype(known.dtype) for k in range(known.shape[1]))
 
 
 def interpolable(
@@ -120,15 +127,15 @@ def interpolable(
     opacity: np.ndarray,
     single: np.ndarray,
     ahead: np.ndarray | None,
-    difference: float,
+    difference: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which squares may be interpolated, bool (S,), and the differences (S,) between their centres and corners.
 
     mean: (P,), multiple scattering over opacity in known pixels. error: (P,), its standard error. opacity: (P,).
     single: (P,), single scattering. ahead: (P,), mean over opacity of the scattered light ahead along a pixel's ray, or
-    None. difference: tolerated error of a centre, as a fraction of the light there.
+    None. difference: (P,), tolerated error of a centre, as a fraction of the light there.
     """
-    fraction = np.float32(difference)
+    fraction = squares.centres(difference)
     centre_error = squares.centre_error(mean)
     tolerance = fraction * squares.centres(single + mean * opacity)
     noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=1)) * squares.centres(opacity)

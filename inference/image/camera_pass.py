@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..grids.grid import Grid
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
@@ -61,12 +60,17 @@ class _TileRays:
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
 ) -> DepthSamples | None:
-    """Fill the tile's single scattering, emission, alpha and depth.
+    """Add single scattering to the tile, and in the channels' first pass emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
     """
-    report = context.report
+    with tile.report.stage("march"):
+        return _march(context, scene, channel_pass, tile)
+
+
+def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> DepthSamples | None:
+    report = tile.report
     rays = _tile_rays(context, scene, channel_pass, tile)
     if rays is None:
         return None
@@ -79,29 +83,21 @@ def march_tile(
             "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(context, scene, counts)
-    hit = np.arange(len(rays.pixel))
-    shade = _Shading(scene, channel_pass, tile.camera)
-
-    def task(some: np.ndarray) -> _MarchedRays:
+    shade, parts, features = _Shading(scene, channel_pass, tile.camera), [], []
+    for start in range(0, len(rays.pixel), size):
+        context.cancel.check()
+        some = slice(start, start + size)
         batch = rays.batch.take(some)
         segment = channel_pass.march(batch)
-        return _MarchedRays(some, segment, shade.single(segment, batch, rays.pixel[some], rays.free[some]))
-
-    parts, features = [], []
-    context.progress.message("single scattering")
-    with report.stage("march"), context.progress.stage("march"):
-        batches = [hit[start : start + size] for start in range(0, len(hit), size)]
-        for marched in context.tasks.map(task, batches):
-            some, segment = marched.rays, marched.segment
-            report.count("steps evaluated", segment.steps_evaluated)
-            report.count("rays that meet density", np.count_nonzero(segment.alpha))
-            _add(tile.framebuffer, scene, channel_pass, rays, marched)
-            ray = some[segment.sample_ray].astype(np.int32)
-            weight = segment.sample_weight * rays.share[ray]
-            parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
-            if segment.sample_features is not None:
-                features.append(segment.sample_features.values)
-            context.progress.advance("march", segment.steps_evaluated)
+        single = shade.single(segment, batch, rays.pixel[some], rays.free[some])
+        report.count("steps evaluated", segment.steps_evaluated)
+        report.count("rays that meet density", np.count_nonzero(segment.alpha))
+        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
+        ray = (start + segment.sample_ray).astype(np.int32)
+        weight = segment.sample_weight * rays.share[ray]
+        parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
+        if segment.sample_features is not None:
+            features.append(segment.sample_features.values)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     gathered = RayFeatures(np.concatenate(features)) if features else None
     samples = DepthSamples(
@@ -151,28 +147,28 @@ def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndar
 class _MarchedRays:
     """What a batch of R rays gathered.
 
-    rays: int (R,), numbers of the tile's rays. single: (R, V, L), for albedo 1 and irradiance 1.
+    pixel, share: (R,), as in _TileRays. single: (R, V, L), for albedo 1 and irradiance 1.
     """
 
-    rays: np.ndarray
+    pixel: np.ndarray
+    share: np.ndarray
     segment: RaySegment
     single: np.ndarray
 
 
-def _add(
-    framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, rays: _TileRays, marched: _MarchedRays
-) -> None:
+def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: _MarchedRays) -> None:
     """Add what a batch of rays gathered to the tile."""
-    pixel, weight = rays.pixel[marched.rays], rays.share[marched.rays]
-    segment, single, emission = marched.segment, marched.single, marched.segment.emission
+    pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
+    for c in indices:
+        albedo = np.array([medium.albedo[c] for _, medium in scene.plan.volumes])
+        irradiance = np.array([scene.plan.suns[l].irradiance[c] for l in channel_pass.suns])
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,v,l,r->r", marched.single, albedo, irradiance, weight))
+    if not channel_pass.first:
+        return
     if emission is not None:
         for number, c in enumerate(indices):
             add_at(framebuffer.emission[:, c], pixel, emission[:, number] * weight)
-    for c in indices:
-        albedo = np.array([medium.albedo[c] for _, medium in scene.plan.volumes])
-        irradiance = np.array([sun.irradiance[c] for sun in scene.plan.suns])
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,v,l,r->r", single, albedo, irradiance, weight))
     part = len(indices) / 3.0
     add_at(framebuffer.alpha, pixel, segment.alpha * weight * part)
     add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * part)
@@ -184,19 +180,23 @@ class _Shading:
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
         suns = scene.plan.suns
         self.extended_lights, self.camera = scene.extended_lights, camera
-        self.directions = np.array([sun.direction for sun in suns]).reshape(-1, 3)
-        self.extended = [l for l, sun in enumerate(suns) if sun.spread is not None]
+        self.directions = np.array([suns[l].direction for l in channel_pass.suns]).reshape(-1, 3)
+        extended = [l for l, sun in enumerate(suns) if sun.spread is not None]
+        # Their places among the suns of the pass, and among the extended ones.
+        self.extended = [place for place, l in enumerate(channel_pass.suns) if l in extended]
+        self.used = [place for place, l in enumerate(extended) if l in channel_pass.suns]
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
 
     def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Single scattering (R, V, L) of a batch's rays by volume and sun, for albedo 1 and irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
-        if self.extended_lights is None:
+        if self.extended_lights is None or not self.extended:
             return segment.single * phase
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
-        phase[..., self.extended], ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
+        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)[..., self.used]
+        phase[..., self.extended] = towards
         # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
         straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
@@ -207,9 +207,9 @@ class _Shading:
 
 def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
     """The camera rays that meet a volume, or None if there are none."""
-    report, settings = context.report, context.settings
+    report, settings = tile.report, context.settings
     # No rays are made for pixels away from every volume.
-    around, pixel = _crop_to_volumes(tile.camera, scene.grids, "missed_pixels" in settings.leave_out)
+    around, pixel = _crop_to_volumes(tile.camera, scene.corners, "missed_pixels" in settings.leave_out)
     report.count("camera rays", len(pixel))
     report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(pixel))
     if not len(pixel):
@@ -217,7 +217,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     origins, directions, *clip = camera_rays(around)
     offsets = lookup_offsets(around, settings.seed)
     near, far, warnings = _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
-    report.warnings += [warning for warning in warnings if warning not in report.warnings]
+    report.warn(warnings)
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
@@ -235,15 +235,15 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     )
 
 
-def _crop_to_volumes(camera: Camera, grids: Sequence[Grid], crop: bool) -> tuple[Camera, np.ndarray]:
-    """The camera with the pixels around all grids as its region, and their numbers (P,) in its own window.
+def _crop_to_volumes(camera: Camera, corners: np.ndarray, crop: bool) -> tuple[Camera, np.ndarray]:
+    """The camera with the pixels around all volumes as its region, and their numbers (P,) in its own window.
 
-    crop: without, all pixels.
+    corners: (N, 3), of the volumes in the world. crop: without, all pixels.
     """
     x0, y0, x1, y1 = camera.window
     if not crop:
         return camera, np.arange((x1 - x0) * (y1 - y0))
-    left, top, right, bottom = window_around(camera, np.concatenate([grid.corners() for grid in grids]))
+    left, top, right, bottom = window_around(camera, corners)
     pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
     return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()
 

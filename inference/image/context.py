@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a render holds while it runs."""
 
+import functools
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
@@ -20,7 +23,6 @@ from ..runtime.report import Report
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
 from ..scene.settings import Settings
-from ..transport.scattered_fluence import ScatteredFluence
 from .framebuffer import Framebuffer
 
 
@@ -62,16 +64,21 @@ class PreparedScene:
     groups: list[ScatteringGroup | None]
     network: System | None = None
 
+    @functools.cached_property
+    def corners(self) -> np.ndarray:
+        """Corners (8 V, 3) of the volumes in the world."""
+        return np.concatenate([grid.corners() for grid in self.grids])
+
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
         return [
             (g, group) for g, group in enumerate(self.groups) if group is not None and self.plan.predicts(g, channels)
         ]
 
-    def media(self, channels: Channels) -> list[BoundMedium]:
-        """The volumes bound to their grids and to their extinction in some colour channels."""
+    def media(self, channels: Channels, suns: list[int]) -> list[BoundMedium]:
+        """The volumes bound to their grids, to their extinction in some colour channels and to some of the suns."""
         return [
-            BoundMedium(grid, medium, float(sigma_t), depths)
+            BoundMedium(grid, medium, float(sigma_t), [depths[l] for l in suns])
             for grid, (_, medium), sigma_t, depths in zip(
                 self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths
             )
@@ -80,34 +87,30 @@ class PreparedScene:
 
 @dataclass(frozen=True)
 class ChannelPass:
-    """Colour channels that are rendered together.
+    """Colour channels and suns that are rendered together.
 
-    media: of each volume, with its extinction in these channels. fluence: of each group, None for groups without
-    prediction; None altogether for networks that need no ray features. march: marches camera rays through the media.
+    suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
+    does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
+    rays through the media.
     """
 
     channels: Channels
+    suns: list[int]
+    first: bool
     media: list[BoundMedium]
-    fluence: list[ScatteredFluence | None] | None
     march: Marcher
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Rows of the image that are rendered together: a camera whose region they are, and their pixels."""
+    """A part of the image that one thread renders: a camera whose region it is, its pixels, and what was done."""
 
     camera: Camera
     framebuffer: Framebuffer
+    report: Report
 
-
-def make_tiles(plan: Plan, camera: Camera, framebuffer: Framebuffer) -> list[Tile]:
-    """The plan's tiles, each sharing memory with the framebuffer."""
-    x0, y0, x1, _ = camera.window
-    width = x1 - x0
-    return [
-        Tile(
-            replace(camera, region=(x0, top, x1, bottom)),
-            framebuffer.part(slice((top - y0) * width, (bottom - y0) * width)),
-        )
-        for top, bottom in plan.tiles
-    ]
+    @classmethod
+    def of(cls, camera: Camera, window: tuple[int, int, int, int]) -> "Tile":
+        """A black tile."""
+        x0, y0, x1, y1 = window
+        return cls(replace(camera, region=window), Framebuffer.black((y1 - y0) * (x1 - x0)), Report.of_thread())

@@ -5,6 +5,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+# (x0, y0, x1, y1): upper left pixel inclusive, lower right exclusive.
+Window = tuple[int, int, int, int]
+
 
 @dataclass
 class Framebuffer:
@@ -26,9 +29,26 @@ class Framebuffer:
         """A framebuffer of zeros."""
         return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((3, pixels), np.float32))
 
-    def part(self, pixels: slice) -> "Framebuffer":
-        """Some of the pixels, sharing memory."""
-        return Framebuffer(*(getattr(self, field.name)[pixels] for field in fields(self)))
+    def part(self, window: Window, part: Window) -> "Framebuffer":
+        """A copy of the pixels in a part of this one's window."""
+        return Framebuffer(
+            *(np.array(image[_place(window, part)]).reshape(-1, *image.shape[2:]) for image in self._images(window))
+        )
+
+    def add(self, window: Window, other: "Framebuffer", part: Window) -> None:
+        """Add what another framebuffer holds to a part of this one's window."""
+        for image, more in zip(self._images(window), other._images(part)):
+            image[_place(window, part)] += more
+
+    def _images(self, window: Window) -> list[np.ndarray]:
+        """Views with rows and columns."""
+        x0, y0, x1, y1 = window
+        images = (getattr(self, field.name) for field in fields(self))
+        return [image.reshape(y1 - y0, x1 - x0, *image.shape[1:]) for image in images]
+
+
+def _place(window: Window, part: Window) -> tuple[slice, slice]:
+    return slice(part[1] - window[1], part[3] - window[1]), slice(part[0] - window[0], part[2] - window[0])
 
 
 def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray) -> None:

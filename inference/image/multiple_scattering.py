@@ -1,32 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
-from ..marching.extended_lights import equivalent_directions
+from ..marching.extended_lights import EquivalentDirections
 from ..network.predictor import POINTS_PER_TASK, Bounds, PreparedPredictor, VolumePredictor
-from ..plan.plan import Channels, Plan, distinct_albedos
-from ..render_cache import ScatteringGroup
-from ..scene.description import Medium
+from ..numerics.small_matmul import product
+from ..plan.plan import Channels, distinct_albedos
+from ..scene.camera import Camera
+from ..scene.camera_rays import pixel_size
 from ..transport.scattered_fluence import ScatteredFluence
-from .adaptive_interpolation import CENTRE_ERROR, LEVELS, Squares, interpolable
+from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
-from .work_estimate import WorkEstimate
 
 
 def solve_transport(
-    context: RenderContext, scene: PreparedScene, channels: Channels
+    context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int]
 ) -> list[ScatteredFluence | None] | None:
-    """Scattered fluence of each group in which multiple scattering is predicted.
+    """Scattered fluence of each group in which multiple scattering is predicted, of some suns.
 
     None for networks that need no ray features. Raises Cancelled.
     """
     network = scene.network
     if network is None or not network.needs_ray_features:
         return None
-    directions = [sun.direction for sun in scene.plan.suns]
+    directions = [scene.plan.suns[l].direction for l in suns]
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
@@ -36,72 +39,77 @@ def solve_transport(
     return found
 
 
-def add_multiple_scattering(
+def prepare_prediction(
     context: RenderContext,
     scene: PreparedScene,
     channel_pass: ChannelPass,
-    tile: Tile,
-    samples: DepthSamples,
-    work: WorkEstimate,
-) -> None:
-    """Add the predicted multiple scattering of every group and sun to the tile, and its uncertainty.
+    camera: Camera,
+    view: Sequence[DepthSamples],
+) -> list["Source"]:
+    """What predicts the multiple scattering of every group and sun of a pass. Raises Cancelled.
 
-    work: is told of each prediction. Raises Cancelled.
+    view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
+    any view.
     """
+    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
     for g, group in scene.predicted(channel_pass.channels):
-        for l in range(len(scene.plan.suns)):
-            source = _Source(scene.plan, g, l, channel_pass.channels.indices, group.medium)
-            _add_source(context, scene, group, tile, samples, source)
-            work.job_predicted(tile)
+        members, medium = plan.groups[g], group.medium
+        with context.report.stage("fields"):
+            bounds = _bounds(context, members, group.predictor, view)
+            for place, l in enumerate(channel_pass.suns):
+                sun = plan.suns[l]
+                with context.progress.stage("lattices", 1):
+                    prepared = group.predictor.prepare(
+                        float(medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
+                    )
+                context.report.count("cells of lookup fields", prepared.lattice_cells)
+                context.cancel.check()
+                source = Source(
+                    group=g,
+                    place=place,
+                    members=members,
+                    indices=indices,
+                    albedos=distinct_albedos(medium, indices, plan.optimizations),
+                    scattered=np.array([plan.volumes[v][1].albedo * sun.irradiance for v in members], np.float32),
+                    suns=len(plan.suns),
+                    voxel=min(scene.grids[v].voxel for v in members),
+                    prepared=prepared,
+                    directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                )
+                sources.append(source)
+    return sources
 
 
-def _add_source(
-    context: RenderContext,
-    scene: PreparedScene,
-    group: ScatteringGroup,
-    tile: Tile,
-    samples: DepthSamples,
-    source: "_Source",
+def add_multiple_scattering(
+    context: RenderContext, sources: Sequence["Source"], tile: Tile, samples: DepthSamples
 ) -> None:
-    """Add the multiple scattering of one group and one sun."""
-    plan, report, indices = scene.plan, context.report, source.indices
-    sun, members = plan.suns[source.sun], source.members
-    inside = np.flatnonzero(samples.fraction[:, members].any(axis=1))
-    if not len(inside):
-        return
-    context.progress.message(f"multiple scattering of {plan.group_name(source.group)}")
-    with report.stage("fields"):
-        bounds = _bounds(context, scene, group.predictor, samples, inside)
-        with context.progress.stage("lattices", 1):
-            prepared = group.predictor.prepare(
-                float(group.medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
-            )
-        report.count("cells of lookup fields", prepared.lattice_cells)
-        context.cancel.check()
-    report.count("network points wanted", len(inside))
-    directions = samples.directions
-    if sun.spread is not None:
-        directions = equivalent_directions(tile.camera, samples.pixel, directions, sun, group.medium.anisotropy)
-    estimate = _Estimate(context, samples, directions, tile, prepared, source)
-    with report.stage("network"), context.progress.stage("network"):
-        if "shared_pixels" not in context.settings.leave_out:
-            estimate.evaluate(inside)
-        else:
-            single = tile.framebuffer.single[:, indices].T / len(plan.suns)
-            _evaluate_adaptively(estimate, inside, tile.camera.window, single)
-    tile.framebuffer.multiple[:, indices] += estimate.radiance.T
-    tile.framebuffer.uncertainty += estimate.error
+    """Add the predicted multiple scattering of every source to the tile, and its uncertainty. Raises Cancelled."""
+    with tile.report.stage("network"):
+        for source in sources:
+            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            if not len(inside):
+                continue
+            tile.report.count("network points wanted", len(inside))
+            estimate = _Estimate(context, samples, tile, source)
+            if "shared_pixels" not in context.settings.leave_out:
+                estimate.evaluate(inside)
+            else:
+                single = tile.framebuffer.single[:, source.indices].T / source.suns
+                _evaluate_adaptively(estimate, inside, tile.camera.window, single)
+            tile.framebuffer.multiple[:, source.indices] += estimate.radiance.T
+            tile.framebuffer.uncertainty += estimate.error
 
 
 def _bounds(
-    context: RenderContext, scene: PreparedScene, predictor: VolumePredictor, samples: DepthSamples, inside: np.ndarray
+    context: RenderContext, members: list[int], predictor: VolumePredictor, view: Sequence[DepthSamples]
 ) -> Bounds:
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
     if "unread_fields" not in context.settings.leave_out:
         return np.full(3, -0.5), np.full(3, 0.5)
-    if context.cache.any_view or len(scene.plan.tiles) > 1:
+    inside = [(samples, np.flatnonzero(samples.fraction[:, members].any(axis=1))) for samples in view]
+    bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
+    if not bounds:
         return predictor.extent()
-    bounds = [predictor.bounds(samples.positions(points)) for points in _batches(inside)]
     return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
 
 
@@ -110,76 +118,82 @@ def _batches(points: np.ndarray) -> list[np.ndarray]:
     return [points[i : i + POINTS_PER_TASK] for i in range(0, len(points), POINTS_PER_TASK)]
 
 
-class _Source:
+@dataclass(frozen=True)
+class Source:
     """One group of volumes in the light of one sun.
 
-    members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: distinct
-    albedos of these channels, and the channels of each. scattered: float32 (V, 3), albedo times irradiance of each of
-    the group's volumes.
+    group: its number. place: of the sun among those that are rendered together. members: numbers of the group's
+    volumes. indices: colour channels that are rendered together. albedos: distinct albedos of these channels, and the
+    channels of each. scattered: float32 (V, 3), albedo times irradiance of each of the group's volumes. suns: how many
+    there are altogether. voxel: shortest edge of the group's voxels. prepared: what predicts. directions: in which it
+    sees camera rays.
     """
 
-    def __init__(self, plan: Plan, g: int, l: int, indices: list[int], medium: Medium):
-        self.group, self.sun, self.members, self.indices = g, l, plan.groups[g], indices
-        self.albedos = distinct_albedos(medium, indices, plan.optimizations)
-        irradiance = plan.suns[l].irradiance
-        self.scattered = np.array([plan.volumes[v][1].albedo * irradiance for v in self.members], np.float32)
+    group: int
+    place: int
+    members: list[int]
+    indices: list[int]
+    albedos: list[tuple[float, list[int]]]
+    scattered: np.ndarray
+    suns: int
+    voxel: float
+    prepared: PreparedPredictor
+    directions: EquivalentDirections
 
 
 class _Estimate:
-    """The network's estimate of one group's multiple scattering of one sun, in P pixels.
+    """The network's estimate of one source's multiple scattering in a tile of P pixels.
 
-    directions: (R, 3), in which the network sees the samples' rays. radiance: float64 (C, P), of the channels rendered
-    together; in double precision it does not depend on how points are divided among calls. error: float32 (P,), its
-    standard error, as a mean over all three channels.
+    radiance: float64 (C, P), of the channels rendered together; in double precision it does not depend on how points
+    are divided among calls. error: float32 (P,), its standard error, as a mean over all three channels.
     """
 
-    def __init__(
-        self,
-        context: RenderContext,
-        samples: DepthSamples,
-        directions: np.ndarray,
-        tile: Tile,
-        prepared: PreparedPredictor,
-        source: _Source,
-    ):
+    def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: Source):
         pixels = len(tile.framebuffer.alpha)
-        self.context, self.samples, self.prepared, self.source = context, samples, prepared, source
+        self.context, self.samples, self.source, self.report = context, samples, source, tile.report
+        self.camera = tile.camera
         self.fraction = samples.fraction[:, source.members]
-        self.directions = directions
+        self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
-        context, samples, source = self.context, self.samples, self.source
+        samples, source = self.samples, self.source
         values = [value for value, _ in source.albedos]
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
-
-        def task(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            directions = self.directions[samples.ray[points]]
-            return points, self.prepared.predict(
-                samples.positions(points), directions, values, samples.jitter(points), self._features(points)
+        for done in _batches(points):
+            self.context.cancel.check()
+            directions = self.directions[samples.ray[done]]
+            radiance = source.prepared.predict(
+                samples.positions(done), directions, values, samples.jitter(done), self._features(done)
             )
-
-        for done, radiance in context.tasks.map(task, _batches(points)):
-            weight = samples.weight[done, None] * (self.fraction[done] @ source.scattered)
+            weight = samples.weight[done, None] * product(self.fraction[done], source.scattered)
             pixel = self.pixel[done]
             for (_, channels), row in zip(source.albedos, radiance):
                 for c in channels:
                     part = weight[:, c] * row
                     add_at(self.radiance[source.indices.index(c)], pixel, part)
                     parts[done] += part / 3.0
-            context.progress.advance("network", len(done))
-        add_at(self.error, *samples.standard_error(parts))
-        context.report.count("network points", len(points))
-        context.report.count("network answers", len(points) * len(source.albedos))
+        if len(points):
+            add_at(self.error, *samples.standard_error(parts, points))
+        self.report.count("network points", len(points))
+        self.report.count("network answers", len(points) * len(source.albedos))
 
     def _features(self, points: np.ndarray | slice) -> np.ndarray | None:
         """Ray features of some samples, if the network needs them."""
         features = self.samples.features
-        return None if features is None else features.of(points, self.source.group, self.source.sun)
+        return None if features is None else features.of(points, self.source.group, self.source.place)
+
+    def pixels_per_voxel(self) -> np.ndarray:
+        """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
+        weight = self.samples.weight * self.fraction.sum(axis=1)
+        sums = (np.bincount(self.pixel, w, len(self.error)) for w in (weight, weight * self.samples.distance))
+        opacity, moment = sums
+        width = pixel_size(self.camera, moment / np.maximum(opacity, 1e-30))
+        return np.where(opacity > 0.0, self.source.voxel / np.maximum(width, 1e-30), 0.0)
 
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
@@ -206,7 +220,7 @@ def _evaluate_adaptively(
     split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > 1
     mean, error, interpolation_error = estimate.radiance / safe, estimate.error / safe, np.zeros(len(safe), np.float32)
     evaluated, interpolated = np.zeros((2, len(safe)), bool)
-    pixel, report = estimate.pixel[inside], estimate.context.report
+    pixel, report = estimate.pixel[inside], estimate.report
 
     def evaluate(pixels: np.ndarray) -> None:
         estimate.evaluate(inside[pixels[pixel]])
@@ -214,7 +228,9 @@ def _evaluate_adaptively(
         mean[:, pixels] = estimate.radiance[:, pixels] / safe[pixels]
         error[pixels] = estimate.error[pixels] / safe[pixels]
 
-    for stride, difference in LEVELS:
+    tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
+    for stride, least in LEVELS:
+        difference = np.maximum(least, tolerance / stride)
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the light that volumes emit and scatter."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
+from ..transport.scattered_emission import ScatteredEmission
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 
@@ -11,21 +14,35 @@ from .framebuffer import add_at
 POINTS_PER_BATCH = 1 << 16
 
 
-def add_scattered_emission(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, samples: DepthSamples
-) -> None:
-    """Add the light that volumes emit and scatter to the tile's multiple scattering. Raises Cancelled."""
+def prepare_scattered_emission(context: RenderContext, scene: PreparedScene) -> dict[int, ScatteredEmission]:
+    """Light that volumes emit and scatter, by the number of their group. Raises Cancelled."""
     plan, report = scene.plan, context.report
+    found = {}
     for g, group in enumerate(plan.groups):
-        if not plan.scattered_emission[g]:
-            continue
-        with report.stage("emission"):
-            emission = context.cache.scattered_emission(
-                plan.members(g), [scene.grids[v] for v in group], g, context.cancel
-            )
-        warnings = emission.warnings(plan.group_name(g))
-        report.warnings += [warning for warning in warnings if warning not in report.warnings]
-        for v in group:
+        if plan.scattered_emission[g]:
+            with report.stage("emission"):
+                found[g] = context.cache.scattered_emission(
+                    plan.members(g), [scene.grids[v] for v in group], g, context.cancel, context.kernels
+                )
+            report.warn(found[g].warnings(plan.group_name(g)))
+    return found
+
+
+def add_scattered_emission(
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    tile: Tile,
+    samples: DepthSamples,
+    prepared: Mapping[int, ScatteredEmission],
+) -> None:
+    """Add the light that volumes emit and scatter to the tile's multiple scattering. Raises Cancelled.
+
+    prepared: from `prepare_scattered_emission`.
+    """
+    plan = scene.plan
+    for g, emission in prepared.items():
+        for v in plan.groups[g]:
             medium, inside = plan.volumes[v][1], np.flatnonzero(samples.fraction[:, v] > 0.0)
             for start in range(0, len(inside), POINTS_PER_BATCH):
                 context.cancel.check()

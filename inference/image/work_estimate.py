@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render is: told to its Progress, and corrected as tiles and predictions are finished."""
 
+from dataclasses import replace
+
+import numpy as np
+
+from ..scene.camera import Camera
 from .camera_pass import estimate_march
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
+from .framebuffer import Window
 
 # Share of the depth samples at which the network is evaluated, before any is known: pixels interpolate from their
 # neighbours.
@@ -12,46 +18,41 @@ EVALUATED_SHARE = 0.4
 class WorkEstimate:
     """Expects marched steps and depth samples by what a sparse grid of rays takes in the first channel pass.
 
-    A job is one group of volumes in the light of one sun in one set of colour channels; jobs are predicted tile by
-    tile."""
+    A job is one group of volumes in the light of one sun in one set of colour channels."""
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, tiles: list[Tile]):
-        self._context, self._scene, self._tiles = context, scene, tiles
-        # By the window of each tile.
-        self._steps: dict[tuple[int, int, int, int], float] = {}
-        self._samples: dict[tuple[int, int, int, int], float] = {}
-        self._all_steps, self._all_samples, self._steps_marched, self._samples_predicted = 0.0, 0.0, 0.0, 0.0
+    def __init__(self, context: RenderContext, scene: PreparedScene, camera: Camera, passes: int):
+        """passes: in which the whole image is rendered, see ChannelPass."""
+        self._context, self._scene, self._camera, self._passes = context, scene, camera, passes
+        # By the window of each tile, and of all tiles in all passes; and of those that are finished.
+        self._expected: dict[Window, np.ndarray] = {}
+        self._all, self._finished = np.zeros((2, 2))
         plan, progress = scene.plan, context.progress
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
         self._jobs = groups * len(plan.suns)
         needs_fluence = scene.network is not None and scene.network.needs_ray_features
         progress.expect("transport", self._jobs if needs_fluence else 0)
-        # The lattices of a single sun serve every tile.
-        progress.expect("lattices", self._jobs * len(tiles) if len(plan.suns) > 1 else self._jobs)
+        progress.expect("lattices", self._jobs)
 
     def survey(self, channel_pass: ChannelPass) -> None:
         """Set what is expected of camera rays and of the network, once, where somebody wants to know."""
-        if self._steps or not self._context.progress.wanted:
+        if self._expected or not self._context.progress.wanted:
             return
-        for tile in self._tiles:
-            found = estimate_march(self._context, self._scene, channel_pass, tile.camera)
-            self._steps[tile.camera.window], self._samples[tile.camera.window] = found
-        self._all_steps = sum(self._steps.values()) * len(self._scene.plan.channels)
-        self._all_samples = sum(self._samples.values()) * self._jobs
-        self._context.progress.expect("march", self._all_steps)
-        self._context.progress.expect("network", EVALUATED_SHARE * self._all_samples)
+        jobs = self._jobs / self._passes
+        for window in self._scene.plan.tiles:
+            tile = replace(self._camera, region=window)
+            steps, samples = estimate_march(self._context, self._scene, channel_pass, tile)
+            self._expected[window] = np.array([steps, samples * jobs])
+        self._all = sum(self._expected.values()) * self._passes
+        self._context.progress.expect("march", self._all[0])
+        self._context.progress.expect("network", EVALUATED_SHARE * self._all[1])
 
-    def tile_marched(self, tile: Tile) -> None:
-        """Correct what is expected of the other tiles' rays by what this tile's took."""
-        self._steps_marched += self._steps.get(tile.camera.window, 0.0)
-        self._correct("march", self._all_steps, self._steps_marched)
-
-    def job_predicted(self, tile: Tile) -> None:
-        """Correct what is expected of the other jobs by what this one took in a tile."""
-        self._samples_predicted += self._samples.get(tile.camera.window, 0.0)
-        self._correct("network", self._all_samples, self._samples_predicted)
-
-    def _correct(self, stage: str, expected: float, finished: float) -> None:
-        if finished > 0.0:
-            progress = self._context.progress
-            progress.expect(stage, progress.done(stage) * max(expected / finished, 1.0))
+    def tile_finished(self, tile: Tile) -> None:
+        """Count what a tile took, and correct by it what is expected of the others."""
+        progress, threads = self._context.progress, self._context.tasks.threads
+        counts, seconds = tile.report.counts, tile.report.seconds
+        self._finished = self._finished + self._expected.get(tile.camera.window, 0.0)
+        for number, (stage, unit) in enumerate((("march", "steps evaluated"), ("network", "network points"))):
+            progress.advance(stage, counts.get(unit, 0), seconds.get(stage, 0.0) / threads)
+            if self._finished[number] > 0.0:
+                left = self._all[number] / self._finished[number]
+                progress.expect(stage, progress.done(stage) * max(left, 1.0))

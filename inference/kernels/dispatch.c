@@ -3,6 +3,7 @@
 
 MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what the code does. */
 
+#include "fields.h"
 #include "kernels.h"
 
 #if defined(_WIN32)
@@ -13,7 +14,16 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
 
 #define DECLARE(variant)                                                                   \
     int64_t scratch_bytes_##variant(const Scene *scene, int64_t max_count);                \
-    int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);
+    int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);          \
+    int64_t sweep_columns_##variant(const ColumnSweep *data);                              \
+    int64_t sweep_blocks_##variant(const BlockSweep *data);                                \
+    int64_t sweep_ordinates_##variant(const OrdinateSweep *data);                          \
+    int64_t sweep_radiance_##variant(const RadianceSweep *data);                           \
+    int64_t conjugate_gradients_##variant(Diffusion *data);                                \
+    int64_t mean_cells_##variant(const CellMeans *data);                                   \
+    int64_t halve_##variant(const Halving *data);                                          \
+    int64_t fill_lattice_##variant(const LatticePart *data);                               \
+    int64_t resample_##variant(const Resampling *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
@@ -69,3 +79,16 @@ EXPORT int64_t mrpnn_scratch_bytes(const Scene *scene, int64_t max_count) {
 EXPORT int64_t mrpnn_march(int64_t variant, const Scene *scene, const Rays *rays, Gathered *out) {
     return CHOOSE(variant, march, scene, rays, out);
 }
+
+/* What prepares the fields that rays and networks read; see the functions' own files. */
+#define PREPARE(function, Data) \
+    EXPORT int64_t mrpnn_##function(int64_t variant, Data *data) { return CHOOSE(variant, function, data); }
+PREPARE(sweep_columns, const ColumnSweep)
+PREPARE(sweep_blocks, const BlockSweep)
+PREPARE(sweep_ordinates, const OrdinateSweep)
+PREPARE(sweep_radiance, const RadianceSweep)
+PREPARE(conjugate_gradients, Diffusion)
+PREPARE(mean_cells, const CellMeans)
+PREPARE(halve, const Halving)
+PREPARE(fill_lattice, const LatticePart)
+PREPARE(resample, const Resampling)

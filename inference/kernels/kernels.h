@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 1
+#define MRPNN_INTERFACE 5
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -28,6 +28,7 @@ typedef struct {
 /* Cells of a grid that may hold a value other than 0. */
 typedef struct {
     const uint8_t *filled;   /* (size[0], size[1], size[2]) */
+    const float *peaks;      /* the same cells: largest density near */
     int64_t size[3];
     double first[3];         /* position of voxel 0 in the cells, in voxels */
     double scale;            /* cells per voxel */
@@ -76,7 +77,7 @@ typedef struct {
 
 /* Scattered light of each sun in a group of volumes: ScatteredFluence. */
 typedef struct {
-    const uint16_t *const *lights;  /* (suns) of float16 (cells, cells, cells, 4); NULL for a group without prediction */
+    const float *const *lights;     /* (suns) of (cells, cells, cells, 4); NULL for a group without prediction */
     int64_t cells;
     double linear[9];
     double offset[3];
@@ -95,10 +96,11 @@ typedef struct {
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
     int64_t depth_samples, adaptive, coarse_count;
-    int64_t skip_empty, refinements;
-    double refined_thickness;        /* optical thickness that no step of a ray that is cut again exceeds, */
-    double steps_per_voxel;          /* and the steps that it has at least, per voxel and altogether */
-    int64_t fewest_refined;
+    int64_t skip_empty;
+    double step_thickness;           /* optical thickness that steps may have where a ray begins, */
+    double step_growth;              /* and the optical depth over which that grows by e; */
+    double peak_thickness;           /* the same of steps as dense as the densest place near, which are not cut below */
+    double peak_growth, finest;      /* a part of a coarse step */
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
     double dark, visible, max_sun_depth;

@@ -8,7 +8,7 @@ import threading
 from ctypes import POINTER, c_int64
 from pathlib import Path
 
-from . import build, structures
+from . import build, field_structures, structures
 from .structures import INTERFACE
 
 #: Environment variable that leaves the work to numpy where it is 0.
@@ -45,6 +45,8 @@ class Kernels:
         self._declare(
             "march", c_int64, POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered)
         )
+        for name, data in field_structures.FUNCTIONS.items():
+            self._declare(name, c_int64, POINTER(data))
         #: Variants that this processor can run: 0 to the best one.
         self.best = int(self._library.mrpnn_best_variant())
         self.variant = self.best if variant is None else min(variant, self.best)
@@ -61,6 +63,10 @@ class Kernels:
     def march(self, scene: structures.Scene, rays: structures.Rays, gathered: structures.Gathered) -> int:
         """March rays without Python's lock; returns how many of them, fewer than asked for if they were to stop."""
         return self._library.mrpnn_march(self.variant, scene, rays, gathered)
+
+    def prepare(self, name: str, data: structures.Shared) -> int:
+        """Call one of `field_structures.FUNCTIONS`, without Python's lock; its result."""
+        return getattr(self._library, f"mrpnn_{name}")(self.variant, data)
 
 
 def load_kernels() -> Kernels:

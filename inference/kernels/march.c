@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Camera rays through volumes, one after another; the twins are marching/ray_march.py and marching/emission.py.
 
-Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps of equal length,
-which come in blocks; blocks that hold no density are passed over. What remains of a ray are arrays over its steps. */
+Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps, which come in
+blocks of equal steps; blocks that hold no density are passed over, dense ones are cut into smaller ones. What remains of
+a ray are arrays over its steps. Places on a ray are counted in its coarse steps. */
 
 #include <math.h>
 #include <stddef.h>
@@ -20,50 +21,49 @@ which come in blocks; blocks that hold no density are passed over. What remains 
 #define SCATTERED 2
 #define INTEGRALS (SCALES + SCATTERED)
 #define COLUMNS (2 + INTEGRALS)
-/* Distinct factors of the optical depth in these integrals: the scales, the first of which is 1, and the reduced one. */
-#define FACTORS (SCALES + 1)
 
-/* A ray as continuous indices into some frame: first + (step * dt) * slope. */
+/* How often a block may be cut, and into how many at a time. */
+#define LEVELS 7
+#define MOST_PARTS 8
+
+/* A ray as continuous indices into some frame: first + place * slope. */
 typedef struct {
-    float first[3], slope[3];
+    double first[3], slope[3];
 } Line;
 
 /* One ray between two distances. */
 typedef struct {
     const double *origin, *direction;
-    double near, far;
-    int64_t count;
-    float dt;
+    double near;
+    int64_t count;  /* coarse steps, and their length */
+    double dt;
 } Ray;
 
 /* Scratch memory for one ray of up to `room` blocks. */
 typedef struct {
     int64_t room;
     int64_t blocks;
-    int32_t *number;             /* (blocks), place of each block on the ray */
+    int64_t looked_at;           /* blocks, also those that are not kept */
+    double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
+    float *dt;                   /* (steps), length */
     double *before;              /* (blocks + 1), optical depth from the ray's start */
     float *sigma;                /* (volumes, steps), extinction */
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
+    float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
     float *start, *end;          /* (groups, steps) each, optical depth of a group towards a sun at the ends of steps */
     float *whole_start, *whole_end;  /* (steps), of all volumes */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *group_tau;            /* (groups, steps) */
-    float *passed, *absorbed;    /* (groups, FACTORS, steps), exp(-a tau) and 1 - exp(-a tau) */
-    float *light;                /* (INTEGRALS, steps) */
-    float *edge_step, *edge_depth;  /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    float *light;                /* (steps) */
+    double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
 } Work;
-
-/* exp(-tau) in single precision, of an optical depth in double precision. */
-static inline float transmittance(double tau) {
-    float rounded = (float)tau;
-    return exp_minus(rounded) * (1.0f - (float)(tau - (double)rounded));
-}
 
 static inline Line line_in(const double *linear, const double *offset, const Ray *ray) {
     Line line;
@@ -73,137 +73,144 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
             start += linear[3 * i + j] * (ray->origin[j] + ray->near * ray->direction[j]);
             slope += linear[3 * i + j] * ray->direction[j];
         }
-        line.first[i] = (float)(start + offset[i]);
-        line.slope[i] = (float)slope;
+        line.first[i] = start + offset[i];
+        line.slope[i] = slope * ray->dt;
     }
     return line;
 }
 
-static inline void position_on(const Line *line, float step, float dt, float *position) {
-    float along = step * dt;
-    for (int axis = 0; axis < 3; axis++) position[axis] = along * line->slope[axis] + line->first[axis];
+static inline void position_at(const Line *line, double place, float *position) {
+    for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
 }
 
-/* Means over the steps of one block of what a grid holds. */
-static inline void sample_block(const Grid *grid, const Line *line, int32_t number, float dt, float *mean) {
-    float value[STEPS * SAMPLES];
-    for (int n = 0; n < STEPS * SAMPLES; n++) {
-        float position[3];
-        position_on(line, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
-        value[n] = sample_grid(grid, position);
+/* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
+static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+    const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
+    Floats position[3];
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
     }
-    for (int k = 0; k < STEPS; k++) mean[k] = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+    return sample_grid(grid, position);
 }
 
-static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, int32_t number, float dt) {
+/* Whether a volume may hold something in a block. nearby: raised by the largest extinction that it may have there. */
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
+                             double *nearby) {
     float position[3];
-    if (!scene->skip_empty) return 1;
-    position_on(line, (float)(number * STEPS) + 0.5f * STEPS, dt, position);
-    return may_hold(&medium->occupancy, position);
+    position_at(line, place + 0.5 * STEPS * size, position);
+    int64_t cell = cell_around(&medium->occupancy, position);
+    *nearby += (double)medium->occupancy.peaks[cell] * medium->sigma_t;
+    return !scene->skip_empty || medium->occupancy.filled[cell];
 }
 
-static void cut(const Rays *rays, int64_t number, double near, double far, int64_t count, Ray *ray) {
+static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
+    int64_t count = rays->counts[number];
     ray->origin = rays->origins + 3 * number;
     ray->direction = rays->directions + 3 * number;
-    ray->near = near;
-    ray->far = far;
+    ray->near = rays->near_distance[number];
     ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
-    ray->dt = (float)((far - near) / (double)ray->count);
+    ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
 }
 
-/* Number of steps of a ray whose interval has been cut to where light reaches. */
-static int64_t refined_count(const Scene *scene, const Ray *ray, double densest) {
-    double crossed = 0.0, length = ray->far - ray->near;
+/* Extinction and optical thickness of the steps of a block, which are left behind the last block that is kept; returns
+whether density may be near. nearby: the largest extinction there may be. */
+static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work, double *nearby) {
+    int64_t steps = STEPS * work->room, at = STEPS * work->blocks;
+    float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at, dt = (float)(ray->dt * size);
+    int near = 0;
+    *nearby = 0.0;
+    for (int k = 0; k < STEPS; k++) total[k] = 0.0f;
     for (int64_t v = 0; v < scene->volumes; v++) {
-        const double *linear = scene->media[v].linear;
-        double square = 0.0;
-        if (!(scene->media[v].sigma_t > 0.0)) continue;
-        for (int i = 0; i < 3; i++) {
-            double along = 0.0;
-            for (int j = 0; j < 3; j++) along += linear[3 * i + j] * ray->direction[j];
-            square += along * along;
+        const Medium *medium = scene->media + v;
+        float *sigma = work->sigma + v * steps + at;
+        for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
+        if (!block_near(scene, medium, work->lines + v, place, size, nearby)) continue;
+        near = 1;
+        if (!(medium->sigma_t > 0.0)) continue;
+        Floats value = sample_block(&medium->density, work->lines + v, place, size);
+        for (int k = 0; k < STEPS; k++) {
+            int inside = place + k * size < (double)ray->count;
+            float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+            sigma[k] = (inside ? mean : 0.0f) * (float)medium->sigma_t;
+            total[k] += sigma[k];
         }
-        if (square > crossed) crossed = square;
     }
-    double by_voxels = sqrt(crossed) * length * scene->steps_per_voxel;
-    double by_thickness = densest * length / scene->refined_thickness;
-    double wanted = STEPS * ceil((by_voxels > by_thickness ? by_voxels : by_thickness) / STEPS);
-    double fewest = (double)scene->fewest_refined, count = (double)ray->count;
-    wanted = wanted > fewest ? wanted : fewest;
-    return wanted < count ? (int64_t)wanted : ray->count;
+    for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
+    sums[0] = tau[0];
+    for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
+    return near;
+}
+
+/* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
+static int parts_of(const Scene *scene, const float *tau, double reached, double size, double peak) {
+    double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
+    double allowed = scene->step_thickness * exp(depth / scene->step_growth);
+    double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
+    int parts = 1;
+    for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
+    while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    /* Coarse steps need not be cut where none can be thick. */
+    if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness)) return parts;
+    while (parts < MOST_PARTS && peak > parts * allowed_peak && size > parts * scene->finest) parts *= 2;
+    return parts;
 }
 
 /* Fill the blocks of a ray up to the optical depth `behind`. */
 static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int keep_empty, Work *work) {
-    int64_t steps = STEPS * work->room, last = (ray->count + STEPS - 1) / STEPS;
-    double reached = 0.0;
-    float dt = ray->dt;
+    double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
+    double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
+    int level = 0;
     for (int64_t v = 0; v < scene->volumes; v++) {
         work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
     }
-    work->blocks = 0;
+    work->blocks = work->looked_at = 0;
     work->before[0] = 0.0;
-    for (int32_t number = 0; number < last && reached < behind; number++) {
+    while (place < whole && reached < behind) {
+        while (level > 0 && !(place < end[level])) level--;
+        double step = size[level];
         int64_t at = STEPS * work->blocks;
-        int near_any = 0, filled = keep_empty;
-        float gained = 0.0f;
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            const Medium *medium = scene->media + v;
-            float *sigma = work->sigma + v * steps + at;
-            float sums = 0.0f;
-            for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
-            if (!block_near(scene, medium, work->lines + v, number, dt)) continue;
-            near_any = 1;
-            if (!(medium->sigma_t > 0.0)) continue;
-            sample_block(&medium->density, work->lines + v, number, dt, sigma);
-            for (int k = 0; k < STEPS; k++) {
-                int inside = (int64_t)number * STEPS + k < ray->count;
-                sigma[k] = (inside ? sigma[k] : 0.0f) * (float)medium->sigma_t;
-                sums += sigma[k];
+        double nearby;
+        int near = sample_media(scene, ray, place, step, work, &nearby);
+        work->looked_at += near;
+        const float *tau = work->tau + at;
+        /* What the blocks to come may need at most, if each is kept. */
+        int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
+        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, nearby * (ray->dt * step)) : 1;
+        if (parts > 1) {
+            double from = place;
+            /* Density that begins here may begin in the step in front, behind its samples. */
+            if (gap > 0.0 && tau[0] > 0.0f) {
+                double back = gap < step ? gap : step;
+                if (4.0 * step <= MOST_PARTS * back) {
+                    while (parts * back < 4.0 * step) parts *= 2;
+                    from = place - back;
+                }
             }
-            filled |= sums > 0.0f;
-            gained += sums;
+            level++;
+            size[level] = step / parts;
+            end[level] = place + STEPS * step;
+            place = from;
+            gap = 0.0;
+            continue;
         }
-        reached += (double)gained * (double)dt;
-        if (!near_any || !filled) continue;
-        float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at;
-        for (int k = 0; k < STEPS; k++) total[k] = work->sigma[at + k];
-        for (int64_t v = 1; v < scene->volumes; v++) {
-            for (int k = 0; k < STEPS; k++) total[k] += work->sigma[v * steps + at + k];
+        float gained = work->within[at + STEPS - 1];
+        reached += (double)gained;
+        gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
+        if (near && (keep_empty || gained > 0.0f)) {
+            for (int k = 0; k < STEPS; k++) work->dt[at + k] = (float)(ray->dt * step);
+            work->place[work->blocks] = place;
+            work->size[work->blocks] = step;
+            work->before[work->blocks + 1] = work->before[work->blocks] + (double)gained;
+            work->blocks++;
         }
-        for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
-        sums[0] = tau[0];
-        for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
-        work->number[work->blocks] = number;
-        work->before[work->blocks + 1] = work->before[work->blocks] + (double)sums[STEPS - 1];
-        work->blocks++;
+        place += STEPS * step;
     }
 }
 
-/* The part of a ray between where it enters density and where it becomes opaque; returns the largest extinction in it. */
-static double refine(const Ray *ray, double behind, const Work *work, double *near, double *far) {
-    float densest = 0.0f;
-    int64_t first = 0, last = ray->count;
-    double dt = (ray->far - ray->near) / (double)ray->count;
-    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
-        for (int k = 0; k < STEPS && !found; k++) {
-            if (!(work->tau[STEPS * b + k] > 0.0f)) continue;
-            /* From the step in front of the first filled one, because samples may miss density that begins there. */
-            first = (int64_t)work->number[b] * STEPS + k - 1;
-            found = 1;
-        }
-    }
-    for (int64_t b = 0, found = 0; b < work->blocks && !found; b++) {
-        for (int k = 0; k < STEPS && !found; k++) {
-            densest = work->total[STEPS * b + k] > densest ? work->total[STEPS * b + k] : densest;
-            if (!(work->before[b] + (double)work->within[STEPS * b + k] > behind)) continue;
-            last = (int64_t)work->number[b] * STEPS + k + 1;
-            found = 1;
-        }
-    }
-    *near = ray->near + (double)(first > 0 ? first : 0) * dt;
-    *far = last < ray->count ? ray->near + (double)last * dt : ray->far;
-    return (double)densest;
+/* A place within a step. */
+static inline double place_in(const Work *work, int64_t step, double inside) {
+    int64_t block = step / STEPS;
+    return work->place[block] + ((double)(step % STEPS) + inside) * work->size[block];
 }
 
 static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Work *work) {
@@ -213,7 +220,7 @@ static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Wo
         float position[3];
         work->visible[s] = 1.0f;
         if (!(work->total[s] > 0.0f)) continue;
-        position_on(&line, (float)(work->number[s / STEPS] * STEPS + s % STEPS) + 0.5f, ray->dt, position);
+        position_at(&line, place_in(work, s, 0.5), position);
         work->visible[s] = visibility_of(map, position);
     }
 }
@@ -222,15 +229,15 @@ static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Wo
 static int64_t list_edges(Work *work) {
     int64_t edges = 0;
     for (int64_t b = 0; b < work->blocks; b++) {
-        int joined_before = b > 0 && work->number[b] == work->number[b - 1] + 1;
-        int joined_after = b + 1 < work->blocks && work->number[b + 1] == work->number[b] + 1;
+        int joined_before = b > 0 && work->place[b] == work->place[b - 1] + STEPS * work->size[b - 1];
+        int joined_after = b + 1 < work->blocks && work->place[b + 1] == work->place[b] + STEPS * work->size[b];
         float before = (float)work->before[b];
         for (int k = 0; k <= STEPS; k++) {
             int32_t from = k < STEPS ? (int32_t)(STEPS * b + k) : -1;
             int32_t to = k > 0 ? (int32_t)(STEPS * b + k - 1) : joined_before ? (int32_t)(STEPS * b - 1) : -1;
             int wanted = (from >= 0 && work->total[from] > 0.0f) || (to >= 0 && work->total[to] > 0.0f);
             if (!wanted || (k == STEPS && joined_after)) continue;
-            work->edge_step[edges] = (float)(work->number[b] * STEPS + k);
+            work->edge_place[edges] = work->place[b] + k * work->size[b];
             work->edge_depth[edges] = k > 0 ? work->within[STEPS * b + k - 1] + before : before;
             work->edge_from[edges] = from;
             work->edge_to[edges] = to;
@@ -240,51 +247,89 @@ static int64_t list_edges(Work *work) {
     return edges;
 }
 
+/* Store what was found at some edges where steps start and end. */
+static inline void store_at_edges(const Work *work, int64_t edge, int used, Floats found, float *start, float *end) {
+    float values[LANES];
+    memcpy(values, &found, sizeof values);
+    for (int n = 0; n < used; n++) {
+        int32_t from = work->edge_from[edge + n], to = work->edge_to[edge + n];
+        if (from >= 0) start[from] = values[n];
+        if (to >= 0) end[to] = values[n];
+    }
+}
+
 /* Optical depths of each group and of all volumes towards one sun, at the ends of filled steps. */
-static void look_up_sun_depths(const Scene *scene, int64_t l, const Ray *ray, int64_t edges, Work *work) {
+static void look_up_sun_depths(const Scene *scene, int64_t l, int64_t edges, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
     for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
     }
-    for (int64_t e = 0; e < edges; e++) {
-        float step = work->edge_step[e], depth = work->edge_depth[e], whole = 0.0f;
-        int32_t from = work->edge_from[e], to = work->edge_to[e];
+    for (int64_t e = 0; e < edges; e += LANES) {
+        double place[LANES];
+        Floats depth, whole = in_all(0.0f);
+        /* The last edge again where there are no more. */
+        FOR_LANES(n) {
+            int64_t edge = e + n < edges ? e + n : edges - 1;
+            place[n] = work->edge_place[edge], depth[n] = work->edge_depth[edge];
+        }
+        int used = edges - e < LANES ? (int)(edges - e) : LANES;
         for (int64_t g = 0; g < scene->groups; g++) {
-            float sum = 0.0f;
-            for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
-                int64_t v = scene->group_members[n];
+            Floats sum = in_all(0.0f);
+            for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
+                int64_t v = scene->group_members[m];
                 const Medium *medium = scene->media + v;
-                float position[3];
-                position_on(work->lines + v, step, ray->dt, position);
+                const Line *line = work->lines + v;
+                Floats position[3];
+                for (int axis = 0; axis < 3; axis++) {
+                    FOR_LANES(n) position[axis][n] = (float)(place[n] * line->slope[axis] + line->first[axis]);
+                }
                 sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
                                           : sun_depth(scene, medium, medium->suns + l, position, depth);
             }
-            if (from >= 0) work->start[g * room + from] = sum;
-            if (to >= 0) work->end[g * room + to] = sum;
+            store_at_edges(work, e, used, sum, work->start + g * room, work->end + g * room);
             whole += sum;
         }
-        if (from >= 0) work->whole_start[from] = whole;
-        if (to >= 0) work->whole_end[to] = whole;
+        store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
+    }
+}
+
+/* What is transmitted to the starts of blocks, and of steps, and what of it is lost in them, in `light`. */
+static void transmit(Work *work) {
+    for (int64_t b = 0; b < work->blocks; b += LANES) {
+        Floats rounded, rest;
+        FOR_LANES(n) {
+            double before = work->before[b + n < work->blocks ? b + n : work->blocks];
+            rounded[n] = (float)before;
+            rest[n] = (float)(before - (double)rounded[n]);
+        }
+        store(work->far + b, transmittance(rounded) * (1.0f - rest));
+    }
+    for (int64_t s = 0; s < STEPS * work->blocks; s += LANES) {
+        Floats far, tau = load(work->tau + s), lost;
+        FOR_LANES(n) far[n] = work->far[(s + n) / STEPS];
+        Floats transmitted = far * transmittance(load(work->within + s) - tau);
+        exp_minus(tau, &lost);
+        store(work->transmitted + s, transmitted);
+        store(work->light + s, transmitted * lost);
     }
 }
 
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
-static void add_single(const Scene *scene, int64_t l, const Ray *ray, const Work *work, double *single) {
-    int64_t steps = STEPS * work->room;
-    for (int64_t b = 0; b < work->blocks; b++) {
-        float light[STEPS];
-        for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            light[k] = work->transmitted[s] * mean_transmittance(work->whole_start[s], work->whole_end[s] + work->tau[s]);
-            light[k] *= ray->dt;
-            if (scene->shadow_maps) light[k] *= work->visible[s];
-        }
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            const float *sigma = work->sigma + v * steps + STEPS * b;
+static void add_single(const Scene *scene, int64_t l, Work *work, double *single) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    float *light = work->light;
+    for (int64_t s = 0; s < steps; s += LANES) {
+        Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
+        Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
+        store(light + s, scene->shadow_maps ? found * load(work->visible + s) : found);
+    }
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        const float *sigma = work->sigma + v * room;
+        for (int64_t b = 0; b < work->blocks; b++) {
             float sum = 0.0f;
-            for (int k = 0; k < STEPS; k++) sum += sigma[k] * light[k];
+            for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += sigma[s] * light[s];
             single[v * scene->suns + l] += (double)sum;
         }
     }
@@ -299,7 +344,7 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
         memset(work->source, 0, (size_t)steps * sizeof *work->source);
         return;
     }
-    const uint16_t *light = fluence->lights[l];
+    const float *light = fluence->lights[l];
     Line line = line_in(fluence->linear, fluence->offset, ray);
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
@@ -309,11 +354,12 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
         jitter[i] = (float)scene->jitter[i];
     }
     for (int64_t s = 0; s < steps; s++) {
-        float number = (float)(work->number[s / STEPS] * STEPS + s % STEPS), position[3];
+        /* Number of the step on a ray that consists of such steps alone. */
+        float number = (float)(place_in(work, s, 0.0) / work->size[s / STEPS]), position[3];
         int64_t cell = 0;
         work->source[s] = 0.0f;
         if (!(tau[s] > 0.0f)) continue;
-        position_on(&line, number + 0.5f, ray->dt, position);
+        position_at(&line, place_in(work, s, 0.5), position);
         for (int axis = 0; axis < 3; axis++) {
             /* Jittered from step to step, so that neighbouring rays do not enter a cell at the same step. */
             float shift = number * jitter[axis];
@@ -321,9 +367,8 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
             shift = shift - (float)floor_of(shift) - 0.5f;
             cell = cell * fluence->cells + (int32_t)clamped(position[axis] + shift, 0.0f, most);
         }
-        const uint16_t *at = light + 4 * cell;
-        float found = half_value(at[0]) + weight[0] * half_value(at[1]) + weight[1] * half_value(at[2])
-                      + weight[2] * half_value(at[3]);
+        const float *at = light + 4 * cell;
+        float found = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
         work->source[s] = found > 0.0f ? found : 0.0f;
     }
 }
@@ -362,8 +407,7 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
         int64_t s = STEPS * block + step;
         work->sample_step[n] = s;
         work->sample_inside[n] = (float)inside;
-        double along = (double)work->number[block] * STEPS + step + inside;
-        out->sample_distance[sample] = ray->near + along * (double)ray->dt;
+        out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
         out->sample_weight[sample] = weights[n] * alpha;
         float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
         for (int64_t v = 0; v < scene->volumes; v++) {
@@ -373,44 +417,36 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
     return count;
 }
 
-/* exp(-a tau) and 1 - exp(-a tau) of the steps of each group, from the step of the first sample on. */
-static void attenuate_groups(const Scene *scene, const Ray *ray, int64_t from, Work *work) {
+/* Optical thickness of steps in each group. */
+static void sum_groups(const Scene *scene, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     for (int64_t g = 0; g < scene->groups; g++) {
-        float *tau = work->group_tau + g * room;
-        for (int64_t s = 0; s < steps; s++) tau[s] = 0.0f;
-        for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
-            const float *sigma = work->sigma + scene->group_members[n] * room;
-            for (int64_t s = 0; s < steps; s++) tau[s] += sigma[s];
-        }
-        for (int64_t s = 0; s < steps; s++) tau[s] *= ray->dt;
-        for (int f = 0; f < FACTORS; f++) {
-            float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
-            float *passed = work->passed + (g * FACTORS + f) * room, *absorbed = work->absorbed + (g * FACTORS + f) * room;
-            for (int64_t s = from; s < steps; s++) {
-                passed[s] = exp_minus(factor * tau[s]);
-                absorbed[s] = one_minus_exp(factor * tau[s]);
+        for (int64_t s = 0; s < steps; s += LANES) {
+            Floats sigma = in_all(0.0f);
+            for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
+                sigma += load(work->sigma + scene->group_members[n] * room + s);
             }
+            store(work->group_tau + g * room + s, sigma * load(work->dt + s));
         }
     }
 }
 
-/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end. */
+/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end.
+
+The lanes are the integrals: those of the sun's light with each scale, and those of scattered light. */
 static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t count, Work *work, Gathered *out) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
-    for (int i = 0; i < SCALES; i++) {
-        float *light = work->light + i * room, factor = (float)scene->scales[i];
-        for (int64_t s = from; s < steps; s++) light[s] = exp_minus(factor * (0.5f * (start[s] + end[s])));
-        for (int64_t s = from; s < steps && scene->shadow_maps; s++) light[s] *= work->visible[s];
-    }
-    const float *passed = work->passed + g * FACTORS * room, *absorbed = work->absorbed + g * FACTORS * room;
-    float ahead[INTEGRALS] = {0.0f}, tau_ahead = 0.0f;
-    const int factor_of[INTEGRALS] = {0, 1, 2, 0, SCALES};
+    const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
+    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)scene->fluence[g].reduced_fraction};
+    const Ints of_sun = {-1, -1, -1};
+    Floats ahead = in_all(0.0f);
+    float tau_ahead = 0.0f;
     int64_t n = count - 1;
     for (int64_t s = steps - 1; s >= from; s--) {
-        const float light[INTEGRALS] = {work->light[s], work->light[room + s], work->light[2 * room + s],
-                                        work->source[s], work->source[s]};
+        Floats sun = transmittance(towards_sun * (0.5f * (start[s] + end[s]))), lost;
+        if (scene->shadow_maps) sun *= work->visible[s];
+        Floats light = choose(of_sun, sun, in_all(work->source[s]));
         for (; n >= 0 && work->sample_step[n] == s; n--) {
             float *values = out->sample_features + (((out->samples + n) * scene->groups + g) * scene->suns + l) * COLUMNS;
             float inside = work->sample_inside[n], rest = (1.0f - inside) * tau[s];
@@ -422,44 +458,37 @@ static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t co
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
-            for (int i = 0; i < INTEGRALS; i++) {
-                int f = factor_of[i];
-                float factor = (float)(f < SCALES ? scene->scales[f] : scene->fluence[g].reduced_fraction);
-                values[2 + i] = light[i] * one_minus_exp(factor * rest) + exp_minus(factor * rest) * ahead[i];
-            }
+            Floats passed = exp_minus(along_ray * rest, &lost), found = light * lost + passed * ahead;
+            memcpy(values + 2, &found, INTEGRALS * sizeof *values);
         }
-        for (int i = 0; i < INTEGRALS; i++) {
-            int64_t place = factor_of[i] * room + s;
-            ahead[i] = light[i] * absorbed[place] + passed[place] * ahead[i];
-        }
+        Floats passed = exp_minus(along_ray * tau[s], &lost);
+        ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];
     }
 }
 
 /* Emitted radiance of the channels, the integral of T(t) e(x(t)) dt. */
 static void add_emission(const Scene *scene, const Ray *ray, Work *work, double *emission) {
-    float dt = ray->dt;
     fill_blocks(scene, ray, scene->behind_emission, 1, work);
+    transmit(work);
     for (int64_t b = 0; b < work->blocks; b++) {
-        float through[STEPS], far = transmittance(work->before[b]);
-        int32_t number = work->number[b];
+        float through[LANES];
+        double place = work->place[b], size = work->size[b];
+        Floats tau = load(work->tau + STEPS * b), dt = load(work->dt + STEPS * b);
+        store(through, load(work->transmitted + STEPS * b) * mean_transmittance(in_all(0.0f), tau) * dt);
         for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            float seen = far * exp_minus(work->within[s] - work->tau[s]) * mean_transmittance(0.0f, work->tau[s]);
-            through[k] = (int64_t)number * STEPS + k < ray->count ? seen * dt : 0.0f;
+            if (!(place + k * size < (double)ray->count)) through[k] = 0.0f;
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
-            if (!(medium->emission_factor > 0.0) || !block_near(scene, medium, work->lines + v, number, dt)) continue;
+            double nearby = 0.0;
+            if (!(medium->emission_factor > 0.0)) continue;
+            if (!block_near(scene, medium, work->lines + v, place, size, &nearby)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {
-                float value[STEPS * SAMPLES], sum = 0.0f;
-                for (int n = 0; n < STEPS * SAMPLES; n++) {
-                    float position[3];
-                    position_on(work->lines + v, (float)(number * STEPS) + ((float)n + 0.5f) / SAMPLES, dt, position);
-                    float found = sample_grid(medium->emission + c, position), power = 1.0f;
-                    for (int64_t times = 1; times < medium->emission_power; times++) power *= fabsf(found);
-                    value[n] = found * power;
-                }
+                float sum = 0.0f;
+                Floats value = sample_block(medium->emission + c, work->lines + v, place, size);
+                Floats size = choose(value < 0.0f, -value, value);
+                for (int64_t times = 1; times < medium->emission_power; times++) value *= size;
                 for (int k = 0; k < STEPS; k++) {
                     sum += (0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1]) * through[k];
                 }
@@ -471,18 +500,24 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
 
 /* Divide the scratch memory; without memory, only count its bytes. */
 static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
-    int64_t used = 0, blocks = (max_count + STEPS - 1) / STEPS, steps = STEPS * blocks;
+    /* Coarse blocks, and what cutting adds: at each level at most some 30 blocks are cut before the steps that are
+    allowed grow past any optical depth. An even number, whose steps are whole lanes. */
+    int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
+    int64_t steps = STEPS * blocks;
     int64_t volumes = scene->volumes, groups = scene->groups;
     work->room = blocks;
 #define TAKE(field, type, amount)                       \
     work->field = memory ? (type *)(memory + used) : 0; \
     used += ((int64_t)sizeof(type) * (amount) + 63) / 64 * 64;
-    TAKE(number, int32_t, blocks)
+    TAKE(place, double, blocks)
+    TAKE(size, double, blocks)
+    TAKE(dt, float, steps)
     TAKE(before, double, blocks + 1)
     TAKE(sigma, float, volumes * steps)
     TAKE(total, float, steps)
     TAKE(tau, float, steps)
     TAKE(within, float, steps)
+    TAKE(far, float, blocks)
     TAKE(transmitted, float, steps)
     TAKE(start, float, groups * steps)
     TAKE(end, float, groups * steps)
@@ -491,10 +526,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
-    TAKE(passed, float, groups * FACTORS * steps)
-    TAKE(absorbed, float, groups * FACTORS * steps)
-    TAKE(light, float, SCALES * steps)
-    TAKE(edge_step, float, 5 * blocks)
+    TAKE(light, float, steps)
+    TAKE(edge_place, double, 5 * blocks)
     TAKE(edge_depth, float, 5 * blocks)
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
@@ -507,44 +540,34 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
 
 static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
     Ray ray;
-    double densest = 0.0;
     int64_t steps = STEPS * work->room;
-    cut(rays, r, rays->near_distance[r], rays->far_distance[r], rays->counts[r], &ray);
+    start_ray(rays, r, &ray);
     if (out->emission) {
         double *emission = out->emission + r * scene->channels;
         for (int64_t c = 0; c < scene->channels; c++) emission[c] = 0.0;
         add_emission(scene, &ray, work, emission);
     }
-    for (int64_t n = 0; n < scene->refinements; n++) {
-        double near, far;
-        fill_blocks(scene, &ray, scene->behind, 0, work);
-        densest = refine(&ray, scene->behind, work, &near, &far);
-        cut(rays, r, near, far, ray.count, &ray);
-    }
-    if (scene->refinements) cut(rays, r, ray.near, ray.far, refined_count(scene, &ray, densest), &ray);
     fill_blocks(scene, &ray, scene->behind, 0, work);
-    out->blocks += work->blocks;
+    out->blocks += work->looked_at;
 
     double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);
+    transmit(work);
     for (int64_t b = 0; b < work->blocks; b++) {
-        float far = transmittance(work->before[b]), sum = 0.0f;
+        float sum = 0.0f;
         for (int k = 0; k < STEPS; k++) {
-            int64_t s = STEPS * b + k;
-            work->transmitted[s] = far * exp_minus(work->within[s] - work->tau[s]);
             /* The middle of a step stands for the mean distance within it. */
-            float middle = (float)(work->number[b] * STEPS + k) + 0.5f;
-            sum += work->transmitted[s] * one_minus_exp(work->tau[s]) * middle;
+            sum += work->light[STEPS * b + k] * (float)place_in(work, STEPS * b + k, 0.5);
         }
         reached += (double)sum;
     }
     out->alpha[r] = alpha;
-    out->depth[r] = ray.near + reached * (double)ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
+    out->depth[r] = ray.near + reached * ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
     for (int64_t v = 0; v < scene->volumes; v++) {
         double depth = 0.0;
         for (int64_t b = 0; b < work->blocks; b++) {
             const float *sigma = work->sigma + v * steps + STEPS * b;
             float sum = 0.0f;
-            for (int k = 0; k < STEPS; k++) sum += sigma[k] * ray.dt;
+            for (int k = 0; k < STEPS; k++) sum += sigma[k] * work->dt[STEPS * b + k];
             depth += (double)sum;
         }
         out->optical_depth[r * scene->volumes + v] = depth;
@@ -554,11 +577,11 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
 
     int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0;
-    if (features) attenuate_groups(scene, &ray, work->sample_step[0], work);
+    if (features) sum_groups(scene, work);
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
-        look_up_sun_depths(scene, l, &ray, edges, work);
-        add_single(scene, l, &ray, work, single);
+        look_up_sun_depths(scene, l, edges, work);
+        add_single(scene, l, work, single);
         for (int64_t g = 0; g < scene->groups && features; g++) {
             look_up_source(scene, g, l, &ray, work);
             gather_features(scene, g, l, count, work, out);

@@ -1,17 +1,23 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Samples of grids and of optical depths towards suns; the twins are DenseGrid, SparseGrid and SunOpticalDepth. */
+/* Samples of grids and of optical depths towards suns, eight at a time; the twins are DenseGrid, SparseGrid and
+SunOpticalDepth. */
 
 #ifndef MRPNN_SAMPLING_H
 #define MRPNN_SAMPLING_H
 
+#include <math.h>
+
 #include "exponential.h"
 #include "kernels.h"
+#include "lanes.h"
 
 /* Further from 0 than any index, and still a whole number in both types. */
 #define FAR_AWAY 1073741824.0f
 
-static inline float lerp(float low, float high, float fraction) {
-    return (high - low) * fraction + low;
+/* Finite for every x, also for NaN: low where x is not above it. */
+static inline float clamped(float x, float low, float high) {
+    float raised = x > low ? x : low;
+    return raised < high ? raised : high;
 }
 
 static inline float least(float a, float b) { return a < b ? a : b; }
@@ -26,203 +32,245 @@ static inline int32_t floor_of(float x) {
     return n - ((float)n > x);
 }
 
-static inline float sample_dense(const Grid *grid, float x, float y, float z) {
-    x = clamped(x + 1.0f, 0.0f, (float)(grid->size[0] - 2));
-    y = clamped(y + 1.0f, 0.0f, (float)(grid->size[1] - 2));
-    z = clamped(z + 1.0f, 0.0f, (float)(grid->size[2] - 2));
-    int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
-    float fx = x - (float)i, fy = y - (float)j, fz = z - (float)k;
-    int64_t row = grid->size[2], slab = row * grid->size[1];
-    const float *at = grid->values + (i * slab + j * row + k);
-    float y0 = lerp(lerp(at[0], at[1], fz), lerp(at[row], at[row + 1], fz), fy);
-    at += slab;
-    float y1 = lerp(lerp(at[0], at[1], fz), lerp(at[row], at[row + 1], fz), fy);
-    return lerp(y0, y1, fx);
+/* pairs: along z, for (x, y), (x, y + 1), (x + 1, y) and (x + 1, y + 1). */
+static inline Floats trilinear(const Pairs *pairs, const Floats *part) {
+    Floats y0 = lerp_lanes(lerp_pairs(pairs[0], part[2]), lerp_pairs(pairs[1], part[2]), part[1]);
+    Floats y1 = lerp_lanes(lerp_pairs(pairs[2], part[2]), lerp_pairs(pairs[3], part[2]), part[1]);
+    return lerp_lanes(y0, y1, part[0]);
 }
 
-/* Row of `values` that holds a block; 0 for what no row can be. */
-static inline int64_t block_row(const Grid *grid, int64_t block) {
-    int32_t row = grid->table[block];
-    return (uint64_t)(int64_t)row < (uint64_t)grid->rows ? row : 0;
-}
-
-static inline float sample_sparse(const Grid *grid, const float *position) {
-    int32_t cell[3];
-    float part[3];
+static inline Floats sample_dense(const Grid *grid, const Floats *position) {
+    Ints cell[3];
+    Floats part[3];
     for (int axis = 0; axis < 3; axis++) {
-        float at = clamped(position[axis], -1.0f, (float)grid->shape[axis]) + (float)grid->first[axis];
-        cell[axis] = (int32_t)at;
-        part[axis] = at - (float)cell[axis];
+        Floats at = clamped_to(position[axis] + 1.0f, in_all(0.0f), in_all((float)(grid->size[axis] - 2)));
+        cell[axis] = to_ints(at);
+        part[axis] = at - to_floats(cell[axis]);
     }
-    int64_t block = ((int64_t)(cell[0] >> 3) * grid->size[1] + (cell[1] >> 3)) * grid->size[2] + (cell[2] >> 3);
-    int32_t inner[3] = {cell[0] & 7, cell[1] & 7, cell[2] & 7};
-    float corner[8];
-    if (inner[0] < 7 && inner[1] < 7 && inner[2] < 7) {
-        int64_t row = block_row(grid, block);
-        if (row == 0) return 0.0f;
-        const float *at = grid->values + row * 512 + (inner[0] * 64 + inner[1] * 8 + inner[2]);
-        corner[0] = at[0], corner[1] = at[1], corner[2] = at[8], corner[3] = at[9];
-        corner[4] = at[64], corner[5] = at[65], corner[6] = at[72], corner[7] = at[73];
-    } else {
-        for (int n = 0; n < 8; n++) {
-            int32_t x = inner[0] + (n >> 2), y = inner[1] + ((n >> 1) & 1), z = inner[2] + (n & 1);
-            int64_t next = block + ((x >> 3) * grid->size[1] + (y >> 3)) * grid->size[2] + (z >> 3);
-            corner[n] = grid->values[block_row(grid, next) * 512 + ((x & 7) * 64 + (y & 7) * 8 + (z & 7))];
+    /* Whole rows: their number fits into 32 bits, which that of voxels may not. */
+    Ints row = cell[0] * (int32_t)grid->size[1] + cell[1];
+    int64_t length = grid->size[2], slab = length * grid->size[1];
+    Pairs pairs[4];
+    FOR_LANES(n) {
+        const float *at = grid->values + (row[n] * length + cell[2][n]);
+        pairs[0][n] = pair_at(at), pairs[1][n] = pair_at(at + length);
+        pairs[2][n] = pair_at(at + slab), pairs[3][n] = pair_at(at + slab + length);
+    }
+    return trilinear(pairs, part);
+}
+
+/* Values of a block; those of the empty block 0 for what no row can be. */
+static inline const float *block_values(const Grid *grid, int64_t block) {
+    int32_t row = grid->table[block];
+    return grid->values + ((uint64_t)(int64_t)row < (uint64_t)grid->rows ? (int64_t)row * 512 : 0);
+}
+
+/* The four pairs around a voxel, which is the lowest of its cell. */
+static inline void pairs_in_blocks(const Grid *grid, int32_t x, int32_t y, int32_t z, double *pairs) {
+    int64_t block = ((int64_t)(x >> 3) * grid->size[1] + (y >> 3)) * grid->size[2] + (z >> 3);
+    int32_t i = x & 7, j = y & 7, k = z & 7;
+    if (i < 7 && j < 7 && k < 7) {
+        const float *at = block_values(grid, block) + (i * 64 + j * 8 + k);
+        pairs[0] = pair_at(at), pairs[1] = pair_at(at + 8);
+        pairs[2] = pair_at(at + 64), pairs[3] = pair_at(at + 72);
+        return;
+    }
+    for (int n = 0; n < 4; n++) {
+        float two[2];
+        for (int m = 0; m < 2; m++) {
+            int32_t a = i + (n >> 1), b = j + (n & 1), c = k + m;
+            int64_t next = block + ((a >> 3) * grid->size[1] + (b >> 3)) * grid->size[2] + (c >> 3);
+            two[m] = block_values(grid, next)[(a & 7) * 64 + (b & 7) * 8 + (c & 7)];
         }
+        pairs[n] = pair_at(two);
     }
-    float y0 = lerp(lerp(corner[0], corner[1], part[2]), lerp(corner[2], corner[3], part[2]), part[1]);
-    float y1 = lerp(lerp(corner[4], corner[5], part[2]), lerp(corner[6], corner[7], part[2]), part[1]);
-    return lerp(y0, y1, part[0]);
 }
 
-/* Value at a continuous index. */
-static inline float sample_grid(const Grid *grid, const float *position) {
-    return grid->table ? sample_sparse(grid, position) : sample_dense(grid, position[0], position[1], position[2]);
+static inline Floats sample_sparse(const Grid *grid, const Floats *position) {
+    Ints cell[3];
+    Floats part[3];
+    for (int axis = 0; axis < 3; axis++) {
+        Floats at = clamped_to(position[axis], in_all(-1.0f), in_all((float)grid->shape[axis]));
+        at = at + (float)grid->first[axis];
+        cell[axis] = to_ints(at);
+        part[axis] = at - to_floats(cell[axis]);
+    }
+    double found[LANES][4];
+    FOR_LANES(n) pairs_in_blocks(grid, cell[0][n], cell[1][n], cell[2][n], found[n]);
+    Pairs pairs[4];
+    FOR_LANES(n) {
+        for (int k = 0; k < 4; k++) pairs[k][n] = found[n][k];
+    }
+    return trilinear(pairs, part);
 }
 
-static inline int may_hold(const Occupancy *cells, const float *position) {
+/* Values at continuous indices. */
+static inline Floats sample_grid(const Grid *grid, const Floats *position) {
+    return grid->table ? sample_sparse(grid, position) : sample_dense(grid, position);
+}
+
+/* Number of the cell around a position. */
+static inline int64_t cell_around(const Occupancy *cells, const float *position) {
     int64_t base = 0;
     for (int axis = 0; axis < 3; axis++) {
         float cell = (position[axis] + (float)cells->first[axis]) * (float)cells->scale;
         base = base * cells->size[axis] + (int32_t)clamped(cell, 0.0f, (float)(cells->size[axis] - 1));
     }
-    return cells->filled[base];
+    return base;
 }
 
-/* Depths of the four columns around a point where its ray towards the sun meets a slice, and the point among them.
+static inline int may_hold(const Occupancy *cells, const float *position) {
+    return cells->filled[cell_around(cells, position)];
+}
 
-place: in the padded grid. ahead: slices from there to the slice. number: of the slice. */
-static inline void columns_around(const SunColumns *sun, const float *place, float ahead, int32_t number,
-                                  float *corner, float *part) {
-    int64_t slice = within(number + sun->first, sun->slices - 1);
-    int32_t cell[2];
-    for (int n = 0; n < 2; n++) {
-        int64_t axis = sun->others[n];
-        float at = ahead * (float)sun->move[axis] + place[axis] + sun->offsets[2 * slice + n];
-        at = clamped(at, 0.0f, (float)(sun->size[n] - 1));
-        cell[n] = (int32_t)at;
-        if (cell[n] > sun->size[n] - 2) cell[n] = (int32_t)(sun->size[n] - 2);
-        part[n] = at - (float)cell[n];
+/* Depths of the four columns around points where their rays towards the sun meet slices, and the points among them.
+
+place: in the padded grid. ahead: slices from there to the slice. number: of the slice. corners: pairs of columns. */
+static inline void columns_around(const SunColumns *sun, const Floats *place, Floats ahead, Ints number,
+                                  Pairs *corners, Floats *part) {
+    Ints slice = ints_within(number + (int32_t)sun->first, (int32_t)(sun->slices - 1)), cell[2];
+    for (int k = 0; k < 2; k++) {
+        int64_t axis = sun->others[k];
+        Floats offset;
+        FOR_LANES(n) offset[n] = sun->offsets[2 * (int64_t)slice[n] + k];
+        Floats at = ahead * (float)sun->move[axis] + place[axis] + offset;
+        at = clamped_to(at, in_all(0.0f), in_all((float)(sun->size[k] - 1)));
+        cell[k] = ints_within(to_ints(at), (int32_t)(sun->size[k] - 2));
+        part[k] = at - to_floats(cell[k]);
     }
+    int64_t width = sun->size[1];
     if (!sun->table) {
-        const float *at = sun->depths + ((slice * sun->size[0] + cell[0]) * sun->size[1] + cell[1]);
-        corner[0] = at[0], corner[1] = at[1], corner[2] = at[sun->size[1]], corner[3] = at[sun->size[1] + 1];
+        FOR_LANES(n) {
+            const float *at = sun->depths + ((slice[n] * sun->size[0] + cell[0][n]) * width + cell[1][n]);
+            corners[0][n] = pair_at(at), corners[1][n] = pair_at(at + width);
+        }
         return;
     }
-    int64_t row = (slice >> 3) * (sun->size[0] >> 3);
-    for (int n = 0; n < 4; n++) {
-        int32_t b = cell[0] + (n >> 1), c = cell[1] + (n & 1);
-        int32_t entry = sun->table[(row + (b >> 3)) * (sun->size[1] >> 3) + (c >> 3)];
-        int64_t tile = (int64_t)(entry >> 1) + (entry & 1 ? slice & 7 : 0);
-        if ((uint64_t)tile >= (uint64_t)sun->tiles) tile = 0;
-        corner[n] = sun->depths[tile * 64 + (b & 7) * 8 + (c & 7)];
+    FOR_LANES(n) {
+        int64_t layer = (slice[n] >> 3) * (sun->size[0] >> 3);
+        float found[4];
+        for (int k = 0; k < 4; k++) {
+            int32_t b = cell[0][n] + (k >> 1), c = cell[1][n] + (k & 1);
+            int32_t entry = sun->table[(layer + (b >> 3)) * (width >> 3) + (c >> 3)];
+            int64_t tile = (int64_t)(entry >> 1) + (entry & 1 ? slice[n] & 7 : 0);
+            if ((uint64_t)tile >= (uint64_t)sun->tiles) tile = 0;
+            found[k] = sun->depths[tile * 64 + (b & 7) * 8 + (c & 7)];
+        }
+        corners[0][n] = pair_at(found), corners[1][n] = pair_at(found + 2);
     }
 }
 
-static inline float depth_on_slice(const SunColumns *sun, const float *place, float ahead, int32_t number) {
-    float corner[4], part[2];
-    columns_around(sun, place, ahead, number, corner, part);
-    return lerp(lerp(corner[0], corner[1], part[1]), lerp(corner[2], corner[3], part[1]), part[0]);
+static inline Floats depth_on_slice(const SunColumns *sun, const Floats *place, Floats ahead, Ints number) {
+    Pairs corners[2];
+    Floats part[2];
+    columns_around(sun, place, ahead, number, corners, part);
+    return lerp_lanes(lerp_pairs(corners[0], part[1]), lerp_pairs(corners[1], part[1]), part[0]);
 }
 
-static inline float lowest_on_slice(const SunColumns *sun, const float *place, float ahead, int32_t number) {
-    float corner[4], part[2];
-    columns_around(sun, place, ahead, number, corner, part);
-    return least(least(corner[0], corner[1]), least(corner[2], corner[3]));
+static inline Floats lowest_on_slice(const SunColumns *sun, const Floats *place, Floats ahead, Ints number) {
+    Pairs corners[2];
+    Floats part[2];
+    columns_around(sun, place, ahead, number, corners, part);
+    return least_of(least_of(first_of(corners[0]), second_of(corners[0])),
+                    least_of(first_of(corners[1]), second_of(corners[1])));
 }
 
-/* Integral of the density along the sun's ray from a position to the next slice, `way` slices on. */
-static inline float integral_to_slice(const Grid *grid, const SunColumns *sun, const float *start, float way) {
-    float cuts[4] = {0.0f, way, way, way};
-    for (int n = 0; n < 2 && sun->steep; n++) {
-        int64_t axis = sun->others[n];
+/* Integrals of the density along the sun's rays from positions to the next slice, `way` slices on. */
+static inline Floats integral_to_slice(const Grid *grid, const SunColumns *sun, const Floats *start, Floats way) {
+    Floats cuts[4] = {in_all(0.0f), way, way, way}, total = in_all(0.0f);
+    for (int k = 0; k < 2 && sun->steep; k++) {
+        int64_t axis = sun->others[k];
         float slope = (float)sun->move[axis];
         if (slope != 0.0f) {
-            float at = clamped(start[axis], -FAR_AWAY, FAR_AWAY);
-            float plane = slope > 0.0f ? (float)floor_of(at) + 1.0f : -(float)floor_of(-at) - 1.0f;
-            cuts[1 + n] = least((plane - start[axis]) / slope, way);
+            Floats at = clamped_to(start[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+            Floats plane = slope > 0.0f ? to_floats(floors(at)) + 1.0f : -to_floats(floors(-at)) - 1.0f;
+            cuts[1 + k] = least_of((plane - start[axis]) / slope, way);
         }
     }
-    if (cuts[1] > cuts[2]) {
-        float swapped = cuts[1];
-        cuts[1] = cuts[2], cuts[2] = swapped;
-    }
-    float total = 0.0f;
-    for (int n = 0; n < 3; n++) {
-        float length = cuts[n + 1] - cuts[n];
-        if (!(length > 0.0f)) continue;
+    Floats swapped = cuts[1];
+    Ints wrong = cuts[1] > cuts[2];
+    cuts[1] = choose(wrong, cuts[2], cuts[1]), cuts[2] = choose(wrong, swapped, cuts[2]);
+    for (int piece = 0; piece < (sun->steep ? 3 : 1); piece++) {
+        Floats length = cuts[piece + 1] - cuts[piece];
         for (int node = 0; node < 2; node++) {
             /* The nodes of Gauss and Legendre in [0, 1]. */
-            float share = node ? 0.78867513459481287f : 0.21132486540518713f, place[3];
+            float share = node ? 0.78867513459481287f : 0.21132486540518713f;
+            Floats place[3];
             for (int axis = 0; axis < 3; axis++) {
-                place[axis] = start[axis] + (cuts[n] + share * length) * (float)sun->move[axis] - 1.0f;
+                place[axis] = start[axis] + (cuts[piece] + share * length) * (float)sun->move[axis] - 1.0f;
             }
-            total += sample_grid(grid, place) * length;
+            total = total + choose(length > 0.0f, sample_grid(grid, place) * length, in_all(0.0f));
         }
     }
     return total * (0.5f * (float)sun->length);
 }
 
-/* Depth that integrates the first slices and takes the columns from there on. */
-static inline float integrated_depth(const Grid *grid, const SunColumns *sun, const float *place, float way,
-                                     int32_t following, float extinction, float max_depth) {
-    float depth = 0.0f, start[3] = {place[0], place[1], place[2]};
-    for (int64_t n = 0; n < sun->integrated; n++) {
-        depth += integral_to_slice(grid, sun, start, way) * extinction;
-        int past = 0;
+/* Depths that integrate the first slices and take the columns from there on, where `wanted`. */
+static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, const Floats *place, Floats way,
+                                      Ints following, float extinction, float max_depth, Ints wanted) {
+    Floats depth = in_all(0.0f), start[3] = {place[0], place[1], place[2]};
+    for (int64_t k = 0; k < sun->integrated; k++) {
+        Floats gained = integral_to_slice(grid, sun, start, way) * extinction;
+        depth = depth + choose(wanted, gained, in_all(0.0f));
+        Ints past = {0};
         for (int axis = 0; axis < 3; axis++) {
             float move = (float)sun->move[axis];
             start[axis] = start[axis] + way * move;
             /* A ray that starts on a face by which the sun's rays enter has not left the grid. */
             past |= move > 0.0f ? start[axis] >= (float)(grid->shape[axis] + 1) : start[axis] <= 0.0f;
         }
-        if (past || !(depth < max_depth)) return depth;
-        way = 1.0f;
+        wanted &= ~past & (depth < max_depth);
+        if (!any_lane(wanted)) return depth;
+        way = in_all(1.0f);
     }
-    int32_t last = following + (int32_t)(sun->step * (sun->integrated - 1));
-    return depth + depth_on_slice(sun, start, 0.0f, last) * extinction;
+    Ints last = following + (int32_t)(sun->step * (sun->integrated - 1));
+    return depth + choose(wanted, depth_on_slice(sun, start, in_all(0.0f), last) * extinction, in_all(0.0f));
 }
 
-/* Optical depth towards the sun at a continuous index.
+/* Optical depths towards the sun at continuous indices.
 
-camera_depth: optical depth between the point and the camera. */
-static inline float sun_depth(const Scene *scene, const Medium *medium, const SunColumns *sun, const float *position,
-                              float camera_depth) {
+camera_depth: optical depth between the points and the camera. */
+static inline Floats sun_depth(const Scene *scene, const Medium *medium, const SunColumns *sun, const Floats *position,
+                               Floats camera_depth) {
     float extinction = (float)medium->sigma_t;
-    float place[3] = {position[0] + 1.0f, position[1] + 1.0f, position[2] + 1.0f};
-    float along = clamped(place[sun->main], -FAR_AWAY, FAR_AWAY);
-    int32_t below = floor_of(along), following = below + (sun->step > 0);
-    float ahead = sun->step > 0 ? (float)below + 1.0f - along : along - (float)below;
+    Floats place[3] = {position[0] + 1.0f, position[1] + 1.0f, position[2] + 1.0f}, depth;
+    Floats along = clamped_to(place[sun->main], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+    Ints below = floors(along), following = below + (sun->step > 0), wanted;
+    Floats ahead = sun->step > 0 ? to_floats(below) + 1.0f - along : along - to_floats(below);
     if (!sun->everywhere) {
-        float after = depth_on_slice(sun, place, ahead, following);
-        float before = depth_on_slice(sun, place, ahead - 1.0f, following - (int32_t)sun->step);
-        float depth = lerp(after, before, ahead) * extinction;
-        if (!sun->integrated || !(depth > 0.0f && depth + camera_depth < (float)scene->visible)) return depth;
+        Floats after = depth_on_slice(sun, place, ahead, following);
+        Floats before = depth_on_slice(sun, place, ahead - 1.0f, following - (int32_t)sun->step);
+        depth = lerp_lanes(after, before, ahead) * extinction;
+        wanted = (depth > 0.0f) & (depth + camera_depth < (float)scene->visible);
     } else {
         int32_t last = (int32_t)sun->integrated - 1;
-        float depth = lowest_on_slice(sun, place, ahead + (float)last, following + (int32_t)sun->step * last);
-        depth *= extinction;
-        if (!(depth < (float)scene->max_sun_depth)) return depth;
+        depth = lowest_on_slice(sun, place, ahead + (float)last, following + (int32_t)sun->step * last) * extinction;
+        wanted = depth < (float)scene->max_sun_depth;
     }
-    return integrated_depth(&medium->density, sun, place, ahead, following, extinction, (float)scene->max_sun_depth);
+    if (!sun->integrated || !any_lane(wanted)) return depth;
+    return choose(wanted, integrated_depth(&medium->density, sun, place, ahead, following, extinction,
+                                           (float)scene->max_sun_depth, wanted), depth);
 }
 
 /* As sun_depth, for points that may lie outside the support: moved towards the sun onto it, 0 where the ray misses. */
-static inline float sun_depth_outside(const Scene *scene, const Medium *medium, const SunColumns *sun,
-                                      const float *position, float camera_depth) {
-    double near = 0.0, far = INFINITY;
-    for (int axis = 0; axis < 3; axis++) {
-        double inverse = 1.0 / sun->direction[axis];
-        double a = (-1.0 - position[axis]) * inverse, b = (medium->density.shape[axis] - (double)position[axis]) * inverse;
-        /* A ray within the plane of a face divides 0 by 0; that axis does not bound it. */
-        if (a != a || b != b) continue;
-        near = a < b ? (a > near ? a : near) : (b > near ? b : near);
-        far = a < b ? (b < far ? b : far) : (a < far ? a : far);
+static inline Floats sun_depth_outside(const Scene *scene, const Medium *medium, const SunColumns *sun,
+                                       const Floats *position, Floats camera_depth) {
+    Floats moved[3];
+    Ints met;
+    FOR_LANES(n) {
+        double near = 0.0, far = INFINITY;
+        for (int axis = 0; axis < 3; axis++) {
+            double at = position[axis][n], inverse = 1.0 / sun->direction[axis];
+            double a = (-1.0 - at) * inverse, b = (medium->density.shape[axis] - at) * inverse;
+            /* A ray within the plane of a face divides 0 by 0; that axis does not bound it. */
+            if (a != a || b != b) continue;
+            near = a < b ? (a > near ? a : near) : (b > near ? b : near);
+            far = a < b ? (b < far ? b : far) : (a < far ? a : far);
+        }
+        met[n] = far > near ? -1 : 0;
+        for (int axis = 0; axis < 3; axis++) moved[axis][n] = (float)(position[axis][n] + near * sun->direction[axis]);
     }
-    if (!(far > near)) return 0.0f;
-    float moved[3];
-    for (int axis = 0; axis < 3; axis++) moved[axis] = (float)(position[axis] + near * sun->direction[axis]);
-    return sun_depth(scene, medium, sun, moved, camera_depth);
+    return choose(met, sun_depth(scene, medium, sun, moved, camera_depth), in_all(0.0f));
 }
 
 /* Visibility of a sun from 0 to 1 by percentage-closer filtering; position: column, row, height. */
@@ -236,21 +284,6 @@ static inline float visibility_of(const ShadowMap *map, const float *position) {
         if (position[2] >= map->heights[j * map->columns + i]) share += weight;
     }
     return share;
-}
-
-/* A number of half precision. */
-static inline float half_value(uint16_t bits) {
-    uint32_t magnitude = bits & 0x7fffu, sign = (uint32_t)(bits & 0x8000u) << 16;
-    uint32_t shifted = magnitude << 13;
-    float value;
-    memcpy(&value, &shifted, sizeof value);
-    value *= 0x1p112f;
-    uint32_t found;
-    memcpy(&found, &value, sizeof found);
-    if (magnitude >= 0x7c00u) found = shifted | 0x7f800000u;
-    found |= sign;
-    memcpy(&value, &found, sizeof value);
-    return value;
 }
 
 #endif

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 1
+INTERFACE = 5
 CHANNELS = 3
 
 
@@ -15,7 +15,7 @@ class Shared(ctypes.Structure):
     """A structure that keeps alive what its pointers point to."""
 
     def __init__(self, **fields: Any):
-        """Arrays become pointers or, where the structure holds their numbers itself, copies."""
+        """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers."""
         super().__init__()
         self.kept: list[Any] = []
         types: dict[str, Any] = {field[0]: field[1] for field in self._fields_}
@@ -24,6 +24,10 @@ class Shared(ctypes.Structure):
                 value = self._pointer(value)
             elif issubclass(types[name], ctypes.Array) and isinstance(value, np.ndarray):
                 value = types[name](*value.ravel().tolist())
+            elif issubclass(types[name], ctypes.Array) and isinstance(value, tuple):
+                value = types[name](*map(self._pointer, value))
+            elif isinstance(value, Shared):
+                self.kept.append(value)
             setattr(self, name, value)
 
     def _pointer(self, value: Any) -> int | None:
@@ -50,7 +54,13 @@ class Grid(Shared):
 
 
 class Occupancy(Shared):
-    _fields_ = [("filled", c_void_p), ("size", c_int64 * 3), ("first", c_double * 3), ("scale", c_double)]
+    _fields_ = [
+        ("filled", c_void_p),
+        ("peaks", c_void_p),
+        ("size", c_int64 * 3),
+        ("first", c_double * 3),
+        ("scale", c_double),
+    ]
 
 
 class SunColumns(Shared):
@@ -126,10 +136,11 @@ class Scene(Shared):
         ("adaptive", c_int64),
         ("coarse_count", c_int64),
         ("skip_empty", c_int64),
-        ("refinements", c_int64),
-        ("refined_thickness", c_double),
-        ("steps_per_voxel", c_double),
-        ("fewest_refined", c_int64),
+        ("step_thickness", c_double),
+        ("step_growth", c_double),
+        ("peak_thickness", c_double),
+        ("peak_growth", c_double),
+        ("finest", c_double),
         ("behind", c_double),
         ("behind_emission", c_double),
         ("min_alpha", c_double),

@@ -8,30 +8,28 @@ from ctypes import c_int32, c_void_p
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..grids.dense_grid import DenseGrid
-from ..grids.occupancy import Occupancy
+from ..grids.described import describe_grid, describe_occupancy
 from ..grids.sparse_columns import SparseColumns
 from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
 from ..kernels import structures
 from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
-from ..scene.sparse_grid import EDGE, SparseGrid
+from ..scene.sparse_grid import EDGE
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
-from .ray_march import (
-    DARK,
-    FEWEST_REFINED,
-    JITTER,
-    MAX_OPTICAL_DEPTH,
-    REFINED_STEP_THICKNESS,
-    MarchOptions,
-    RaySegment,
-    optical_depth_behind,
-    refinements,
+from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, MarchOptions, RaySegment, optical_depth_behind
+from .ray_steps import (
+    FINEST,
+    PEAK_GROWTH,
+    PEAK_THICKNESS,
+    STEP_GROWTH,
+    STEP_THICKNESS,
+    STEPS,
+    RayBatch,
+    step_counts,
 )
-from .ray_steps import STEPS, RayBatch, step_counts, steps_per_voxel
 
 
 class CompiledMarch:
@@ -144,10 +142,11 @@ class CompiledMarch:
             adaptive="faint_rays" in options.optimizations,
             coarse_count=COARSE_COUNT,
             skip_empty="empty_space" in options.optimizations,
-            refinements=refinements(self._media),
-            refined_thickness=REFINED_STEP_THICKNESS,
-            steps_per_voxel=steps_per_voxel(self._media),
-            fewest_refined=FEWEST_REFINED,
+            step_thickness=STEP_THICKNESS,
+            step_growth=STEP_GROWTH,
+            peak_thickness=PEAK_THICKNESS,
+            peak_growth=PEAK_GROWTH,
+            finest=FINEST,
             behind=optical_depth_behind(options),
             behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
             min_alpha=MIN_ALPHA,
@@ -167,8 +166,8 @@ def _doubles(values: np.ndarray) -> np.ndarray:
 
 def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
     grid = medium.grid
-    emission = [_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
-    density, occupancy = _grid(grid.density), _occupancy(grid.occupancy)
+    emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
         density=density,
         occupancy=occupancy,
@@ -182,27 +181,6 @@ def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
     )
     described.kept += [density, occupancy, *emission]
     return described
-
-
-def _grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
-    shape = np.array(grid.shape)
-    if isinstance(grid, DenseGrid):
-        assert np.array_equal(grid.padded.shape, shape + 3)
-        padded = np.ascontiguousarray(grid.padded, np.float32)
-        return structures.Grid(values=padded, size=np.array(padded.shape), shape=shape)
-    table, values = np.ascontiguousarray(grid.table, np.int32), np.ascontiguousarray(grid.values, np.float32)
-    # Voxels from -1 to the shape + 1 are read.
-    assert np.all(grid.first >= 1) and np.all(grid.first + shape + 1 < EDGE * np.array(table.shape))
-    return structures.Grid(
-        values=values, table=table, size=np.array(table.shape), shape=shape, first=grid.first, rows=len(values)
-    )
-
-
-def _occupancy(occupancy: Occupancy) -> structures.Occupancy:
-    filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
-    return structures.Occupancy(
-        filled=filled, size=np.array(filled.shape), first=np.float64(occupancy.first), scale=1.0 / occupancy.cell
-    )
 
 
 def _sun_columns(depth: SunOpticalDepth, sigma_t: float) -> structures.SunColumns:
@@ -246,7 +224,7 @@ def _shadow_map(shadow_map: ShadowMap) -> structures.ShadowMap:
 def _fluence(fluence: ScatteredFluence | None) -> structures.Fluence:
     if fluence is None:
         return structures.Fluence(reduced_fraction=1.0)
-    lights = [np.ascontiguousarray(light, np.float16) for light in fluence.lights]
+    lights = [np.ascontiguousarray(light, np.float32) for light in fluence.lights]
     assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
     described = structures.Fluence(

@@ -95,6 +95,8 @@ class DepthSamples:
         counts = np.diff(starts, append=len(self.ray))
         self.number = (np.arange(len(self.ray)) - np.repeat(starts, counts)).astype(np.int32)
         self.starts, self.counts = starts, counts
+        # The sampled ray of each sample.
+        self.sampled = np.repeat(np.arange(len(starts)), counts)
 
     def positions(self, samples: np.ndarray) -> np.ndarray:
         """World positions (N, 3) of some samples."""
@@ -108,20 +110,23 @@ class DepthSamples:
         along += self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0]
         return along - np.floor(along) - 0.5
 
-    def standard_error(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors of the sums over each sampled ray of weighted values: the rays' pixels (S,), and errors (S,).
+    def standard_error(self, parts: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors of the sums over some rays of weighted values: the rays' pixels (S,), and errors (S,).
 
-        parts: (M,), weighted values. Estimated from the upper quarter of the Legendre coefficients that the values at
-        the nodes determine. A smooth integrand leaves little in them; noise contributes as much to each as to the mean,
-        apart from what cancels because the jitter along a ray is a lattice. With one sample the error is taken to be
-        the sum itself.
+        parts: (M,), weighted values. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of
+        the Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them;
+        noise contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a
+        lattice. With one sample the error is taken to be the sum itself.
         """
-        errors = np.zeros(len(self.starts))
-        for count in np.unique(self.counts):
-            rays = np.flatnonzero(self.counts == count)
-            samples = self.starts[rays, None] + np.arange(count)
+        chosen = self.sampled[points]
+        chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]
+        starts, counts = self.starts[chosen], self.counts[chosen]
+        errors = np.zeros(len(chosen))
+        for count in np.flatnonzero(np.bincount(counts)):
+            rays = np.flatnonzero(counts == count)
+            samples = starts[rays, None] + np.arange(count)
             errors[rays] = _upper_quarter(parts[samples], count)
-        return self.pixel[self.ray[self.starts]], errors
+        return self.pixel[self.ray[starts]], errors
 
 
 def _upper_quarter(parts: np.ndarray, count: int) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..scene.optimizations import ALL
-from .ray_march import MAX_OPTICAL_DEPTH, extinction, mean_transmittance
-from .ray_steps import RayBatch, RaySteps, blocks_near_density, step_counts, sums_within
+from .ray_march import MAX_OPTICAL_DEPTH, mean_transmittance
+from .ray_steps import Cutting, RayBatch, cut_into_blocks, sums_within
 
 
 def emitted_radiance(
@@ -23,19 +23,20 @@ def emitted_radiance(
     emitting = [v for v, medium in enumerate(media) if medium.emits]
     if not emitting:
         return None
-    steps = RaySteps(media, rays, step_counts(media, rays))
-    blocks = blocks_near_density(media, steps, always_first=False, skip_empty="empty_space" in optimizations)
-    # Transmittance to each step, averaged over the step, times the length of the step.
     behind = MAX_OPTICAL_DEPTH if "behind_opaque" in optimizations else np.inf
-    tau = extinction(media, steps, blocks, behind).sum(axis=0) * steps.dt[blocks.ray][:, None]
+    cutting = Cutting(behind, skip_empty="empty_space" in optimizations, keep_empty=True)
+    lines, blocks, sigma = cut_into_blocks(media, rays, cutting)
+    # Transmittance to each step, averaged over the step, times the length of the step.
+    dt = (lines.dt[blocks.ray] * blocks.size).astype(np.float32)[:, None]
+    tau = sigma.sum(axis=0) * dt
     within = sums_within(tau)
     before = blocks.before(within[:, -1])[:, None]
-    through = np.exp(-before - (within - tau)) * mean_transmittance(np.float32(0.0), tau)
-    through *= steps.dt[blocks.ray][:, None] * (blocks.steps() < steps.count[blocks.ray][:, None]) * (before < behind)
+    through = np.exp(-before - (within - tau)) * mean_transmittance(np.float32(0.0), tau) * dt
+    through *= blocks.steps(0.0) < lines.count[blocks.ray][:, None]
     radiance = np.zeros((blocks.rays, len(channels)))
     for v in emitting:
         for number, channel in enumerate(channels):
             sample = functools.partial(media[v].grid.sample_emission, channel)
-            emission = steps.mean(sample, v, blocks.ray, blocks.number)
+            emission = lines.mean(sample, v, blocks)
             radiance[:, number] += media[v].medium.emission * blocks.sums((emission * through).sum(axis=1))
     return radiance

@@ -71,45 +71,51 @@ class ExtendedLights:
         return np.moveaxis((1.0 - u) * above + u * below, -1, 0)
 
 
-def equivalent_directions(
-    camera: Camera, pixel: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
-) -> np.ndarray:
+class EquivalentDirections:
     """Camera rays, rotated such that the phase function at one direction of light takes its mean over the sun's extent.
 
     A network that knows a single direction of light then predicts approximately the mean over the extent. The phase
     function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power.
 
-    pixel: int (N,) of the camera's window. directions: unit (N, 3) in the world. Returns unit directions (N, 3) in the
-    plane of ray and sun.
+    sun: with or without an extent. Raises Cancelled.
     """
-    x0, y0, x1, _ = camera.window
-    row, column = np.divmod(pixel, x1 - x0)
-    return _equivalent(camera, column + x0 + 0.5, row + y0 + 0.5, directions, sun, anisotropy)
 
+    def __init__(self, camera: Camera, sun: Sun, anisotropy: float, cancel: CancelToken = NEVER):
+        g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
+        self.sun, self.g, self.lights = sun.direction, g, None
+        if sun.spread is not None and abs(g) >= MIN_ANISOTROPY:
+            phases = [lambda cosine: henyey_greenstein(cosine, g)]
+            self.lights = ExtendedLights(camera, [sun], phases, split_forward=False, cancel=cancel)
 
-def equivalent_directions_of(directions: np.ndarray, sun: Sun, anisotropy: float) -> np.ndarray:
-    """As `equivalent_directions`, for rays of no camera: unit (N, 3) in the world."""
-    width, height = 2 * MAX_KNOTS, MAX_KNOTS
-    everywhere = Camera(np.eye(4), "equirectangular", resolution=(width, height))
-    x = (0.5 + np.arctan2(directions[:, 0], -directions[:, 2]) / (2.0 * np.pi)) * width
-    y = (0.5 - np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)) / np.pi) * height
-    return _equivalent(everywhere, x, y, directions, sun, anisotropy)
+    def __call__(self, window: tuple[int, int, int, int], pixel: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Unit directions (N, 3) in the plane of ray and sun.
 
+        window: of the camera's image. pixel: int (N,) of the window. directions: unit (N, 3) in the world.
+        """
+        x0, y0, x1, _ = window
+        row, column = np.divmod(pixel, x1 - x0)
+        return self._at(column + x0 + 0.5, row + y0 + 0.5, directions)
 
-def _equivalent(
-    camera: Camera, x: np.ndarray, y: np.ndarray, directions: np.ndarray, sun: Sun, anisotropy: float
-) -> np.ndarray:
-    """As `equivalent_directions`, at points (N,) of the image."""
-    g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
-    if abs(g) < MIN_ANISOTROPY:
-        return directions
-    lights = ExtendedLights(camera, [sun], [lambda cosine: henyey_greenstein(cosine, g)], split_forward=False)
-    mean = lights.phase(x, y)[0][:, 0, 0]
-    # Invert the Henyey-Greenstein phase function for the cosine.
-    cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)
-    across = directions - (directions @ sun.direction)[:, None] * sun.direction
-    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
-    return cosine[:, None] * sun.direction + np.sqrt(1.0 - cosine**2)[:, None] * across
+    @classmethod
+    def of(cls, directions: np.ndarray, sun: Sun, anisotropy: float) -> np.ndarray:
+        """As calling it, for rays of no camera: unit (N, 3) in the world."""
+        width, height = 2 * MAX_KNOTS, MAX_KNOTS
+        everywhere = Camera(np.eye(4), "equirectangular", resolution=(width, height))
+        x = (0.5 + np.arctan2(directions[:, 0], -directions[:, 2]) / (2.0 * np.pi)) * width
+        y = (0.5 - np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)) / np.pi) * height
+        return cls(everywhere, sun, anisotropy)._at(x, y, directions)
+
+    def _at(self, x: np.ndarray, y: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """At points (N,) of the image."""
+        if self.lights is None:
+            return directions
+        mean = self.lights.phase(x, y)[0][:, 0, 0]
+        # Invert the Henyey-Greenstein phase function for the cosine.
+        g = self.g
+        cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)
+        across = directions - product(directions, self.sun)[:, None] * self.sun
+        across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
+        return cosine[:, None] * self.sun + np.sqrt(1.0 - cosine**2)[:, None] * across
 
 
 def _means(

@@ -18,29 +18,14 @@ from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import Quadrature, gauss_legendre, sample_opacities
 from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
-from .ray_steps import (
-    STEPS,
-    Blocks,
-    RayBatch,
-    RaySteps,
-    blocks_near_density,
-    step_counts,
-    step_thickness,
-    steps_per_voxel,
-    sums_within,
-)
+from .ray_steps import STEPS, Cutting, RayBatch, RayLines, cut_into_blocks, sums_within
 
-# Blocks per ray that are evaluated at a time, before rays that have become opaque are dropped.
-BLOCKS_PER_ROUND = 1
 # Optical depth up to which rays are marched for single scattering: a fraction of 1e-6 is transmitted.
 MAX_OPTICAL_DEPTH = 14.0
-# Optical thickness of a step above which the part of a ray between entry and opacity is cut again, and how often.
-MAX_STEP_THICKNESS = 0.6
-REFINEMENTS = 3
-# Optical thickness that no step of the part cut out exceeds, and its fewest steps.
-REFINED_STEP_THICKNESS, FEWEST_REFINED = 0.2, 32
 # Jitter of fluence lookups, in cells: a rank-1 lattice over the steps of a ray.
 JITTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
+# Further from 0 than any number of a step, and still a whole number in single precision.
+FAR_AWAY = np.float32(2.0**30)
 # Optical depth that counts as complete shadow.
 DARK = np.float32(60.0)
 
@@ -97,20 +82,15 @@ def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.nd
 class _MarchedMedium:
     """The filled blocks of rays, with extinction and optical depth in their steps.
 
-    sigma: float32 (V, P, STEPS), mean extinction of each step, 0 behind opaque parts. total: (P, STEPS), of all
+    sigma: float32 (V, P, STEPS), mean extinction of each step. dt: (P, 1), length of steps. total: (P, STEPS), of all
     volumes. tau: (P, STEPS), optical thickness of each step. within: (P, STEPS), optical depth from the block's start
     to each step's end. before: float64 (P,), from the ray's start to the block's.
     """
 
-    def __init__(
-        self, media: Sequence[BoundMedium], steps: RaySteps, behind: float, always_first: bool, skip_empty: bool = True
-    ):
-        blocks = blocks_near_density(media, steps, always_first, skip_empty)
-        sigma = extinction(media, steps, blocks, behind)
-        filled = (_block_sums(sigma) > 0.0).any(axis=0) | (always_first & (blocks.number == 0)) | (not skip_empty)
-        self.steps, self.blocks, self.sigma = steps, blocks.where(filled), sigma[:, filled]
-        self.dt = steps.dt[self.blocks.ray][:, None]
-        self.total = self.sigma[0] if len(media) == 1 else self.sigma.sum(axis=0)
+    def __init__(self, media: Sequence[BoundMedium], rays: RayBatch, cutting: Cutting):
+        self.lines, self.blocks, self.sigma = cut_into_blocks(media, rays, cutting)
+        self.dt = (self.lines.dt[self.blocks.ray] * self.blocks.size).astype(np.float32)[:, None]
+        self.total = self.sigma.sum(axis=0)
         self.tau = self.total * self.dt
         self.within = sums_within(self.tau)
         self.before = self.blocks.before(self.within[:, -1])
@@ -122,24 +102,6 @@ class _MarchedMedium:
         edges += self.before.astype(np.float32)[:, None]
         return edges
 
-    def dense_interval(self, behind: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (R,) and (R,) at which rays enter density, and at which they become opaque or end; and the largest
-        extinction (R,) in between.
-        """
-        steps, ray, number = self.steps, self.blocks.ray, self.blocks.steps()
-        first, last = np.zeros_like(steps.count), steps.count.copy()
-        # From the step in front of the first filled one, because the middle of a step may miss density that begins
-        # behind it.
-        filled = np.nonzero(self.tau > 0.0)
-        first[ray[filled[0]][::-1]] = np.maximum(number[filled][::-1] - 1, 0)
-        opaque = np.nonzero(self.before[:, None] + self.within > behind)
-        last[ray[opaque[0]][::-1]] = number[opaque][::-1] + 1
-        dt = (steps.far - steps.near) / steps.count
-        densest = np.zeros(len(first), np.float32)
-        np.maximum.at(densest, ray, (self.total * (number < last[ray][:, None])).max(axis=1, initial=0.0))
-        far = np.where(last < steps.count, steps.near + last * dt, steps.far)
-        return steps.near + first * dt, far, densest
-
 
 def optical_depth_behind(options: MarchOptions) -> float:
     """Optical depth up to which rays are marched."""
@@ -148,41 +110,17 @@ def optical_depth_behind(options: MarchOptions) -> float:
     return MAX_OPTICAL_DEPTH if options.fluence is None else REACH
 
 
-def refinements(media: Sequence[BoundMedium]) -> int:
-    """How often rays are cut again."""
-    return REFINEMENTS if step_thickness(media) > MAX_STEP_THICKNESS else 0
-
-
-def refined_counts(media: Sequence[BoundMedium], rays: RayBatch, count: np.ndarray, densest: np.ndarray) -> np.ndarray:
-    """Number of steps int (R,) of rays whose intervals have been cut to where light reaches, at most `count`, (R,).
-
-    densest: (R,), largest extinction in the interval.
-    """
-    length = rays.far - rays.near
-    crossed = [
-        np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * length
-        for medium in media
-        if medium.sigma_t > 0.0
-    ]
-    by_voxels, by_thickness = (
-        np.max(crossed, axis=0) * steps_per_voxel(media),
-        densest * length / REFINED_STEP_THICKNESS,
-    )
-    wanted = STEPS * np.ceil(np.maximum(by_voxels, by_thickness) / STEPS)
-    return np.minimum(np.maximum(wanted, FEWEST_REFINED), count).astype(int)
-
-
 def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
     """March rays, whose intervals contain all media, through all of them."""
-    behind = optical_depth_behind(options)
-    medium = _cut_into_steps(media, rays, behind, skip_empty="empty_space" in options.optimizations)
-    steps, blocks, total, dt = medium.steps, medium.blocks, medium.total, medium.dt
+    cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
+    medium = _MarchedMedium(media, rays, cutting)
+    lines, blocks, total, dt = medium.lines, medium.blocks, medium.total, medium.dt
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
     alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
     # The middle of a step stands for the mean distance within it.
     scattered = transmitted * one_minus_exp(medium.tau)
-    reached = blocks.sums(_block_sums(scattered * (blocks.steps() + np.float32(0.5)).astype(np.float32)))
-    depth = steps.near + reached * steps.dt / np.maximum(alpha, 1e-30)
+    reached = blocks.sums(_block_sums(scattered * blocks.steps(0.5).astype(np.float32)))
+    depth = lines.near + reached * lines.dt / np.maximum(alpha, 1e-30)
 
     sun_depths = _sun_depths(media, medium, total > 0.0)
     visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
@@ -207,11 +145,11 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         np.stack([blocks.sums(_block_sums(sigma * dt)) for sigma in medium.sigma], axis=1),
         single,
         sample_ray=ray,
-        sample_distance=steps.near[ray] + (blocks.number[block] * STEPS + step + inside) * steps.dt[ray],
+        sample_distance=lines.near[ray] + (blocks.place[block] + (step + inside) * blocks.size[block]) * lines.dt[ray],
         sample_weight=weight,
         sample_fraction=fraction.T,
         sample_features=features,
-        steps_evaluated=blocks.ray.size * STEPS,
+        steps_evaluated=blocks.looked_at * STEPS,
     )
 
 
@@ -222,9 +160,9 @@ def ray_features_at(
     _, far = medium.grid.interval(positions, directions)
     far = np.maximum(far, 1e-6 * medium.grid.voxel)
     rays = RayBatch(positions, directions, np.zeros(len(positions)), far)
-    marched = _cut_into_steps([medium], rays, REACH, always_first=True, refine=False)
+    marched = _MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
     blocks = marched.blocks
-    start = np.flatnonzero(blocks.number == 0)
+    start = np.flatnonzero(blocks.rank == 0)
     known = marched.total > 0.0
     known[start, 0] = True
     sun_depths = _sun_depths([medium], marched, known, may_be_outside=True)
@@ -235,49 +173,9 @@ def ray_features_at(
     )
 
 
-def _cut_into_steps(
-    media: Sequence[BoundMedium],
-    rays: RayBatch,
-    behind: float,
-    always_first: bool = False,
-    refine: bool = True,
-    skip_empty: bool = True,
-) -> _MarchedMedium:
-    """Cut rays into steps, refined where these are too thick, and sample the medium on them.
-
-    behind: optical depth beyond which the medium is not sampled.
-    """
-    count = step_counts(media, rays)
-    for _ in range(refinements(media) if refine else 0):
-        steps = RaySteps(media, rays, count)
-        near, far, densest = _MarchedMedium(media, steps, behind, always_first).dense_interval(behind)
-        rays = RayBatch(rays.origins, rays.directions, near, far)
-    if refine and refinements(media):
-        count = refined_counts(media, rays, count, densest)
-    steps = RaySteps(media, rays, count)
-    return _MarchedMedium(media, steps, behind, always_first, skip_empty)
-
-
 def _block_sums(values: np.ndarray) -> np.ndarray:
     """Sums (..., P) over the steps of each block, (..., P, STEPS); as a product they take a fifth of the time."""
     return product(values, np.ones(STEPS, values.dtype))
-
-
-def extinction(media: Sequence[BoundMedium], steps: RaySteps, blocks: Blocks, behind: float) -> np.ndarray:
-    """Mean extinction (V, P, STEPS) of each step, 0 behind the optical depth `behind` and beyond the ray's end.
-
-    Marches front to back, some blocks of each ray at a time, and drops rays that have become opaque.
-    """
-    sigma = np.zeros((len(media), len(blocks.ray), STEPS), np.float32)
-    tau, rounds = np.zeros(blocks.rays), blocks.rank // BLOCKS_PER_ROUND
-    for number in range(rounds.max(initial=-1) + 1):
-        now = np.flatnonzero((rounds == number) & (tau[blocks.ray] < behind))
-        ray, first = blocks.ray[now], blocks.number[now]
-        within = first[:, None] * STEPS + np.arange(STEPS) < steps.count[ray, None]
-        for v, medium in enumerate(media):
-            sigma[v, now] = steps.mean(medium.grid.sample_density, v, ray, first) * within * np.float32(medium.sigma_t)
-        tau += np.bincount(ray, _block_sums(sigma[:, now]).sum(axis=0), blocks.rays) * steps.dt
-    return sigma
 
 
 def _sample_depths(
@@ -315,10 +213,10 @@ def _sun_depths(
     edge = np.flatnonzero(ends)
     camera_depth = medium.edges().reshape(-1)[edge]
     ray = np.repeat(medium.blocks.ray, STEPS + 1)[edge]
-    step = medium.blocks.steps(edges=True).reshape(-1)[edge]
+    place = medium.blocks.edges().reshape(-1)[edge]
     depths = np.full((volumes, suns, *ends.shape), DARK, np.float32)
     for v, bound in enumerate(media):
-        position = medium.steps.index(v, ray, step)
+        position = medium.lines.index(v, ray, place)
         for l in range(suns):
             depths[v, l].reshape(-1)[edge] = bound.sun_optical_depth(
                 position, l, may_be_outside or volumes > 1, camera_depth
@@ -347,23 +245,20 @@ def _scattered_source(
     Taken at the middle of each filled step; 0 for groups without prediction. sigma: (G, P, STEPS), extinction of each
     group.
     """
-    steps = medium.steps
-    # The intervals of refined rays are those of their steps.
-    cut = RayBatch(rays.origins, rays.directions, steps.near, steps.far)
-    frames = RaySteps([one for one in fluence if one is not None], cut, steps.count)
+    lines = RayLines([one for one in fluence if one is not None], rays, medium.lines.count)
     source = np.zeros((len(fluence), suns, *medium.total.shape), np.float32)
-    ray, step = medium.blocks.ray, medium.blocks.steps()
-    known = 0
+    ray, blocks, known = medium.blocks.ray, medium.blocks, 0
     for v, one in enumerate(fluence):
         if one is None:
             continue
         filled = np.flatnonzero(sigma[v])
-        number = step.reshape(-1)[filled]
+        # Number of each step on a ray that consists of such steps alone.
+        number = (blocks.steps(0.0) / blocks.size[:, None]).reshape(-1)[filled]
         ray_of = np.repeat(ray, STEPS)[filled]
-        indices = frames.index(known, ray_of, number + np.float32(0.5))
+        indices = lines.index(known, ray_of, blocks.steps(0.5).reshape(-1)[filled])
         # Jittered from step to step, so that neighbouring rays do not enter a cell at the same step, which would be
         # visible.
-        jitter = number.astype(np.float32) * JITTER
+        jitter = np.clip(number.astype(np.float32) * JITTER, 0.0, FAR_AWAY)
         indices += jitter - np.floor(jitter) - np.float32(0.5)
         cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
         for l, values in enumerate(one.lights):
@@ -375,14 +270,13 @@ def _scattered_source(
 
 def _visibility(shadow_maps: Sequence[ShadowMap], medium: _MarchedMedium, rays: RayBatch) -> np.ndarray:
     """Visibility of each sun (L, P, STEPS) at the middle of each filled step."""
-    steps = medium.steps
-    frames = RaySteps(shadow_maps, RayBatch(rays.origins, rays.directions, steps.near, steps.far), steps.count)
+    lines = RayLines(shadow_maps, rays, medium.lines.count)
     filled = np.flatnonzero(medium.total)
     ray = np.repeat(medium.blocks.ray, STEPS)[filled]
-    step = medium.blocks.steps().reshape(-1)[filled] + np.float32(0.5)
+    place = medium.blocks.steps(0.5).reshape(-1)[filled]
     visibility = np.ones((len(shadow_maps), *medium.total.shape), np.float32)
     for l, shadow_map in enumerate(shadow_maps):
-        visibility[l].reshape(-1)[filled] = shadow_map.visibility(frames.index(l, ray, step))
+        visibility[l].reshape(-1)[filled] = shadow_map.visibility(lines.index(l, ray, place))
     return visibility
 
 

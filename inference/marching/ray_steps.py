@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays cut into steps, and the blocks of steps that may hold density.
 
-Most of the box around a cloud is empty. Steps are therefore stored in blocks, and only the blocks of a ray that lie
-near density: arrays (P, STEPS), the blocks of all rays one after another. The steps of a ray depend on that ray alone,
+Most of the box around a cloud is empty. Steps are therefore stored in blocks of equal steps, and only the blocks of a
+ray that lie near density: arrays (P, STEPS), the blocks of all rays one after another. Blocks whose steps are too thick
+are cut into smaller ones. Places on a ray are counted in its coarse steps. The steps of a ray depend on that ray alone,
 so that an image does not depend on which rays are marched together.
 """
 
@@ -16,17 +17,22 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.occupancy import REACH
 from ..numerics.small_matmul import product
 
-# Steps per unit of optical thickness of a voxel of the finest grid; steps per voxel at least, and at most.
-STEPS_PER_DEPTH = 2.0
-STEPS_PER_VOXEL = (1, 8)
-# Minimal number of steps along the longest edge of a coarse grid.
+# Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
 STEPS_PER_EDGE = 128
+# Optical thickness of a step above which its block is cut where the ray begins, and the optical depth over which that
+# grows by e: what lies deeper is seen less.
+STEP_THICKNESS, STEP_GROWTH = 0.3, 8.0
+# The same of steps as dense as the densest place near, towards which light may vary as much; and the finest step, as a
+# part of a coarse one, that blocks are cut into for that.
+PEAK_THICKNESS, PEAK_GROWTH, FINEST = 0.3, 3.0, 0.0625
+# How often a block may be cut, and into how many at a time.
+LEVELS, MOST_PARTS = 7, 8
 # Evenly spaced points per step at which volumes are sampled; whatever depends on their mean is evaluated once per step.
 SAMPLES = 2
 # Rays that graze a corner get as many steps as if they crossed this many voxels.
 MIN_VOXELS = 32
 # Steps per block: neither end of a block lies further from its middle than the reach of the occupancy.
-STEPS = 2 * REACH * STEPS_PER_VOXEL[0]
+STEPS = 2 * REACH
 
 
 class Frame(Protocol):
@@ -59,24 +65,13 @@ class RayBatch:
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays])
 
 
-def voxel_thickness(media: Sequence[BoundMedium]) -> float:
-    """Largest optical thickness of a voxel, as if the densest voxels of all media overlapped."""
-    return sum(medium.voxel_thickness for medium in media)
-
-
 def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
-    """Number of steps per voxel, by the largest optical thickness of a voxel, within bounds."""
-    coarse = STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media)
-    return max(float(np.clip(STEPS_PER_DEPTH * voxel_thickness(media), *STEPS_PER_VOXEL)), coarse)
-
-
-def step_thickness(media: Sequence[BoundMedium]) -> float:
-    """Largest optical thickness of a step."""
-    return voxel_thickness(media) / steps_per_voxel(media)
+    """Number of coarse steps per voxel."""
+    return max(1.0, STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media))
 
 
 def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
-    """Number of steps int (R,) per ray, as the medium that needs most requires."""
+    """Number of coarse steps int (R,) per ray, as the medium that needs most requires."""
     crossed = [
         np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * (rays.far - rays.near)
         for medium in media
@@ -85,74 +80,67 @@ def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
     return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)
 
 
-class RaySteps:
-    """Rays cut into steps: their lengths, and positions on them as continuous indices into several frames.
+class RayLines:
+    """Rays as lines through several frames, by places on the rays.
 
-    near, far: (R,). count: int (R,), number of steps in between. dt: float32 (R,), length of each ray's steps.
+    count: int (R,), number of coarse steps. near, dt: float64 (R,), distance at which each ray begins, and length of
+    its coarse steps.
     """
 
     def __init__(self, frames: Sequence[Frame], rays: RayBatch, count: np.ndarray):
         """frames: media, shadow maps or lattices of light, which give indices from world positions."""
-        self.near, self.far, self.count = rays.near, rays.far, count
-        self.dt = ((rays.far - rays.near) / count).astype(np.float32)
-        # Double precision for the start of each ray; single precision from there on.
+        self.near, self.count, self.dt = rays.near, count, (rays.far - rays.near) / count
         start = rays.origins + rays.near[:, None] * rays.directions
-        self.first = [(f.linear @ start.T + f.offset[:, None]).astype(np.float32) for f in frames]
-        self.slope = [(f.linear @ rays.directions.T).astype(np.float32) for f in frames]
+        self.first = [product(start, frame.linear.T) + frame.offset for frame in frames]
+        self.slope = [product(rays.directions, frame.linear.T) * self.dt[:, None] for frame in frames]
 
-    def index(self, v: int, ray: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Indices into frame v, float32 (3, N) for rays and steps (N,), or (3, N * K) for steps (N, K).
+    def index(self, v: int, ray: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Indices into frame v, float32 (3, N), of places (N,) on rays (N,)."""
+        return (place[:, None] * self.slope[v][ray] + self.first[v][ray]).astype(np.float32).T
 
-        Steps are counted from the ray's start: step k begins at k and its middle is k + 1/2.
-        """
-        along = step.astype(np.float32) * self.dt[ray].reshape(-1, *[1] * (step.ndim - 1))
-        shape = (3, len(ray)) + (1,) * (step.ndim - 1)
-        indices = along * self.slope[v].take(ray, axis=1).reshape(shape)
-        indices += self.first[v].take(ray, axis=1).reshape(shape)
-        return indices.reshape(3, -1)
-
-    def mean(
-        self, sample: Callable[[np.ndarray], np.ndarray], v: int, ray: np.ndarray, number: np.ndarray
-    ) -> np.ndarray:
-        """Means over the steps of some blocks: float32 (N, STEPS).
-
-        sample: values (M,) at indices (3, M) into frame v. ray, number: (N,), of each block its ray and its place on
-        it.
-        """
+    def mean(self, sample: Callable[[np.ndarray], np.ndarray], v: int, blocks: "Blocks") -> np.ndarray:
+        """Means over steps, float32 (P, STEPS); sample: values (N,) at indices (3, N) into frame v."""
+        begin = self.index(v, blocks.ray, blocks.place)
+        slope = (blocks.size[:, None] * self.slope[v][blocks.ray]).astype(np.float32).T
         samples = (np.arange(STEPS * SAMPLES, dtype=np.float32) + np.float32(0.5)) / np.float32(SAMPLES)
-        values = sample(self.index(v, ray, (number * STEPS)[:, None] + samples)).reshape(-1, STEPS, SAMPLES)
-        return product(values, np.full(SAMPLES, 1.0 / SAMPLES, np.float32))
+        index = samples * slope[:, :, None] + begin[:, :, None]
+        values = sample(index.reshape(3, -1)).reshape(-1, STEPS, SAMPLES)
+        return np.float32(0.5) * values[..., 0] + np.float32(0.5) * values[..., 1]
 
 
 @dataclass
 class Blocks:
     """Some blocks of some rays, in the order of the rays and front to back.
 
-    rays: number of rays. ray, number: int (P,), of each block its ray and its place on it. rank: int (P,), how many
-    blocks of the ray come before it here.
+    rays: number of rays. ray: int (P,), of each block. place, size: float64 (P,), where it begins on its ray, and the
+    size of its steps. looked_at: number of blocks that were looked at to find these. rank: int (P,), how many blocks of
+    the ray come before it here.
     """
 
     rays: int
     ray: np.ndarray
-    number: np.ndarray
+    place: np.ndarray
+    size: np.ndarray
+    looked_at: int = 0
 
     def __post_init__(self) -> None:
         first = np.searchsorted(self.ray, np.arange(self.rays))
         self.rank = np.arange(len(self.ray)) - first[self.ray]
 
-    def steps(self, edges: bool = False) -> np.ndarray:
-        """Number of each step on its ray, int (P, STEPS), or of the edges between steps, (P, STEPS + 1)."""
-        return self.number[:, None] * STEPS + np.arange(STEPS + edges)
+    def steps(self, inside: float) -> np.ndarray:
+        """Places (P, STEPS) in the steps."""
+        return self.place[:, None] + (np.arange(STEPS) + inside) * self.size[:, None]
+
+    def edges(self) -> np.ndarray:
+        """Places (P, STEPS + 1) of the edges between steps."""
+        return self.place[:, None] + np.arange(STEPS + 1) * self.size[:, None]
 
     def followed(self) -> np.ndarray:
         """bool (P,): whether the next block begins where this one ends, on the same ray."""
         followed = np.zeros(len(self.ray), bool)
-        followed[:-1] = (self.ray[1:] == self.ray[:-1]) & (self.number[1:] == self.number[:-1] + 1)
+        ends = self.place + STEPS * self.size
+        followed[:-1] = (self.ray[1:] == self.ray[:-1]) & (self.place[1:] == ends[:-1])
         return followed
-
-    def where(self, chosen: np.ndarray) -> "Blocks":
-        """The blocks chosen by a mask (P,) or by number."""
-        return Blocks(self.rays, self.ray[chosen], self.number[chosen])
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums float64 (R,) over each ray of values (P,)."""
@@ -175,28 +163,116 @@ class Blocks:
         return table[self.ray, place]
 
 
-def blocks_near_density(
-    media: Sequence[BoundMedium], steps: RaySteps, always_first: bool, skip_empty: bool = True
-) -> Blocks:
-    """Blocks that may hold density of any medium.
-
-    always_first: keep at least the first block of each ray. skip_empty: without, all blocks.
-    """
-    counts = -(-steps.count // STEPS)
-    ray = np.repeat(np.arange(len(counts)), counts)
-    number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
-    if not skip_empty:
-        return Blocks(len(counts), ray, number)
-    near = (number == 0) & always_first
-    middle = number * STEPS + 0.5 * STEPS
-    for v, medium in enumerate(media):
-        near |= medium.grid.occupancy.near(steps.index(v, ray, middle))
-    return Blocks(len(counts), ray[near], number[near])
-
-
 def sums_within(values: np.ndarray) -> np.ndarray:
     """Inclusive prefix sums of values (P, STEPS) along each block."""
     sums = values.copy()
     for k in range(1, values.shape[1]):
         sums[:, k] += sums[:, k - 1]
     return sums
+
+
+@dataclass(frozen=True)
+class Cutting:
+    """How rays are cut into blocks.
+
+    behind: optical depth beyond which they are not followed. skip_empty: without, places away from density are looked
+    at like others. keep_empty: keep blocks without extinction, where any volume may hold something. always_first: keep
+    the first block of each ray.
+    """
+
+    behind: float
+    skip_empty: bool = True
+    keep_empty: bool = False
+    always_first: bool = False
+
+
+def cut_into_blocks(
+    media: Sequence[BoundMedium], rays: RayBatch, cutting: Cutting
+) -> tuple[RayLines, Blocks, np.ndarray]:
+    """Blocks of rays, and the mean extinction float32 (V, P, STEPS) of their steps.
+
+    Each ray looks at one block after another, as coarse as it may be, and cuts those that turn out to be too thick.
+    """
+    lines = RayLines(media, rays, step_counts(media, rays))
+    count = len(lines.count)
+    whole = -(-lines.count // STEPS) * float(STEPS)
+    place, reached, gap = np.zeros((3, count))
+    level = np.zeros(count, int)
+    size, end = np.ones((count, LEVELS + 1)), np.zeros((count, LEVELS + 1))
+    found, looked_at = [], 0
+    while True:
+        ray = np.flatnonzero((place < whole) & (reached < cutting.behind))
+        if not len(ray):
+            break
+        for _ in range(LEVELS):
+            level[ray] -= (level[ray] > 0) & (place[ray] >= end[ray, level[ray]])
+        blocks = Blocks(count, ray, place[ray], size[ray, level[ray]])
+        sigma, near, nearby = _look_at(media, lines, blocks, cutting)
+        looked_at += int(near.sum())
+        tau = sigma.sum(axis=0) * (lines.dt[ray] * blocks.size).astype(np.float32)[:, None]
+        peak = nearby * (lines.dt[ray] * blocks.size)
+        parts = np.where(level[ray] < LEVELS, _parts(tau, reached[ray], blocks.size, peak), 1)
+        kept = parts == 1
+        gained = sums_within(tau)[:, -1]
+        some = kept & near & (cutting.keep_empty | (gained > 0.0))
+        found.append((ray[some], blocks.place[some], blocks.size[some], sigma[:, some]))
+        reached[ray[kept]] += gained[kept]
+        gap[ray[kept]] = np.where(tau[kept, -1] > 0.0, 0.0, blocks.size[kept])
+        place[ray[kept]] += STEPS * blocks.size[kept]
+        cut, step, parts = ray[~kept], blocks.size[~kept], parts[~kept]
+        # Density that begins here may begin in the step in front, behind its samples.
+        back = np.minimum(gap[cut], step) * (tau[~kept, 0] > 0.0)
+        back = np.where(4.0 * step <= MOST_PARTS * back, back, 0.0)
+        for _ in range(MOST_PARTS):
+            parts = np.where((back > 0.0) & (parts * back < 4.0 * step), 2 * parts, parts)
+        level[cut] += 1
+        size[cut, level[cut]] = step / parts
+        end[cut, level[cut]] = place[cut] + STEPS * step
+        place[cut] -= back
+        gap[cut] = 0.0
+    ray, place, size = (np.concatenate([np.zeros(0, int if n == 0 else float), *column]) for n, column in
+                        enumerate(list(zip(*found))[:3]))  # fmt: skip
+    order = np.argsort(ray, kind="stable")
+    sigma = np.concatenate([block[3] for block in found], axis=1)
+    return lines, Blocks(count, ray[order].astype(int), place[order], size[order], looked_at), sigma[:, order]
+
+
+def _look_at(
+    media: Sequence[BoundMedium], lines: RayLines, blocks: Blocks, cutting: Cutting
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Extinction (V, P, STEPS) of blocks, whether any volume may hold something there, bool (P,), and the largest
+    extinction float64 (P,) that there may be.
+    """
+    sigma = np.zeros((len(media), len(blocks.ray), STEPS), np.float32)
+    nearby = np.zeros(len(blocks.ray))
+    anywhere = cutting.always_first & (blocks.place == 0.0)
+    inside = blocks.steps(0.0) < lines.count[blocks.ray, None]
+    for v, medium in enumerate(media):
+        middle = lines.index(v, blocks.ray, blocks.place + 0.5 * STEPS * blocks.size)
+        near = medium.grid.occupancy.near(middle) | (not cutting.skip_empty)
+        nearby += medium.grid.occupancy.peak(middle).astype(np.float64) * medium.sigma_t
+        anywhere = anywhere | near
+        if medium.sigma_t > 0.0:
+            some = Blocks(blocks.rays, blocks.ray[near], blocks.place[near], blocks.size[near])
+            mean = lines.mean(medium.grid.sample_density, v, some)
+            sigma[v, near] = mean * inside[near] * np.float32(medium.sigma_t)
+    return sigma, anywhere, nearby
+
+
+def _parts(tau: np.ndarray, reached: np.ndarray, size: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Into how many parts blocks are cut, int (P,): 1 where their steps are thin enough.
+
+    tau: (P, STEPS), optical thickness of steps. reached: (P,), optical depth in front of the block. size: (P,), of
+    steps. peak: (P,), optical thickness of a step as dense as the densest place near.
+    """
+    depth = np.minimum(reached, 600.0)
+    allowed = STEP_THICKNESS * np.exp(depth / STEP_GROWTH)
+    allowed_peak = PEAK_THICKNESS * np.exp(depth / PEAK_GROWTH)
+    thickest, parts = tau.max(axis=1).astype(np.float64), np.ones(len(tau), int)
+    while np.any(more := (parts < MOST_PARTS) & (thickest > parts * allowed)):
+        parts[more] *= 2
+    # Coarse steps need not be cut where none can be thick.
+    filled = (thickest > 0.0) & (peak > 2.0 * size * PEAK_THICKNESS)
+    while np.any(more := filled & (parts < MOST_PARTS) & (peak > parts * allowed_peak) & (size > parts * FINEST)):
+        parts[more] *= 2
+    return parts

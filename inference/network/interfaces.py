@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..grids.working_cube import Cube
+from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -43,8 +44,15 @@ class System(Protocol):
     def albedo_range(self) -> tuple[float, float]:
         """(lowest, highest) albedo that it accepts."""
 
-    def predictor(self, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER) -> Any:
-        """A Predictor for one volume in its working cube. Raises Cancelled."""
+    def predictor(
+        self,
+        volume: Volume,
+        cube: Cube,
+        anisotropy: float,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ) -> Any:
+        """A Predictor for one volume in its working cube. kernels: compiled ones, or None. Raises Cancelled."""
 
 
 class Predictor(Protocol):

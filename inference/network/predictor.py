@@ -11,6 +11,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.working_cube import Cube, fit_cube
+from ..kernels.library import Kernels
 from ..marching.ray_march import ray_features_at
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos, in_range
@@ -37,7 +38,7 @@ class VolumePredictor:
     """A network with what it reads of one volume, for any extinction and sun.
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
-    Safe on several threads. Raises Cancelled.
+    kernels: compiled ones, or None. Safe on several threads. Raises Cancelled.
 
     Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
     range: scaled down in proportion below it, where multiple scattering is linear in density, and constant above it. No
@@ -45,11 +46,18 @@ class VolumePredictor:
     function peaks.
     """
 
-    def __init__(self, network: System, volume: Volume, anisotropy: float, cancel: CancelToken = NEVER):
+    def __init__(
+        self,
+        network: System,
+        volume: Volume,
+        anisotropy: float,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = fit_cube(volume), anisotropy
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
-        self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
+        self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel, kernels)
         self._lock = threading.Lock()
         self._last: tuple[tuple[Any, ...], PreparedPredictor] | None = None
 

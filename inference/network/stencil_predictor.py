@@ -12,19 +12,20 @@ from ..features.mip_lattices import (
     Lattices,
     SunLevels,
     build_lattices,
-    density_pyramid,
-    padded_levels,
+    inner_cells,
+    padded_pyramid,
     unit_optical_depths,
     visibility_levels,
 )
 from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
-from ..grids.working_cube import Cube, level0_density
+from ..grids.working_cube import Cube
+from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
+from ..transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
@@ -36,22 +37,30 @@ VISIBILITY_SAMPLES = 3
 class StencilPredictor:
     """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
 
-    network: whose `points` are the Stencil. cube: of the volume. Safe on several threads. Raises Cancelled.
+    network: whose `points` are the Stencil. cube: of the volume. kernels: compiled ones, or None. Safe on several
+    threads. Raises Cancelled.
     """
 
     needs_ray_features = False
     respects_surfaces = True
 
-    def __init__(self, network: Any, volume: Volume, cube: Cube, anisotropy: float, cancel: CancelToken = NEVER):
-        self.network, self.cube, self.anisotropy = network, cube, anisotropy
+    def __init__(
+        self,
+        network: Any,
+        volume: Volume,
+        cube: Cube,
+        anisotropy: float,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ):
+        self.network, self.cube, self.anisotropy, self.kernels = network, cube, anisotropy, kernels
         self._lock = threading.Lock()
         self._lattices: tuple[tuple[float, ...], Lattices] | None = None
-        pyramid = density_pyramid(level0_density(volume, cube, cancel))
-        self.padded = padded_levels(pyramid, network.points)
-        self._read_pyramid(pyramid)
+        self.padded = padded_pyramid(volume, cube, network.points, cancel, kernels)
+        self._read_pyramid()
 
-    def _read_pyramid(self, pyramid: list[np.ndarray]) -> None:
-        """Compute what depends on the volume alone; pyramid: of its density."""
+    def _read_pyramid(self) -> None:
+        """Compute what depends on the volume alone."""
         self.phase = PhaseFeatures(self.network.points, self.anisotropy)
 
     @staticmethod
@@ -63,7 +72,7 @@ class StencilPredictor:
         """What predicts under these conditions. Raises Cancelled."""
         stencil = self.network.points
         visibility = visibility_levels(stencil, conditions.shadow_map) if conditions.shadow_map else None
-        sun = SunLevels(unit_optical_depths(self.padded, conditions.sun), visibility)
+        sun = SunLevels(unit_optical_depths(self.padded, conditions.sun, self.kernels), visibility)
         with tasks.cancel.locked(self._lock):
             earlier = None
             if self._lattices is not None and self._lattices[0] == conditions.bounds_key:
@@ -71,7 +80,7 @@ class StencilPredictor:
             # Released before building new ones.
             self._lattices = None
             lattices = build_lattices(
-                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier
+                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier, self.kernels
             )
             self._lattices = conditions.bounds_key, lattices
         lookup = FieldLookup(stencil, lattices, conditions.sun)
@@ -119,9 +128,9 @@ class RayPredictor(StencilPredictor):
         """The sparse stencil from the floats of a weights file."""
         return Stencil.read(values, SPARSE)
 
-    def _read_pyramid(self, pyramid: list[np.ndarray]) -> None:
+    def _read_pyramid(self) -> None:
         """Take the level that the coarse transport is solved on."""
-        self.coarse = pyramid[LEVEL]
+        self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
 
@@ -132,45 +141,57 @@ class RayPredictor(StencilPredictor):
             if self._lattices is None or self._lattices[0] != conditions.bounds_key:
                 self._lattices = None
                 lattices = build_lattices(
-                    self.padded, conditions.sigma_hat, stencil, bounds=conditions.bounds, mapper=tasks.each
+                    self.padded,
+                    conditions.sigma_hat,
+                    stencil,
+                    bounds=conditions.bounds,
+                    mapper=tasks.each,
+                    kernels=self.kernels,
                 )
                 self._lattices = conditions.bounds_key, lattices
             lattices = self._lattices[1]
-            cells = self._solve(conditions, tasks.cancel).astype(np.float32)
-        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), cells, self.anisotropy)
+            light = FluenceLattice(self._solve(conditions, tasks.cancel))
+        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), light, self.anisotropy)
 
     def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
-            # Sequentially: on several threads they contend for the interpreter lock between short operations and take
-            # longer.
-            cells = [found for sun in suns for found in tasks.each(lambda one: self._solve(one, tasks.cancel), [sun])]
+            if suns:
+                self._solver(suns[0])
+            cells = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
         return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
 
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
         """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
-        if key not in self._fluence:
+        found = self._fluence.get(key)
+        if found is None:
             if len(self._fluence) >= MAX_LATTICES:
                 self._fluence.clear()
-            # All suns of a render share their optical thickness and occluders.
-            solver_key = conditions.sigma_hat, conditions.occluders
-            if self._transport is None or self._transport[0] != solver_key:
-                solver = DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles)
-                self._transport = solver_key, solver
-            solver, shadow_map = self._transport[1], conditions.shadow_map
+            solver, shadow_map = self._solver(conditions), conditions.shadow_map
             visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
-            self._fluence[key] = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
-        return self._fluence[key]
+            found = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
+            self._fluence[key] = found
+        return found
+
+    def _solver(self, conditions: Conditions) -> DiscreteOrdinates:
+        """Solver of the transport; all suns of a render share their optical thickness and occluders."""
+        key = conditions.sigma_hat, conditions.occluders
+        if self._transport is None or self._transport[0] != key:
+            solver = DiscreteOrdinates(
+                self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels
+            )
+            self._transport = key, solver
+        return self._transport[1]
 
 
 @dataclass(frozen=True)
 class PreparedRays:
-    """A RayPredictor under certain conditions; a `PreparedPrediction`. cells: of `fluence_lattice`, float32."""
+    """A RayPredictor under certain conditions; a `PreparedPrediction`."""
 
     network: Any
     lookup: FieldLookup
-    cells: np.ndarray
+    light: FluenceLattice
     anisotropy: float
 
     def predict(
@@ -187,7 +208,7 @@ class PreparedRays:
         sun = self.lookup.sun
         gamma = angle_to_sun(omega[first], sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        around = read_fluence(self.cells, positions, omega, sun, self.anisotropy)
+        around = self.light.read(positions, omega, sun, self.anisotropy)
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
         ray = np.concatenate([ray_features, around], axis=1)

@@ -16,7 +16,6 @@ def box_interval(origins: np.ndarray, directions: np.ndarray, low: Bound, high: 
         inverse = 1.0 / directions
         a = (low - origins) * inverse
         b = (high - origins) * inverse
-    # A ray within the plane of a face divides 0 by 0; that axis does not bound it.
-    near = np.where(np.isnan(a) | np.isnan(b), -np.inf, np.minimum(a, b)).max(axis=1)
-    far = np.where(np.isnan(a) | np.isnan(b), np.inf, np.maximum(a, b)).min(axis=1)
-    return near, far
+    # A ray within the plane of a face divides 0 by 0; that axis does not bound it, since these pass over NaN.
+    first, last = np.minimum(a, b).T, np.maximum(a, b).T
+    return np.fmax(np.fmax(first[0], first[1]), first[2]), np.fmin(np.fmin(last[0], last[1]), last[2])

@@ -11,6 +11,13 @@ import numpy as np
 VECTOR_WORK, MATRIX_WORK = 8192, 1 << 17
 
 
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a (3, 3) matrix by Cramer's rule; LAPACK would wake its threads even for that."""
+    a, b, c = matrix.T
+    rows = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    return rows / (a * rows[0]).sum()
+
+
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a @ b for a (..., M, K) and b (K,) or (K, N), in blocks of rows that are small enough to stay on this thread."""
     if not a.size or not b.size:

@@ -37,6 +37,8 @@ class DepthBuffer:
         self.extent = 2.0 * np.tan(0.5 * camera.fov)
         projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
         self.place, self.value = (np.concatenate(parts) for parts in zip(*projected))
+        # Pixels that each triangle may reach, so that small windows need not look at all of them.
+        self.low, self.high = self.place.min(axis=1) - 1.0, self.place.max(axis=1) + 1.0
 
     def _project(self, corners: np.ndarray, closest: float, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
         """Project triangles to pixel coordinates (T, 3, 2), with values (T, 3) that grow towards the camera.
@@ -67,9 +69,10 @@ class DepthBuffer:
         """
         x0, y0, x1, y1 = window
         size = np.array([x1 - x0, y1 - y0]) * SAMPLES
-        place = (self.place - [x0, y0]) * SAMPLES - 0.5
+        near = np.flatnonzero(np.all((self.low < [x1, y1]) & (self.high > [x0, y0]), axis=1))
+        place = (self.place[near] - [x0, y0]) * SAMPLES - 0.5
         found = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize(place, self.value, size, cancel):
+        for flat, value, _ in rasterize(place, self.value[near], size, cancel):
             np.maximum.at(found, flat, value)
         distance = self._along(found.reshape(size[1], size[0]), x0, y0)
         parts = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)

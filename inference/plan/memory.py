@@ -36,6 +36,6 @@ def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
     return depths + SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
 
 
-def row_bytes(width: int, depth_samples: int, volumes: int, suns: int) -> int:
-    """Bytes of a row of `width` pixels while it is rendered."""
-    return width * (RAY_BYTES + (SAMPLE_BYTES + RAY_FEATURE_BYTES * volumes * suns) * depth_samples)
+def ray_bytes(depth_samples: int, volumes: int, suns: int) -> int:
+    """Bytes of a camera ray while it is rendered."""
+    return RAY_BYTES + (SAMPLE_BYTES + RAY_FEATURE_BYTES * volumes * suns) * depth_samples

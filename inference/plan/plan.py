@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene needs, decided from its description alone."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +13,7 @@ from ..scene.errors import SceneError
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, row_bytes
+from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -20,10 +21,12 @@ from .resolution import BAND
 PARALLEL_ANGLE = 1e-6
 # A grid whose largest density lies outside is rescaled, and its extinction inversely.
 DENSITY_RANGE = (2.0**-20, 2.0**20)
-# Pixels rendered together: few enough for finished tiles to appear soon, enough for threads to seldom wait at the end
-# of one.
-TILE_PIXELS = 1 << 18
-SMALLEST_TILE, TILES_PER_IMAGE = 1 << 16, 8
+# Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
+# into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
+TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 12
+# Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
+# their depth samples are held meanwhile.
+VIEW_PIXELS = 1 << 16
 # Optical thickness of the working cube below which nothing is visible, and above which the picture no longer changes.
 MIN_SIGMA_HAT, MAX_SIGMA_HAT = 1e-20, 1e12
 # Voxels are indexed with 32-bit integers.
@@ -49,8 +52,8 @@ class Plan:
     parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
     network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
-    names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: rows of the
-    image, first and end, that are rendered together.
+    names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
+    (x0, y0, x1, y1) of the image, each of which one thread renders.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -63,7 +66,7 @@ class Plan:
     left_out: list[str] = field(default_factory=list)
     optimizations: frozenset[str] = ALL
     memory: int = 0
-    tiles: list[tuple[int, int]] = field(default_factory=list)
+    tiles: list[tuple[int, int, int, int]] = field(default_factory=list)
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -80,14 +83,10 @@ class Plan:
             for v in self.groups[group]
         )
 
-    def in_small_tiles(self, camera: Camera) -> "Plan":
-        """The plan in smaller tiles, for networks whose lookup lattices serve every sun.
-
-        Small tiles show results early, and cost such networks nothing.
-        """
-        x0, y0, x1, y1 = camera.window
-        tiles = make_tiles(y0, y1, small_tile_rows(x1 - x0, y1 - y0))
-        return self if len(tiles) <= len(self.tiles) else replace(self, tiles=tiles)
+    @property
+    def small(self) -> bool:
+        """Whether lookup lattices are built for the points of the view alone."""
+        return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
 
     def with_suns(self, numbers: Sequence[int]) -> "Plan":
         """The plan with only these suns, by number, because surfaces shadow the volumes completely from all others."""
@@ -167,19 +166,16 @@ def attenuates(volume: Volume, medium: Medium) -> bool:
     return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
 
 
-def make_tiles(y0: int, y1: int, rows: int) -> list[tuple[int, int]]:
-    """Rows of pixels from y0 to y1 in tiles of approximately `rows`: first and end of each.
+def make_tiles(window: tuple[int, int, int, int], bands: int) -> list[tuple[int, int, int, int]]:
+    """A window of the image in tiles of whole bands, row by row; bands: along an edge of a tile."""
+    x0, y0, x1, y1 = window
+    size = bands * BAND
 
-    Tiles consist of whole bands.
-    """
-    size = max(rows // BAND, 1) * BAND
-    starts = [y0, *range(y0 // BAND * BAND + size, y1, size)]
-    return list(zip(starts, [*starts[1:], y1]))
+    def spans(first: int, end: int) -> list[tuple[int, int]]:
+        starts = [first, *range(first // BAND * BAND + size, end, size)]
+        return list(zip(starts, [*starts[1:], end]))
 
-
-def small_tile_rows(width: int, height: int) -> int:
-    """Approximate rows per tile for one sun, for an image of width by height pixels."""
-    return -(-min(max(width * height // TILES_PER_IMAGE, SMALLEST_TILE), TILE_PIXELS) // width)
+    return [(left, top, right, bottom) for top, bottom in spans(y0, y1) for left, right in spans(x0, x1)]
 
 
 def make_plan(
@@ -219,7 +215,7 @@ def make_plan(
     memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged), memory)
     if len(tiles) > 1:
-        planned.append(f"{len(tiles)} tiles of up to {max(end - start for start, end in tiles)} rows")
+        planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
     if needed > settings.memory_limit:
         raise SceneError(
             f"the render needs about {needed / 2**30:.1f} GiB and the limit is "
@@ -296,15 +292,22 @@ def _plan_group(
 
 def _plan_tiles(
     camera: Camera, settings: Settings, volumes: int, suns: int, memory: int
-) -> tuple[list[tuple[int, int]], int]:
+) -> tuple[list[tuple[int, int, int, int]], int]:
     """Tiles of the camera's window, and the bytes needed including them; memory: bytes needed without them."""
     x0, y0, x1, y1 = camera.window
-    pixels = (x1 - x0) * (y1 - y0)
-    memory += pixels * IMAGE_BYTES
-    row = row_bytes(x1 - x0, settings.depth_samples, volumes, suns)
-    rows = small_tile_rows(x1 - x0, y1 - y0)
-    if suns > 1:
-        # Lookup lattices are rebuilt for each sun in every tile: as few tiles as memory allows.
-        rows = max(rows, int((settings.memory_limit - memory) // row))
-    tiles = make_tiles(y0, y1, rows)
-    return tiles, memory + row * max(end - start for start, end in tiles)
+    memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
+    threads, needed = settings.threads or os.cpu_count() or 1, memory
+    for bands in TILE_BANDS:
+        tiles = make_tiles(camera.window, bands)
+        pixels = min(threads, len(tiles)) * _largest(tiles)
+        if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
+            pixels = (x1 - x0) * (y1 - y0)
+        needed = memory + pixels * ray_bytes(settings.depth_samples, volumes, suns)
+        if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
+            break
+    return tiles, needed
+
+
+def _largest(tiles: list[tuple[int, int, int, int]]) -> int:
+    """Pixels of the largest tile."""
+    return max((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in tiles)

@@ -9,8 +9,8 @@ import numpy as np
 LEVEL0_CELLS = 256
 #: Grids with fewer voxels along their longest edge are refined, to at most this many.
 FINE_EDGE = 128
-#: Rows per band of the image. Pixels interpolate multiple scattering within a band, and tiles consist of whole bands,
-#: so that the image does not depend on the tiles.
+#: Rows and columns of the image per band. Pixels interpolate multiple scattering within a band of rows and one of
+#: columns, and tiles consist of whole bands, so that the image does not depend on the tiles.
 BAND = 33
 
 

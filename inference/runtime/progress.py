@@ -63,9 +63,10 @@ class Progress:
         """How much of a stage is done."""
         return self._done[stage]
 
-    def advance(self, stage: str, amount: float) -> None:
-        """Count so much more of a stage as done."""
+    def advance(self, stage: str, amount: float, seconds: float = 0.0) -> None:
+        """Count so much more of a stage as done; seconds: that it took, where no block is timed."""
         self._done[stage] += amount
+        self._spent[stage] += seconds
         self._tell()
 
     def message(self, message: str) -> None:

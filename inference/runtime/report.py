@@ -4,7 +4,7 @@
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,8 +18,9 @@ class Report:
     threads. planned, left_out: sentences about what the render does, and about what it skips.
     warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
     saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
-    stages overlap on several threads, so "total" is measured separately. cpu_seconds: processor time of all threads of
-    the process per stage. peak_memory: bytes of the whole process, None where the platform does not tell.
+    of stages that several threads do side by side, the mean over the threads. "total" is measured separately.
+    cpu_seconds: processor time of all threads of the process per stage. peak_memory: bytes of the whole process, None
+    where the platform does not tell.
     """
 
     model: str = ""
@@ -38,17 +39,40 @@ class Report:
 
     def __post_init__(self) -> None:
         self._running: dict[str, float] = {}
+        self._processor_time = time.process_time
+
+    @classmethod
+    def of_thread(cls) -> "Report":
+        """For a part of a render, all of which the calling thread does; to be merged into the render's."""
+        report = cls()
+        report._processor_time = time.thread_time
+        return report
+
+    def merge(self, part: "Report", threads: int) -> None:
+        """Add what a part of the render counted; threads: number of parts that run side by side."""
+        for name, number in part.counts.items():
+            self.count(name, number)
+        for name, seconds in part.seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds / threads
+            self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + part.cpu_seconds[name]
+        self.warn(part.warnings)
+
+    def warn(self, warnings: Iterable[str]) -> None:
+        """Add the warnings that are not there yet."""
+        for warning in warnings:
+            if warning not in self.warnings:
+                self.warnings.append(warning)
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Context manager that adds the time spent inside to a stage."""
-        start, cpu = time.perf_counter(), time.process_time()
+        start, cpu = time.perf_counter(), self._processor_time()
         self._running[name] = start
         try:
             yield
         finally:
             del self._running[name]
-            self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + time.process_time() - cpu
+            self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + self._processor_time() - cpu
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def elapsed(self, name: str) -> float:

@@ -33,7 +33,10 @@ class Tasks:
         self._pool.shutdown(cancel_futures=True)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Yield function(item) for each item, with a bounded number of tasks in flight. Raises Cancelled."""
+        """Yield function(item) for each item, with a bounded number of tasks in flight.
+
+        Raises Cancelled within POLL_INTERVAL.
+        """
         iterator = iter(items)
         pending: list[concurrent.futures.Future[Result]] = []
         for item in iterator:
@@ -41,8 +44,7 @@ class Tasks:
             if len(pending) > 2 * self.threads:
                 break
         while pending:
-            self.cancel.check()
-            result = pending.pop(0).result()
+            result = self._result(pending.pop(0))
             for item in iterator:
                 pending.append(self._pool.submit(function, item))
                 break
@@ -51,11 +53,13 @@ class Tasks:
     def each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield function(item) for a few long items, all submitted at once. Raises Cancelled within POLL_INTERVAL."""
         pending = [self._pool.submit(function, item) for item in items]
-        for future in pending:
-            while not concurrent.futures.wait([future], POLL_INTERVAL).done:
-                self.cancel.check()
+        yield from map(self._result, pending)
+
+    def _result(self, future: "concurrent.futures.Future[Result]") -> Result:
+        while not concurrent.futures.wait([future], POLL_INTERVAL).done:
             self.cancel.check()
-            yield future.result()
+        self.cancel.check()
+        return future.result()
 
 
 class SerialTasks:

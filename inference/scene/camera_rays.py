@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from .camera import Camera
 
 
@@ -57,6 +57,16 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     return origins, directions, cosine
 
 
+def pixel_size(camera: Camera, distance: np.ndarray) -> np.ndarray:
+    """Approximate width (N,) of a pixel at distances (N,) along its ray, in world units."""
+    width = camera.resolution[0]
+    if camera.projection == "orthographic":
+        return np.full_like(distance, camera.ortho_scale / width)
+    if camera.projection == "equirectangular":
+        return distance * abs(camera.longitude[1] - camera.longitude[0]) / width
+    return distance * (2.0 * np.tan(0.5 * camera.fov) / width)
+
+
 def widest_angle(camera: Camera) -> float:
     """Approximate angle between the rays at the ends of the image's longer edge; radians."""
     if camera.projection == "orthographic":
@@ -80,7 +90,7 @@ def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, i
     if camera.projection == "equirectangular":
         return x0, y0, x1, y1
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-    local = (corners - camera.world_matrix[:3, 3]) @ np.linalg.inv(rotation).T
+    local = product(corners - camera.world_matrix[:3, 3], inverse(rotation).T)
     if camera.projection == "orthographic":
         plane = local[:, :2] / camera.ortho_scale
     elif local[:, 2].max() < -1e-6 * np.abs(local).max():

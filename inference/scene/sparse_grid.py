@@ -198,6 +198,16 @@ class SparseGrid:
             blocks[x, :, y, :, z, :] = cells.any(axis=(2, 4, 6))
         return filled
 
+    def cell_peaks(self) -> np.ndarray:
+        """float32, the largest value in cells of CELL x CELL x CELL voxels."""
+        parts = EDGE // self.CELL
+        peaks = np.zeros([n * parts for n in self.table.shape], np.float32)
+        blocks = peaks.reshape([size for n in self.table.shape for size in (n, parts)])
+        for (x, y, z), rows in self._stored_blocks():
+            cells = self.values[rows].reshape(-1, *(parts, self.CELL) * 3)
+            blocks[x, :, y, :, z, :] = cells.max(axis=(2, 4, 6))
+        return peaks
+
     def _stored_blocks(self) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
         """Yield places, three int (n,), and rows (n,) of the stored blocks, some blocks at a time."""
         places = np.nonzero(self.table)

@@ -6,11 +6,16 @@ At the outer faces light leaves and none enters (Marshak's boundary condition).
 
 import numpy as np
 
+from ..kernels.field_structures import Diffusion
+from ..kernels.library import Kernels
 from ..occluders.cell_boundaries import CellBoundaries
+from ..runtime.cancellation import NEVER, CancelToken
 
 #: Added to 3 sigma_tr in D = 1 / (3 sigma_tr), in units of 1 / edge, so that D stays finite in empty space.
 THIN = 2.0
 TOLERANCE, MAX_ITERATIONS = 1e-3, 400
+# Iterations that one call of the kernel takes.
+ITERATIONS_PER_CALL = 50
 
 
 def couple(diffusion: np.ndarray, h: float, boundaries: CellBoundaries | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -50,20 +55,42 @@ def solve(
     least: float = 0.0,
     tolerance: float = TOLERANCE,
     iterations: int = MAX_ITERATIONS,
+    kernels: Kernels | None = None,
+    cancel: CancelToken = NEVER,
 ) -> np.ndarray:
     """Solve the equation by conjugate gradients with the diagonal as preconditioner.
 
     equation: diagonal and couplings, from `couple`. source: (x, y, z). least: lower bound of the solution. tolerance:
-    of the residual, relative to the first. iterations: at most. Returns (x, y, z) of the source's dtype.
+    of the residual, relative to the first. iterations: at most. kernels: compiled ones, or None. Returns float64 (x, y,
+    z). Raises Cancelled.
     """
     diagonal, couplings = equation
-    x = np.zeros_like(source)
-    residual = source.copy()
-    z = residual / diagonal
-    p, rz = z.copy(), float(np.vdot(residual, z))
+    x = np.zeros(source.shape)
+    residual = source.astype(np.float64)
+    p = residual / diagonal
+    rz = float(np.vdot(residual, p))
     limit = rz * tolerance**2
+    if kernels is not None:
+        system = Diffusion(
+            shape=np.array(source.shape),
+            diagonal=diagonal,
+            couplings=couplings,
+            x=x,
+            residual=residual,
+            direction=p,
+            product=np.empty_like(x),
+            rz=rz,
+            limit=limit,
+        )
+        for done in range(0, iterations, ITERATIONS_PER_CALL):
+            cancel.check()
+            system.iterations = min(ITERATIONS_PER_CALL, iterations - done)
+            if kernels.prepare("conjugate_gradients", system) < system.iterations:
+                break
+        return np.maximum(x, least)
     for _ in range(iterations):
-        if rz <= limit:
+        cancel.check()
+        if not rz > limit:
             break
         ap = _apply(diagonal, couplings, p)
         step = rz / float(np.vdot(p, ap))

@@ -18,9 +18,15 @@ through the faces of the cube and none enters. The solution is too coarse to be 
 network, which otherwise knows a point's surroundings in outline only.
 """
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 
+from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..kernels.field_structures import OrdinateSweep
+from ..kernels.library import Kernels
 from ..numerics.exponential import one_minus_exp
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
@@ -40,6 +46,8 @@ TOLERANCE, MAX_ITERATIONS = 0.1, 40
 CELL_DIFFUSION = 0.2
 # Lower bound of the optical thickness of a cell.
 MIN_DEPTH = np.float32(1e-6)
+# Optical thickness of a cell below which a series takes the place of differences.
+THIN_CELL = np.float32(0.03)
 
 
 def _directions(axis: int) -> np.ndarray:
@@ -66,20 +74,28 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None.
+    surfaces, or None. kernels: compiled ones, or None.
     """
 
-    def __init__(self, density: np.ndarray, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None = None):
+    def __init__(
+        self,
+        density: np.ndarray,
+        sigma_hat: float,
+        anisotropy: float,
+        triangles: np.ndarray | None = None,
+        kernels: Kernels | None = None,
+    ):
         n = len(density)
+        self.kernels = kernels
         self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - anisotropy**2))
         self.anisotropy = reduced_anisotropy(anisotropy)
         self.extinction = self.sigma * density
         reduced = np.float32(sigma_hat * (1.0 - anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(_means(density), sigma_hat, anisotropy, triangles)
+            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
-        coarse_diffusion = 1.0 / (3.0 * _means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
+        coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
         self.links: list[dict[int, np.ndarray]] | None = None
         coarse_boundaries = None
@@ -88,34 +104,24 @@ class DiscreteOrdinates:
             if not boundaries.empty:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
-        diagonal, couplings = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
-        self.equation = diagonal.astype(np.float32), couplings.astype(np.float32)
-        self.transmittances = self._transmittances()
+        self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
+        self.leaving, self.within = self._source_shares()
 
-    def _transmittances(self) -> list[list[tuple[np.ndarray, np.ndarray]]]:
-        """Transmittance of cells and mean of exp(-tau) within them, main axis first.
+    def _source_shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Share of the source function in the radiance that leaves a cell, and in its mean within it.
 
-        Per main axis and kind of neighbour: across a face, an edge or a corner.
+        float32 (3, x, y, z), for each kind of neighbour: across a face, an edge or a corner. These are 1 - exp(-tau)
+        and 1 - (1 - exp(-tau)) / tau.
         """
-        n, kinds = len(self.density), []
+        n = len(self.density)
         extinction = self.extinction
         if self.boundaries is not None:
             extinction = np.where(self.boundaries.inside, np.float32(n * 1e3), extinction)
-        for length in np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n):
-            tau = np.maximum(extinction * length, MIN_DEPTH)
-            lost = one_minus_exp(tau)
-            kinds.append((1.0 - lost, lost / tau))
-
-        def main_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
-            return np.ascontiguousarray(np.moveaxis(values, axis, 0))
-
-        return [
-            [
-                (main_axis_first(transmitted, axis), main_axis_first(mean, axis))
-                for transmitted, mean in kinds[: 3 - axis]
-            ]
-            for axis in range(3)
-        ]
+        lengths = np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n)
+        tau = np.maximum(extinction * lengths[:, None, None, None], MIN_DEPTH)
+        lost = one_minus_exp(tau)
+        # The difference from 1 loses all digits in thin cells.
+        return lost, np.where(tau < THIN_CELL, tau * (0.5 - tau * (1.0 / 6.0 - tau / 24.0)), 1.0 - lost / tau)
 
     def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
@@ -124,11 +130,10 @@ class DiscreteOrdinates:
         through. Raises Cancelled.
         """
         n = len(self.density)
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n)
+        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
-        across = np.maximum(2.0 * half, MIN_DEPTH)
-        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * one_minus_exp(across) / across
+        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.within[0])
         phases = [self._phases(steps, sun) for steps in STEPS]
         # The quadrature of the phase function need not be exactly 1.
         total = (
@@ -138,23 +143,31 @@ class DiscreteOrdinates:
         )
         field = np.zeros((5, n, n, n), np.float32)
         field[4] = beam
-        sweeps = SWEEPS
+        swept, sweeps = np.empty((4, n, n, n), np.float32), SWEEPS
+        follow = [
+            self._follower(axis, sign, phase / total, field, swept)
+            for axis, pair in enumerate(phases)
+            for sign, phase in zip((1, -1), pair)
+        ]
         if self.coarser is not None:
-            coarse_visibility = _means(visibility) if isinstance(visibility, np.ndarray) else visibility
+            coarse_visibility = self._means(visibility) if isinstance(visibility, np.ndarray) else visibility
             coarse = self.coarser.light(sun, coarse_visibility, cancel)
             field[:4] = [self._finer(values) for values in coarse]
             sweeps = FINE_SWEEPS
         for number in range(sweeps):
             if self.boundaries is not None:
                 field *= ~self.boundaries.inside
-            swept = self._sweep(field, phases, total, cancel)
+            swept.fill(0.0)
+            for one in follow:
+                cancel.check()
+                one()
             change = self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
-            self._correct(field, change)
+            self._correct(field, change, cancel)
         return swept
 
     def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,11 +175,12 @@ class DiscreteOrdinates:
         cosine = -(steps @ sun) / np.sqrt((steps**2).sum(axis=1))
         return henyey_greenstein(cosine, self.anisotropy), henyey_greenstein(-cosine, self.anisotropy)
 
-    def _correct(self, field: np.ndarray, change: np.ndarray) -> None:
+    def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken) -> None:
         """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet."""
         n = len(self.density)
-        source = _means(change) * np.float32((2.0 / n) ** 2)
-        more = self._finer(solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS))
+        source = self._means(change) * np.float32((2.0 / n) ** 2)
+        found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, self.kernels, cancel)
+        more = self._finer(found.astype(np.float32))
         field[0] = np.maximum(field[0] + more, 0.0)
         for axis in range(3):
             field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)
@@ -181,65 +195,83 @@ class DiscreteOrdinates:
         size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(3.0 * abs(self.anisotropy))
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
-    def _sweep(self, field: np.ndarray, phases: list[Phases], total: float, cancel: CancelToken) -> np.ndarray:
-        """Fluence and flux (4, x, y, z) of the light that the sources of a field (5, x, y, z) emit.
+    def _means(self, values: np.ndarray) -> np.ndarray:
+        """Means of 2 x 2 x 2 cells."""
+        means = np.empty([n // 2 for n in values.shape], np.float32)
+        halve(np.ascontiguousarray(values, np.float32), means, self.kernels)
+        return means
 
-        The field holds phi, F and the beam.
+    def _follower(
+        self, axis: int, sign: int, phase: np.ndarray, field: np.ndarray, swept: np.ndarray
+    ) -> Callable[[], object]:
+        """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
+
+        phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam.
         """
-        swept = np.zeros((4, *field.shape[1:]), np.float32)
-        for axis, steps in enumerate(STEPS):
-            sources = np.ascontiguousarray(np.moveaxis(field, [1 + axis, 0], [0, 1]))
-            sums = np.zeros((len(sources), 4, *sources.shape[2:]), np.float32)
-            for sign, phase in zip((1, -1), phases[axis]):
-                cancel.check()
-                links = None if self.links is None else self.links[axis][sign]
-                self._follow_steps(axis, sign * steps, phase / total, sources, sums, links)
-            swept += np.moveaxis(sums, [1, 0], [0, 1 + axis])
-        return swept
+        steps = sign * STEPS[axis]
+        links = None if self.links is None else self.links[axis][sign]
+        emit, gather = self._weights(steps, phase)
+        if self.kernels is None:
+            return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links)
+        n = len(self.density)
+        data = OrdinateSweep(
+            cells=n,
+            axis=axis,
+            sign=sign,
+            directions=len(steps),
+            steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
+            kinds=np.abs(steps).sum(axis=1) - 1,
+            emit=emit,
+            gather=gather,
+            field=field,
+            leaving=self.leaving,
+            within=self.within,
+            links=links,
+            sums=swept,
+            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 11 * n, np.float32),
+        )
+        return functools.partial(self.kernels.prepare, "sweep_ordinates", data)
+
+    def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
+        unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
+        scattered = unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
+        return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 
     def _follow_steps(
         self,
         axis: int,
         steps: np.ndarray,
-        phase: np.ndarray,
-        sources: np.ndarray,
-        sums: np.ndarray,
+        weights: tuple[np.ndarray, np.ndarray],
+        field: np.ndarray,
+        swept: np.ndarray,
         links: np.ndarray | None,
     ) -> None:
-        """Add fluence and flux of light along steps (D, 3) to `sums` (slices, 4, b, c).
+        """Add fluence and flux of light along steps (D, 3), all of which lead to one side along an axis, to `swept`.
 
-        All steps lead to one side along an axis.
+        weights: from `_weights`.
         """
-        n, count = len(sources), len(steps)
-        kinds = np.abs(steps).sum(axis=1)
-        unit = steps / np.sqrt(kinds)[:, None]
-        one = np.ones((count, 1))
-        scattered = np.concatenate([one, 3.0 * self.anisotropy * unit], axis=1) / (4.0 * np.pi)
-        emit = np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32)
-        gather = (4.0 * np.pi * _solid_angles(steps) * np.concatenate([one, unit], axis=1).T).astype(np.float32)
-        # Steps are sorted by kind.
-        places = [(kind - 1, np.flatnonzero(kinds == kind)) for kind in np.unique(kinds)]
-        of_kind = [(kind, slice(found[0], found[-1] + 1)) for kind, found in places]
-        b, c = (steps[:, other] for other in range(3) if other != axis)
+        n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
+        emit, gather = weights
+        across = [place for place in range(3) if place != axis]
+        field, swept, leaving, within = (
+            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
+        )
         # Light that leaves the previous slice, with a border of zeros.
-        light = np.zeros((count, sources.shape[2] + 2, sources.shape[3] + 2), np.float32)
-        before, after = (np.empty((count, *sources.shape[2:]), np.float32) for _ in range(2))
-        rows, columns = sources.shape[2:]
+        light = np.zeros((len(steps), n + 2, n + 2), np.float32)
         for k in range(n)[:: steps[0, axis]]:
-            source = (emit @ sources[k].reshape(5, -1)).reshape(before.shape)
-            for d in range(count):
-                arriving = light[d, 1 - b[d] : 1 - b[d] + rows, 1 - c[d] : 1 - c[d] + columns]
-                if links is not None:
-                    arriving = arriving * links[k, d]
-                np.subtract(arriving, source[d], out=before[d])
-            # Within a cell radiance tends towards the source function: I = S + (I_0 - S) exp(-tau).
-            for kind, which in of_kind:
-                transmitted, mean = self.transmittances[axis][kind]
-                np.multiply(before[which], transmitted[k], out=after[which])
-                before[which] *= mean[k]
-            np.add(after, source, out=light[:, 1:-1, 1:-1])
-            before += source
-            sums[k] += (gather @ before.reshape(count, -1)).reshape(sums[k].shape)
+            arriving = np.stack(
+                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(light, steps[:, across])]
+            )
+            if links is not None:
+                arriving *= links[k]
+            # Within a cell radiance tends towards the source function: I = I_0 + (S - I_0) (1 - exp(-tau)).
+            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, field[k]))
+            rise = source - arriving
+            light[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
+            mean = arriving + rise * within[k][kinds]
+            swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
@@ -267,14 +299,8 @@ def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:
                 if step[a] < 0:
                     place[a] += 1
             links.append(np.moveaxis(link, axis, 0))
-        found[sign] = np.stack(links, axis=1).astype(np.float32)
+        found[sign] = np.ascontiguousarray(np.stack(links, axis=1), np.float32)
     return found
-
-
-def _means(values: np.ndarray) -> np.ndarray:
-    """Means of 2 x 2 x 2 cells."""
-    n = len(values) // 2
-    return values.reshape(n, 2, n, 2, n, 2).mean(axis=(1, 3, 5))
 
 
 def _interpolated(values: np.ndarray) -> np.ndarray:

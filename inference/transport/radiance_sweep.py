@@ -3,6 +3,8 @@
 
 import numpy as np
 
+from ..kernels.field_structures import RadianceSweep
+from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 
 # Lower bound of the optical thickness of a cell.
@@ -10,51 +12,101 @@ MIN_DEPTH = 1e-6
 
 
 def sweep_radiance(
-    extinction: np.ndarray, emission: np.ndarray, cell: float, face: int, cancel: CancelToken = NEVER
+    extinction: np.ndarray,
+    emission: np.ndarray,
+    cell: float,
+    face: int,
+    cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fluence (x, y, z) and flux (3, x, y, z) of light that is emitted and attenuated, without scattering.
 
     extinction, emission: (x, y, z), of cells of edge `cell`; emission is radiance per unit of length. face: directions
-    along an edge of each face of a cube, an even number. Conserves energy: a cell absorbs its extinction times its
-    fluence. Raises Cancelled.
+    along an edge of each face of a cube, an even number. kernels: compiled ones, or None. Conserves energy: a cell
+    absorbs its extinction times its fluence. Raises Cancelled.
     """
-    fluence, flux = np.zeros(extinction.shape), np.zeros((3, *extinction.shape))
+    swept = np.zeros((4, *extinction.shape))
     slopes, weights = _directions(face)
-    secant = np.sqrt(1.0 + slopes[:, 0] ** 2 + slopes[:, 1] ** 2)
+    lengths, kinds = np.unique(np.sqrt(1.0 + (slopes**2).sum(axis=1)).round(12), return_inverse=True)
+    cells = _cells(extinction, emission, cell * lengths)
     for axis in range(3):
         for signs in np.ndindex(2, 2, 2):
             cancel.check()
             # Flipped such that all of these directions rise along every axis, and most along the first.
-            flips = tuple(slice(None, None, -1 if sign else 1) for sign in signs)
-            flipped = [np.moveaxis(values[flips], axis, 0) for values in (extinction, emission, fluence)]
-            light = np.zeros((len(slopes), *flipped[0].shape[1:]))
-            parts = [np.moveaxis(part[flips], axis, 0) for part in flux]
-            others = [a for a in range(3) if a != axis]
-            for k in range(len(flipped[0])):
-                light, mean = _through(light, flipped[0][k], flipped[1][k], slopes, cell * secant)
-                flipped[2][k] += np.tensordot(weights, mean, 1)
-                for a, along in ((axis, 1.0), *zip(others, slopes.T)):
-                    direction = (-1.0 if signs[a] else 1.0) * along / secant
-                    parts[a][k] += np.tensordot(weights * direction, mean, 1)
-    return fluence, flux
+            flips = (slice(None), *(slice(None, None, -1 if sign else 1) for sign in signs))
+            unit = np.insert(slopes, axis, 1.0, axis=1) * np.where(signs, -1.0, 1.0) / lengths[kinds][:, None]
+            gather = weights[:, None] * np.insert(unit, 0, 1.0, axis=1)
+            if kernels is None:
+                turned = [np.moveaxis(values[flips], 1 + axis, 1) for values in cells]
+                _follow(turned, slopes, kinds, gather, np.moveaxis(swept[flips], 1 + axis, 1))
+            else:
+                _follow_compiled(kernels, cells, slopes, kinds, gather, swept, flips, axis)
+    return swept[0], swept[1:]
 
 
-def _through(
-    light: np.ndarray, extinction: np.ndarray, emission: np.ndarray, slopes: np.ndarray, length: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance (n, b, c) that leaves a slice of cells and its mean within them, from that leaving the previous slice.
+def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) -> list[np.ndarray]:
+    """What cells do to light that takes so long a way through them, four (K, x, y, z) for lengths (K,).
 
-    light: (n, b, c). extinction, emission: (b, c). slopes: (n, 2) and length: (n,), of the directions.
+    Transmittance; mean of exp(-tau) within the cell; and what the cell adds to the radiance that leaves it, and to the
+    mean within it.
+    """
+    lengths = lengths[:, None, None, None]
+    depth = np.maximum(extinction * lengths, MIN_DEPTH)
+    given, lost = emission * lengths, -np.expm1(-depth)
+    share = lost / depth
+    return [1.0 - lost, share, given * share, given * (1.0 - share) / depth]
+
+
+def _follow(
+    cells: list[np.ndarray], slopes: np.ndarray, kinds: np.ndarray, gather: np.ndarray, swept: np.ndarray
+) -> None:
+    """Add the light along directions with slopes (n, 2) to `swept`, (4, slices, b, c).
+
+    cells: from `_cells`. kinds: (n,), which of them each direction meets. gather: (n, 4), weights of radiance in sums.
     """
     f, g = (slopes[:, i, None, None] for i in range(2))
-    moved = np.pad(light, [(0, 0), (1, 0), (1, 0)])
-    moved = moved[:, 1:] * (1.0 - f) + moved[:, :-1] * f
-    moved = moved[:, :, 1:] * (1.0 - g) + moved[:, :, :-1] * g
-    depth = np.maximum(extinction * length[:, None, None], MIN_DEPTH)
-    given = emission * length[:, None, None]
-    lost = -np.expm1(-depth)
-    share = lost / depth
-    return moved * (1.0 - lost) + given * share, moved * share + given * (1.0 - share) / depth
+    light = np.zeros((len(slopes), *swept.shape[2:]))
+    for k in range(swept.shape[1]):
+        passed, mean, given, added = (values[kinds, k] for values in cells)
+        moved = np.pad(light, [(0, 0), (1, 0), (1, 0)])
+        moved = moved[:, 1:] * (1.0 - f) + moved[:, :-1] * f
+        moved = moved[:, :, 1:] * (1.0 - g) + moved[:, :, :-1] * g
+        light = moved * passed + given
+        swept[:, k] += np.tensordot(gather.T, moved * mean + added, 1)
+
+
+def _follow_compiled(
+    kernels: Kernels,
+    cells: list[np.ndarray],
+    slopes: np.ndarray,
+    kinds: np.ndarray,
+    gather: np.ndarray,
+    swept: np.ndarray,
+    flips: tuple[slice, ...],
+    axis: int,
+) -> None:
+    """As `_follow`, for cells and sums that are not turned: flips and axis say how."""
+    turned = np.moveaxis(swept[flips], 1 + axis, 1)[0]
+    passed, mean, given, added = cells
+    kernels.prepare(
+        "sweep_radiance",
+        RadianceSweep(
+            shape=np.array(turned.shape),
+            strides=np.array(turned.strides) // turned.itemsize,
+            directions=len(slopes),
+            slopes=slopes,
+            weights=gather,
+            kinds=kinds.astype(np.int64),
+            passed=passed,
+            mean=mean,
+            given=given,
+            added=added,
+            cells=turned.size,
+            first=(turned.ctypes.data - swept.ctypes.data) // turned.itemsize,
+            fluence=tuple(swept),
+            scratch=np.empty(2 * (turned.shape[1] + 1) * (turned.shape[2] + 1)),
+        ),
+    )
 
 
 def _directions(face: int) -> tuple[np.ndarray, np.ndarray]:

@@ -14,13 +14,13 @@ and the flux J of the radiance are stored, and a point scatters towards the came
     albedo / (4 pi) (phi - 3 G J . omega).
 """
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..grids.grid import Grid
 from ..grids.merge import resampled
+from ..kernels.library import Kernels
 from ..numerics.interpolation import sample_padded
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium
@@ -42,11 +42,18 @@ Solved = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 class ScatteredEmission:
     """Fluence and flux of the light that some volumes emit, in three colour channels.
 
-    grids, media: Grid and Medium of each volume. thickest: largest reduced optical thickness of a cell. Raises
-    Cancelled.
+    grids, media: Grid and Medium of each volume. kernels: compiled ones, or None. thickest: largest reduced optical
+    thickness of a cell. Raises Cancelled.
     """
 
-    def __init__(self, grids: Sequence[Grid], media: Sequence[Medium], cancel: CancelToken = NEVER):
+    def __init__(
+        self,
+        grids: Sequence[Grid],
+        media: Sequence[Medium],
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ):
+        self.kernels = kernels
         corners = np.concatenate([grid.corners() for grid in grids])
         low, high = corners.min(axis=0), corners.max(axis=0)
         self.edge = float((high - low).max())
@@ -55,7 +62,7 @@ class ScatteredEmission:
         self.first = 0.5 * (low + high) - 0.5 * (shape - 1) * self.cell
         frame = np.diag([*[self.cell] * 3, 1.0])
         frame[:3, 3] = self.first
-        densities = [resampled(grid, grid.sample_density, frame, shape, cancel).astype(np.float64) for grid in grids]
+        densities = [resampled(grid, grid.density, frame, shape, cancel, kernels).astype(np.float64) for grid in grids]
         solved: list[Solved] = []
         self.fields: list[np.ndarray | None] = []
         for c in range(3):
@@ -67,7 +74,7 @@ class ScatteredEmission:
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(
-                        grid, functools.partial(grid.sample_emission, c), frame, shape, cancel
+                        grid, grid.emission[c], frame, shape, cancel, kernels, grid.emission_power
                     )
             self.fields.append(self._field(solved, np.maximum(extinction - scattering, 0.0), reduced, emission, cancel))
 
@@ -103,16 +110,16 @@ class ScatteredEmission:
         diffusion = 1.0 / (3.0 * extinction + THIN / self.edge)
         diagonal, couplings = equation = couple(diffusion, self.cell)
         diagonal += absorption * self.cell**2
-        direct, direct_flux = sweep_radiance(extinction, emission, self.cell, DIRECT, cancel)
+        direct, direct_flux = sweep_radiance(extinction, emission, self.cell, DIRECT, cancel, self.kernels)
         # Before the first round only the direct light is known.
         scattered, flux, missing = np.zeros_like(direct), np.zeros_like(direct_flux), direct
         for number in range(ROUNDS):
             if number:
                 source = reduced * (direct + scattered) / (4.0 * np.pi)
                 before = scattered
-                scattered, flux = sweep_radiance(extinction, source, self.cell, SCATTERED, cancel)
+                scattered, flux = sweep_radiance(extinction, source, self.cell, SCATTERED, cancel, self.kernels)
                 missing = scattered - before
-            more = solve(equation, reduced * missing * self.cell**2, -np.inf)
+            more = solve(equation, reduced * missing * self.cell**2, -np.inf, kernels=self.kernels, cancel=cancel)
             scattered = scattered + more
             for axis in range(3):
                 if more.shape[axis] > 1:

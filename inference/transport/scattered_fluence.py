@@ -14,7 +14,7 @@ from .discrete_ordinates import CELLS, reduced_anisotropy
 MIN_FLUENCE = 1e-6
 # Distance of the probes from a point, in edges of the cube.
 REACH = 1.0 / 32.0
-#: Points at which the fluence is read, and columns of `read_fluence`.
+#: Points at which the fluence is read, and columns of `FluenceLattice.read`.
 PROBES = 4
 COLUMNS = PROBES + 3
 # Lower bound of the light scattered towards the camera over that of isotropic scattering.
@@ -45,39 +45,47 @@ def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
     return light.astype(np.float16)
 
 
-def read_fluence(
-    cells: np.ndarray, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float
-) -> np.ndarray:
-    """Features of the scattered light around points, float32 (N, 7), as networks read them.
+class FluenceLattice:
+    """Scattered light around points, as networks read it.
 
-    cells: of `fluence_lattice`, float32. positions, omega: (N, 3) in the cube's frame. sun: (3,). anisotropy: G.
-    Columns: the logarithm of the fluence at the point, ahead of and behind it on its ray, and towards the sun; the
-    logarithm of 4 pi times the light scattered towards the camera, phi - 3 G' F . omega; and the flux over the fluence,
-    along the ray and towards the sun.
+    cells: of `fluence_lattice`.
     """
-    offsets = REACH * np.stack([omega, -omega, np.broadcast_to(sun, omega.shape)])
-    out = np.empty((len(positions), COLUMNS), np.float32)
-    here = _interpolate(cells.reshape(-1, 4), _index(positions), len(cells))
-    out[:, 0] = here[:, 0]
-    logs = np.ascontiguousarray(cells[..., 0]).reshape(-1)
-    for i, offset in enumerate(offsets, start=1):
-        out[:, i] = _interpolate(logs, _index(positions + offset), len(cells))
-    along = np.einsum("nk,nk->n", here[:, 1:], omega)
-    share = np.maximum(1.0 - 3.0 * reduced_anisotropy(anisotropy) * along, MIN_SHARE)
-    out[:, PROBES] = here[:, 0] + np.log(share)
-    out[:, PROBES + 1] = along
-    out[:, PROBES + 2] = here[:, 1:] @ sun
-    return out
 
+    def __init__(self, cells: np.ndarray):
+        self._edge = len(cells)
+        self._cells = cells.astype(np.float32).reshape(-1, 4)
+        # Three of four probes read nothing else.
+        self._logs = np.ascontiguousarray(self._cells[:, 0])
 
-def _index(positions: np.ndarray) -> np.ndarray:
-    """Continuous indices into `fluence_lattice`, float32 (3, N)."""
-    index = (positions + 0.5) * CELLS + 0.5
-    return np.clip(index, 0.0, CELLS + 1 - 1e-3).astype(np.float32).T
+    def read(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float) -> np.ndarray:
+        """Features float32 (N, 7).
+
+        positions, omega: (N, 3) in the cube's frame. sun: (3,). anisotropy: G. Columns: the logarithm of the fluence at
+        the point, ahead of and behind it on its ray, and towards the sun; the logarithm of 4 pi times the light
+        scattered towards the camera, phi - 3 G' F . omega; and the flux over the fluence, along the ray and towards the
+        sun.
+        """
+        out = np.empty((len(positions), COLUMNS), np.float32)
+        at, along = positions.T, np.ascontiguousarray(omega.T, np.float32)
+        index = ((at + 0.5) * CELLS + 0.5).astype(np.float32)
+        here = _interpolate(self._cells, index, self._edge)
+        out[:, 0] = here[:, 0]
+        step = np.float32(REACH * CELLS)
+        towards = np.broadcast_to(sun.astype(np.float32)[:, None], along.shape)
+        probes = np.concatenate([index + step * along, index - step * along, index + step * towards], axis=1)
+        out[:, 1:PROBES] = _interpolate(self._logs, probes, self._edge).reshape(PROBES - 1, -1).T
+        flux = here[:, 1:].T
+        ahead = flux[0] * along[0] + flux[1] * along[1] + flux[2] * along[2]
+        share = np.maximum(np.float32(1.0) - np.float32(3.0 * reduced_anisotropy(anisotropy)) * ahead, MIN_SHARE)
+        out[:, PROBES] = here[:, 0] + np.log(share)
+        out[:, PROBES + 1] = ahead
+        out[:, PROBES + 2] = flux[0] * towards[0] + flux[1] * towards[1] + flux[2] * towards[2]
+        return out
 
 
 def _interpolate(flat: np.ndarray, index: np.ndarray, n: int) -> np.ndarray:
     """Trilinear interpolation at indices (3, N): (N,) from values (n^3,), or (N, k) from (n^3, k)."""
+    index = np.clip(index, np.float32(0.0), np.float32(n - 1 - 1e-3))
     cell = index.astype(np.int32)
     fx, fy, fz = (index - cell).reshape(3, -1, *[1] * (flat.ndim - 1))
     base = (cell[0] * np.intp(n) + cell[1]) * n + cell[2]

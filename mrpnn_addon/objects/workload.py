@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...inference.marching.ray_steps import MIN_VOXELS, STEPS_PER_DEPTH, STEPS_PER_EDGE, STEPS_PER_VOXEL
+from ...inference.marching.ray_steps import MIN_VOXELS, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
 
-# Optical thickness of a step above which the ray march subdivides it.
-STIFF = 0.6
+# Fine steps on a ray into volumes that are thick enough for them.
+FINE_STEPS = 40
 # Mean density along a ray, as a share of the peak.
 FILLED = 0.1
 # Sample rays along each image axis.
@@ -42,9 +42,9 @@ class Workload:
     """Work of a render, estimated from bounding boxes.
 
     names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: ray march steps.
-    opacity: mean square root of the pixels' opacity, estimated. thickness: optical thickness of a voxel. stiff: whether
-    steps are subdivided. volumes, lights, samples: their numbers. channels: colour channels marched separately. filled:
-    share of voxels that are not 0; None where some volume has not been read.
+    opacity: mean square root of the pixels' opacity, estimated. thickness: optical thickness of a voxel.
+    volumes, lights, samples: their numbers. channels: colour channels marched separately. filled: share of voxels that
+    are not 0; None where some volume has not been read.
     """
 
     names: frozenset[str] = frozenset()
@@ -53,7 +53,6 @@ class Workload:
     steps: float = 0.0
     opacity: float = 1.0
     thickness: float = 0.0
-    stiff: bool = False
     volumes: int = 0
     lights: int = 0
     samples: int = 1
@@ -90,13 +89,10 @@ def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: in
     filled = [box.filled for box in boxes if box.filled is not None]
     found.filled = float(np.mean(filled)) if len(filled) == len(boxes) else None
     found.thickness = sum(box.thickness for box in boxes)
-    steps_per_voxel = max(
-        float(np.clip(STEPS_PER_DEPTH * found.thickness, *STEPS_PER_VOXEL)),
-        STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0),
-    )
-    found.stiff = found.thickness / steps_per_voxel > STIFF
+    steps_per_voxel = max(1.0, STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
+    fine = FINE_STEPS if found.thickness / steps_per_voxel > STEP_THICKNESS else 0
     voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
-    found.steps = float(np.ceil(voxels * steps_per_voxel).sum()) * share
+    found.steps = float((np.ceil(voxels * steps_per_voxel) + fine).sum()) * share
     if hit.any():
         found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())
     return found

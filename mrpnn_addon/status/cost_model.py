@@ -14,12 +14,11 @@ import numpy as np
 
 from ..objects.workload import Workload
 
-# Seconds on two cores of a 2020 desktop. Per step evaluated, and per step, light and volume; the second value of each
-# applies where light is integrated within optically thick voxels, the third of the first where steps are subdivided.
-STEP, STEP_THICK, STEP_STIFF = 3.0e-7, 4.0e-7, 1.1e-6
-STEP_LIGHT, STEP_LIGHT_THICK = 1.0e-7, 4.0e-7
+# Seconds on two cores of a 2020 desktop. Per step evaluated, and per step, light and volume; the second value applies
+# where light is integrated within optically thick voxels.
+STEP, STEP_LIGHT, STEP_LIGHT_THICK = 6.0e-8, 3.0e-8, 7.0e-8
 # Seconds per pixel and per point, for each light.
-PIXEL, POINT = 2.3e-6, 3.6e-6
+PIXEL, POINT = 1.7e-6, 2.8e-6
 # Seconds per volume, and per volume and light.
 VOLUME, FIELD = 0.25, 0.3
 # Optical thickness of a voxel above which light is integrated within it.
@@ -130,10 +129,9 @@ def _points(workload: Workload, shares: Shares):
 def _seconds(workload: Workload, evaluated: float, pixels: float, points: float) -> dict[str, float]:
     """Modelled seconds by stage."""
     thick, each = workload.thickness > THICK, workload.lights * max(workload.volumes, 1)
-    step = STEP_STIFF if workload.stiff else STEP_THICK if thick else STEP
     light = STEP_LIGHT_THICK if thick else STEP_LIGHT
     return {
-        "march": evaluated * (step * math.sqrt(max(workload.volumes, 1)) + light * each),
+        "march": evaluated * (STEP * math.sqrt(max(workload.volumes, 1)) + light * each),
         "network": workload.lights * (PIXEL * pixels + POINT * points),
         "fields": VOLUME * workload.volumes + FIELD * each,
     }

@@ -78,7 +78,7 @@ def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance)
     cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(
         np.float32
     )
-    read = scattered_fluence.read_fluence(cells, positions, omega, SLANT, anisotropy)
+    read = scattered_fluence.FluenceLattice(cells).read(positions, omega, SLANT, anisotropy)
     radiance = np.exp(read[:, scattered_fluence.PROBES]) / (4.0 * np.pi)
     # What counts as unscattered is missing here.
     share = radiance / traced
@@ -150,7 +150,7 @@ def test_lookups_between_cells_are_exact_for_linear_fields():
     random = np.random.default_rng(3)
     p, w = random.uniform(-0.44, 0.44, (50, 3)), random.normal(size=(50, 3))
     w /= np.linalg.norm(w, axis=1, keepdims=True)
-    read = scattered_fluence.read_fluence(cells, p, w, SLANT, 0.6)
+    read = scattered_fluence.FluenceLattice(cells).read(p, w, SLANT, 0.6)
     slope, h = np.array([0.8, -0.4, 0.3]), scattered_fluence.REACH
     for column, offset in enumerate((0.0 * w, h * w, -h * w, h * SLANT)):
         np.testing.assert_allclose(read[:, column], 0.5 + (p + offset) @ slope, atol=2e-3)

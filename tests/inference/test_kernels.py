@@ -12,29 +12,39 @@ from pathlib import Path
 
 import pytest
 
-from inference.kernels import structures
-from inference.kernels.build import SOURCES, TARGETS, BuildError, build, library_path, this_platform
+from inference.kernels import field_structures, structures
+from inference.kernels.build import SOURCES, TARGETS, BuildError, Target, build, library_path, this_platform
 from inference.kernels.library import Kernels, Unavailable, load_kernels
 from tests.support.paths import ROOT
 
 KERNELS = load_kernels()
-HEADER = (SOURCES / "kernels.h").read_text()
+HEADERS = {structures: SOURCES / "kernels.h", field_structures: SOURCES / "fields.h"}
+STRUCTURES = [
+    (module, name, body)
+    for module, header in HEADERS.items()
+    for body, name in re.findall(r"typedef struct {([^}]*)} (\w+);", header.read_text())
+]
+SOURCE_FILES = [str(path) for path in sorted(SOURCES.glob("*.c"))]
 FUZZ_SECONDS = 60
 CHECKED = [
     "-std=c99", "-O1", "-g", "-ffp-contract=off", "-fno-strict-aliasing", "-fPIC", "-shared", "-DVARIANT=baseline",
-    "-DMRPNN_ONE_VARIANT", str(SOURCES / "march.c"), str(SOURCES / "dispatch.c"), "-lm"]  # fmt: skip
+    "-DMRPNN_ONE_VARIANT", *SOURCE_FILES, "-lm"]  # fmt: skip
+# What a compiler adds to check what the code does; both end the process at a first fault.
+CHECKS = {
+    "gcc": ["gcc", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"],
+    "zig": [sys.executable, "-m", "ziglang", "cc", "-fsanitize=undefined,bounds", "-fsanitize-trap=undefined"],
+}
 
 
-@pytest.mark.parametrize("name", re.findall(r"^} (\w+);", HEADER, re.MULTILINE))
-def test_structures_are_those_of_the_header(name):
-    (body,) = re.findall(rf"typedef struct {{([^}}]*)}} {name};", HEADER)
+@pytest.mark.parametrize("module, name, body", STRUCTURES, ids=[name for _, name, _ in STRUCTURES])
+def test_structures_are_those_of_the_header(module, name, body):
     body = re.sub(r"/\*.*?\*/", "", body, flags=re.DOTALL)
     declared = [re.search(r"(\w+)(\[\w+\])?$", part.strip())[1] for part in re.split(r"[;,]", body) if part.strip()]
-    assert [field[0] for field in getattr(structures, name)._fields_] == declared
+    assert [field[0] for field in getattr(module, name)._fields_] == declared
 
 
 def test_interfaces_have_one_number():
-    assert int(re.search(r"MRPNN_INTERFACE (\d+)", HEADER)[1]) == structures.INTERFACE
+    assert int(re.search(r"MRPNN_INTERFACE (\d+)", HEADERS[structures].read_text())[1]) == structures.INTERFACE
 
 
 def test_a_library_of_another_interface_is_refused(monkeypatch):
@@ -75,21 +85,57 @@ def test_every_platforms_library_is_built_by_one_command(platform):
 
 
 @pytest.mark.slow
-def test_no_content_of_volumes_leads_outside_the_arrays(tmp_path):
-    """Under the address and undefined-behaviour sanitizers of gcc, which end the process at a first fault."""
-    if shutil.which("gcc") is None or this_platform() != "linux-x64":
+@pytest.mark.parametrize("compiler", CHECKS)
+def test_no_content_of_volumes_leads_outside_the_arrays(compiler, tmp_path):
+    if this_platform() != "linux-x64" or (compiler == "gcc" and shutil.which("gcc") is None):
         pytest.skip("needs gcc on Linux")
-    library = tmp_path / "checked.so"
-    subprocess.run(
-        ["gcc", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", *CHECKED, "-o", library], check=True
-    )
-    runtime = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
+    if compiler == "zig" and importlib.util.find_spec("ziglang") is None:
+        pytest.skip("ziglang is not installed")
+    library, environment = tmp_path / "checked.so", dict(os.environ)
+    subprocess.run([*CHECKS[compiler], *CHECKED, "-o", library], check=True)
+    if compiler == "gcc":
+        runtime = subprocess.run(
+            ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        environment |= {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
     run = subprocess.run(
-        [sys.executable, "-m", "tests.support.fuzz_march", library, str(FUZZ_SECONDS)], cwd=ROOT, capture_output=True,
-        text=True, timeout=10 * FUZZ_SECONDS,
-        env={**os.environ, "LD_PRELOAD": runtime.strip(), "ASAN_OPTIONS": "detect_leaks=0"})  # fmt: skip
+        [sys.executable, "-m", "tests.support.fuzz_kernels", library, str(FUZZ_SECONDS)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=10 * FUZZ_SECONDS,
+        env=environment,
+    )
     assert run.returncode == 0, run.stderr[-5000:]
     assert int(run.stdout.split()[0]) > 0
+
+
+def known_cases(target: Target, folder: Path) -> Path:
+    """The program that runs a library's kernels on cases whose results are known, compiled for a platform."""
+    program = folder / f"kernel_check{'.exe' if 'windows' in target.triple else ''}"
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.triple, "-std=c99", f"-I{SOURCES}"]
+    subprocess.run([*command, ROOT / "tests" / "support" / "kernel_check.c", "-o", program, "-lm"], check=True)
+    return program
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform, loader", [("linux-x64", []), ("windows-x64", ["wine"])])
+def test_every_variant_finds_known_results(platform, loader, tmp_path):
+    """Of the library for Windows, under Wine; it comes without Python."""
+    if this_platform() != "linux-x64" or importlib.util.find_spec("ziglang") is None:
+        pytest.skip("needs ziglang on Linux")
+    if loader and shutil.which(loader[0]) is None:
+        pytest.skip("Wine is not installed; .ci/run installs it")
+    program, library = known_cases(TARGETS[platform], tmp_path), build(platform)
+    run = subprocess.run(
+        [*loader, program, library],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env={**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"},
+    )
+    assert run.returncode == 0, run.stdout + run.stderr[-2000:]
+    assert run.stdout.split() == [str(KERNELS.best + 1), "variants,", "0", "faults"]
 
 
 def test_pointers_of_structures_are_as_wide_as_the_headers():

@@ -16,21 +16,21 @@ MADE = ("build", "data", "runs", ".venv")
 FACTS = [
     (
         "docs/method.md",
-        r"optically thicker than (\S+), the part of the ray that light reaches is cut again, up to (\d+) times",
-        "inference.marching.ray_march",
-        ("MAX_STEP_THICKNESS", "REFINEMENTS"),
+        r"optically thicker than (\S+) is cut into 2, 4 or (\d+), up to (\d+) times; that bound grows by e per (\d+)",
+        "inference.marching.ray_steps",
+        ("STEP_THICKNESS", "MOST_PARTS", "LEVELS", "STEP_GROWTH"),
     ),
     (
         "docs/method.md",
-        r"into steps no thicker than (\S+) where it is densest",
-        "inference.marching.ray_march",
-        ("REFINED_STEP_THICKNESS",),
+        r"could be thicker than (\S+) there",
+        "inference.marching.ray_steps",
+        ("2 * PEAK_THICKNESS",),
     ),
     (
         "docs/stability.md",
         r"optically thicker than (\S+) are cut again, up to (\d+) times",
-        "inference.marching.ray_march",
-        ("MAX_STEP_THICKNESS", "REFINEMENTS"),
+        "inference.marching.ray_steps",
+        ("STEP_THICKNESS", "LEVELS"),
     ),
     (
         "docs/method.md",
@@ -79,7 +79,7 @@ FACTS = [
     ("docs/stability.md", r"Densities beyond (2\^)±(\d+) ", "inference.plan.plan", ("2", "np.log2(DENSITY_RANGE[1])")),
     ("docs/method.md", r"optical thicknesses above (\S+) are rendered", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
     ("docs/stability.md", r"optical densities above (\S+) render", "inference.plan.plan", ("MAX_SIGMA_HAT",)),
-    ("docs/method.md", r"tiles of at most (\d+) pixels", "inference.plan.plan", ("TILE_PIXELS",)),
+    ("docs/method.md", r"at least (\d+) per thread", "inference.plan.plan", ("TILES_PER_THREAD",)),
     (
         "docs/method.md",
         r"more than (\d+) times as long as the shortest",
@@ -132,13 +132,13 @@ FACTS = [
         "docs/method.md",
         r"squares of (\d+) × \d+ pixels first.{0,120} within (\d+ %)",
         "inference.image.adaptive_interpolation",
-        ("LEVELS[0][0]", "LEVELS[0][1]"),
+        ("LEVELS[0][0]", "VOXEL_DIFFERENCE"),
     ),
     (
         "docs/method.md",
         r"squares of (\d+) × \d+ pixels and (\d+ %)",
         "inference.image.adaptive_interpolation",
-        ("LEVELS[1][0]", "LEVELS[1][1]"),
+        ("LEVELS[2][0]", "LEVELS[2][1]"),
     ),
     (
         "docs/method.md",

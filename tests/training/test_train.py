@@ -21,7 +21,6 @@ from inference.grids.working_cube import fit_cube
 from inference.marching.ray_march import ray_features_at
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
-from inference.transport.scattered_fluence import read_fluence
 from training import evaluate, export, memory, train
 from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
@@ -384,7 +383,7 @@ def test_training_inputs_equal_those_of_rendering():
 
         bound = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([sun]))
         light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [sun])).of(slice(None), 0, 0)[0]
-        around = read_fluence(reader.cells, x, w, reader.lookup.sun, reader.anisotropy)[0]
+        around = reader.light.read(x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
         cells = len(volume.density)

@@ -38,7 +38,7 @@ from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
-from inference.transport.scattered_fluence import ScatteredFluence, fluence_and_flux, fluence_lattice, read_fluence
+from inference.transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from training.data.descriptors import Levels, describe_points
 from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
@@ -188,7 +188,7 @@ def describe_light(volume, cube, coarse, suns, media, points: ScatteringPoints):
         ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy)
         lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(lattices):
-            around[own, k] = read_fluence(values.astype(np.float32), x[own], w[own], l[k], anisotropy)
+            around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)
         fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in lattices], anisotropy)
         bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, depths)
         ray[own] = ray_features_at(bound, points.positions[own], points.omega[own], fluence).values[:, 0]

@@ -39,11 +39,11 @@ def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     samples = DepthSamples(
         pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1))
     )
-    pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity))
+    pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity), np.arange(len(weight)))
     np.testing.assert_array_equal(pixels, np.arange(rays))
     assert straight.max() < 1e-12
     noise = weight * random.normal(size=len(ray))
-    _, told = samples.standard_error(noise)
+    _, told = samples.standard_error(noise, np.arange(len(noise)))
     spread = np.bincount(ray, noise).std()
     # Independent noise does not cancel along a ray as that of lookups does: a factor of two.
     assert np.sqrt((told**2).mean()) == pytest.approx(0.5 * spread, rel=0.1)

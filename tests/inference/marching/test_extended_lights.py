@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inference import Medium, Settings, Sun, render
-from inference.marching.extended_lights import ORDER, ExtendedLights, equivalent_directions
+from inference.marching.extended_lights import ORDER, EquivalentDirections, ExtendedLights
 from inference.scene.camera_rays import camera_rays
 from inference.scene.phase_function import PhaseFunction, henyey_greenstein
 from tests.support.surfaces import rectangle
@@ -111,14 +111,18 @@ def test_directions_are_turned_to_where_the_phase_function_equals_its_mean(aniso
     sun, g = even_suns()[4], np.copysign(abs(anisotropy) ** ORDER, anisotropy)
     _, directions, _, _ = camera_rays(view)
     pixel = np.arange(len(directions))
-    found = equivalent_directions(view, pixel, directions, sun, anisotropy)
+
+    def equivalent(sun, anisotropy):
+        return EquivalentDirections(view, sun, anisotropy)(view.window, pixel, directions)
+
+    found = equivalent(sun, anisotropy)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     mean = henyey_greenstein(directions @ sun.spread[0].T, g) @ sun.spread[1]
     assert np.abs(henyey_greenstein(found @ sun.direction, g) - mean).max() < 0.02 * mean.max()
     assert np.abs((found * np.cross(directions, sun.direction)).sum(axis=1)).max() < 1e-12
     point = Sun(sun.direction, 1.0, spread=(sun.direction[None], np.ones(1)))
-    np.testing.assert_allclose(equivalent_directions(view, pixel, directions, point, anisotropy), directions, atol=0.03)
-    assert equivalent_directions(view, pixel, directions, sun, 0.1) is directions
+    np.testing.assert_allclose(equivalent(point, anisotropy), directions, atol=0.03)
+    assert equivalent(sun, 0.1) is directions
 
 
 def test_a_wall_behind_the_volume_blocks_light_from_ahead():

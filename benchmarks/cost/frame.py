@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Processor seconds of a production frame and of the next one, stage by stage, beside this machine's own arithmetic.
+
+    python -m benchmarks.cost.frame [--size 1920 1080] [--light sun | sky] [--coverage 0.43] [--numpy]
+
+Renders a procedural cloud that covers a given share of the picture, and then the frame after it, of a camera that has
+turned by a degree, with what the first one left in its cache. Prints seconds by the clock and of the processor, memory,
+and both as shares of a single-precision matrix product measured in the same run.
+"""
+
+import argparse
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from inference import Camera, Medium, RenderCache, Settings, Sun, render
+from inference.runtime.report import Report, process_peak_memory
+
+from ..fidelity.views import look_at
+from ..support.provenance import made_by
+from .speed import cloud, sgemm_rate
+
+PROGRAM = "benchmarks.cost.frame"
+SUN = Sun((0.8, 0.45, -0.36))
+MEDIUM = Medium(100.0, 1.0, 0.857)
+TOWARDS = np.array([1.0, 0.4, 0.8])
+
+
+def camera_covering(volume, medium: Medium, size: tuple[int, int], coverage: float) -> Camera:
+    """A perspective camera in whose picture the cloud covers a share."""
+    width, height = size
+    small = (96, max(96 * height // width, 1))
+    focal = 1.0
+    for _ in range(5):
+        camera = Camera(look_at(tuple(TOWARDS)), "orthographic", small, ortho_scale=focal)
+        share = (render([(volume, Medium(medium.sigma_t, 0.0))], [SUN], camera).alpha > 0.02).mean()
+        focal *= np.sqrt(share / coverage)
+    return Camera(look_at(tuple(TOWARDS)), "orthographic", size, ortho_scale=focal)
+
+
+def turned(camera: Camera) -> Camera:
+    """The camera of the next frame, a degree further."""
+    x, y, z = TOWARDS
+    angle = np.radians(1.0)
+    further = (x * np.cos(angle) - z * np.sin(angle), y, x * np.sin(angle) + z * np.cos(angle))
+    return replace(camera, world_matrix=look_at(further))
+
+
+def sky() -> list[Sun]:
+    """Twelve suns of a blue sky above."""
+    random = np.random.default_rng(5)
+    directions = random.normal(size=(12, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return [Sun(tuple(d), (0.1, 0.2, 0.4)) for d in directions]
+
+
+def describe(name: str, seconds: float, processor: float, report: Report, rate: float) -> None:
+    """Print one frame."""
+    print(f"{name}: {seconds:.2f} s, {processor:.2f} processor seconds, {processor * rate / 1e9:.0f} Gflop of sgemm")
+    for stage in report.seconds:
+        print(f"    {stage:16} {report.seconds[stage]:7.2f} s {report.cpu_seconds[stage]:7.2f} processor s")
+    points = report.counts.get("network points", 0)
+    print(f"    {points} network points, {points / seconds:.0f} per second end to end")
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
+    parser.add_argument("--light", choices=("sun", "sky"), default="sun")
+    parser.add_argument("--depth-samples", type=int, default=4)
+    parser.add_argument("--coverage", type=float, default=0.43)
+    parser.add_argument("--numpy", action="store_true", help="without compiled kernels")
+    parser.add_argument("--threads", type=int, default=0)
+    arguments = parser.parse_args()
+    volume, lights = cloud(), [SUN] + (sky() if arguments.light == "sky" else [])
+    camera = camera_covering(volume, MEDIUM, tuple(arguments.size), arguments.coverage)
+    rate, before = sgemm_rate(), process_peak_memory()
+    settings = Settings(arguments.depth_samples, compiled=not arguments.numpy, threads=arguments.threads)
+    cache = RenderCache()
+    print(
+        f"{arguments.size[0]} x {arguments.size[1]}, {arguments.depth_samples} depth samples, {arguments.light}, ",
+        end="",
+    )
+    print(f"{os.cpu_count()} cores, matrix product {rate / 1e9:.0f} Gflop/s")
+    for name, view in (("first frame", camera), ("next frame", turned(camera))):
+        start, processor = time.perf_counter(), time.process_time()
+        layer = render([(volume, MEDIUM)], lights, view, settings, cache=cache)
+        describe(
+            name, time.perf_counter() - start, time.process_time() - processor, layer.report, rate / os.cpu_count()
+        )
+    print(f"covered: {(layer.alpha > 0.02).mean():.0%} of the picture, kernels: {layer.report.kernels}")
+    if before is not None:
+        print(f"memory: {(layer.report.peak_memory - before) / 2**20:.0f} MiB more than before")
+    print(made_by(PROGRAM, models=[settings.model]))
+
+
+if __name__ == "__main__":
+    main()

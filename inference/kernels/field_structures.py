@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The structures of fields.h, and the functions that take them."""
+
+from ctypes import c_double, c_int64, c_void_p
+
+from .structures import Grid, Occupancy, Shared
+
+#: Columns that a slice reaches beyond its cells.
+MORE = 3
+
+
+class ColumnSweep(Shared):
+    """See fields.h, as for the others."""
+
+    _fields_ = [
+        ("density", c_void_p),
+        ("shape", c_int64 * 3),
+        ("strides", c_int64 * 3),
+        ("count", c_int64),
+        ("slices", c_void_p),
+        ("starts", c_void_p),
+        ("weights", c_void_p),
+        ("fractions", c_void_p),
+        ("half_step", c_double),
+        ("columns", c_void_p),
+        ("size", c_int64 * 2),
+        ("depths", c_void_p),
+        ("depth_strides", c_int64 * 3),
+        ("scratch", c_void_p),
+    ]
+
+
+class BlockSweep(Shared):
+    _fields_ = [
+        ("values", c_void_p),
+        ("rows", c_int64),
+        ("strides", c_int64 * 3),
+        ("blocks", c_int64),
+        ("block_rows", c_void_p),
+        ("block_places", c_void_p),
+        ("slices", c_void_p),
+        ("starts", c_void_p),
+        ("weights", c_void_p),
+        ("half_step", c_double),
+        ("columns", c_void_p),
+        ("size", c_int64 * 2),
+        ("touched", c_int64),
+        ("tiles", c_void_p),
+        ("depths", c_void_p),
+    ]
+
+
+class OrdinateSweep(Shared):
+    _fields_ = [
+        ("cells", c_int64),
+        ("axis", c_int64),
+        ("sign", c_int64),
+        ("directions", c_int64),
+        ("steps", c_void_p),
+        ("kinds", c_void_p),
+        ("emit", c_void_p),
+        ("gather", c_void_p),
+        ("field", c_void_p),
+        ("leaving", c_void_p),
+        ("within", c_void_p),
+        ("links", c_void_p),
+        ("sums", c_void_p),
+        ("scratch", c_void_p),
+    ]
+
+
+class RadianceSweep(Shared):
+    _fields_ = [
+        ("shape", c_int64 * 3),
+        ("strides", c_int64 * 3),
+        ("directions", c_int64),
+        ("slopes", c_void_p),
+        ("weights", c_void_p),
+        ("kinds", c_void_p),
+        ("passed", c_void_p),
+        ("mean", c_void_p),
+        ("given", c_void_p),
+        ("added", c_void_p),
+        ("cells", c_int64),
+        ("first", c_int64),
+        ("fluence", c_void_p * 4),
+        ("scratch", c_void_p),
+    ]
+
+
+class Diffusion(Shared):
+    _fields_ = [
+        ("shape", c_int64 * 3),
+        ("diagonal", c_void_p),
+        ("couplings", c_void_p),
+        ("x", c_void_p),
+        ("residual", c_void_p),
+        ("direction", c_void_p),
+        ("product", c_void_p),
+        ("rz", c_double),
+        ("limit", c_double),
+        ("iterations", c_int64),
+    ]
+
+
+class CellMeans(Shared):
+    _fields_ = [
+        ("density", Grid),
+        ("low", c_int64 * 3),
+        ("voxels", c_int64 * 3),
+        ("cells", c_int64),
+        ("widths", c_int64 * 3),
+        ("firsts", c_void_p * 3),
+        ("weights", c_void_p * 3),
+        ("begin", c_int64),
+        ("end", c_int64),
+        ("out", c_void_p),
+        ("strides", c_int64 * 3),
+        ("held", c_void_p),
+        ("scratch", c_void_p),
+    ]
+
+
+class Halving(Shared):
+    _fields_ = [
+        ("fine", c_void_p),
+        ("fine_strides", c_int64 * 2),
+        ("coarse", c_void_p),
+        ("coarse_strides", c_int64 * 2),
+        ("size", c_int64 * 3),
+    ]
+
+
+class Refinement(Shared):
+    _fields_ = [("values", c_void_p), ("shape", c_int64 * 3), ("below", c_void_p * 3), ("share", c_void_p * 3)]
+
+
+class LatticePart(Shared):
+    _fields_ = [
+        ("shape", c_int64 * 3),
+        ("density", Refinement),
+        ("depth", Refinement),
+        ("visibility", Refinement),
+        ("density_scale", c_double),
+        ("density_step", c_double),
+        ("depth_scale", c_double),
+        ("least_visible", c_double),
+        ("packed", c_void_p),
+        ("columns", c_int64),
+        ("scratch", c_void_p),
+    ]
+
+
+class Resampling(Shared):
+    _fields_ = [
+        ("grid", Grid),
+        ("occupancy", Occupancy),
+        ("power", c_int64),
+        ("shape", c_int64 * 3),
+        ("linear", c_double * 9),
+        ("offset", c_double * 3),
+        ("points", c_int64),
+        ("places", c_void_p),
+        ("out", c_void_p),
+        ("strides", c_int64 * 3),
+    ]
+
+
+#: Functions of the library that take one structure.
+FUNCTIONS = {
+    "sweep_columns": ColumnSweep,
+    "sweep_blocks": BlockSweep,
+    "sweep_ordinates": OrdinateSweep,
+    "sweep_radiance": RadianceSweep,
+    "conjugate_gradients": Diffusion,
+    "mean_cells": CellMeans,
+    "halve": Halving,
+    "fill_lattice": LatticePart,
+    "resample": Resampling,
+}

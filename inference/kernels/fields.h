@@ -1,0 +1,152 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* Data of the kernels that prepare what rays and networks read; field_structures.py holds the same structures.
+
+As in kernels.h. Arrays of three dimensions are in C order, unless their strides, in elements, are given. */
+
+#ifndef MRPNN_FIELDS_H
+#define MRPNN_FIELDS_H
+
+#include "kernels.h"
+
+/* Some slices of a grid, added to columns along a sun's rays: optical_depth_sweep.sweep. */
+typedef struct {
+    const float *density;        /* a grid, 0 outside */
+    int64_t shape[3];            /* its slices, and the rows and columns of each */
+    int64_t strides[3];
+    int64_t count;               /* slices to add */
+    const int64_t *slices;       /* (count), numbers */
+    const int64_t *starts;       /* (count, 2), column at which the slice begins */
+    const float *weights;        /* (count, 2, 4), of four neighbours */
+    const float *fractions;      /* (count, 2), of a cell between columns and cells, or NULL: depths of columns */
+    double half_step;
+    float *columns;              /* (size[0], size[1]) */
+    int64_t size[2];
+    float *depths;               /* of cells: as the density; of columns: MORE more rows and columns */
+    int64_t depth_strides[3];
+    float *scratch;              /* (shape[1] + MORE, shape[2] + MORE) and (shape[2] + 2 MORE) */
+} ColumnSweep;
+
+/* A row of blocks of a sparse grid, added to columns along a sun's rays: SparseColumns. */
+typedef struct {
+    const float *values;         /* (rows, 8, 8, 8) */
+    int64_t rows;
+    int64_t strides[3];          /* of a block, main axis first */
+    int64_t blocks;
+    const int64_t *block_rows;   /* (blocks) in `values` */
+    const int64_t *block_places; /* (blocks, 2), in blocks */
+    const int64_t *slices;       /* (8), numbers within the blocks, in the order of visiting */
+    const int64_t *starts;       /* (8, 2), column of block (0, 0) */
+    const float *weights;        /* (8, 2, 4) */
+    double half_step;
+    float *columns;              /* (size[0], size[1]) */
+    int64_t size[2];
+    int64_t touched;
+    const int64_t *tiles;        /* (touched, 2), tiles of 8 x 8 columns that are stored */
+    float *depths;               /* (touched, 8, 8, 8) */
+} BlockSweep;
+
+/* Light along the directions that leave one side of the cells: DiscreteOrdinates._follow_steps. */
+typedef struct {
+    int64_t cells;               /* n, along an edge */
+    int64_t axis, sign;          /* that all directions share */
+    int64_t directions;
+    const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1 */
+    const int64_t *kinds;        /* (directions), of `leaving` and `within` */
+    const float *emit;           /* (directions, 5), weights of the field's parts in the source */
+    const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux */
+    const float *field;          /* (5, n, n, n), fluence, flux and beam */
+    const float *leaving;        /* (3, n, n, n), share of the source in what leaves a cell across a face, an edge and
+                                    a corner */
+    const float *within;         /* (3, n, n, n), and in the mean within it */
+    const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
+    float *sums;                 /* (4, n, n, n), fluence and flux, added to */
+    float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */
+} OrdinateSweep;
+
+/* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */
+typedef struct {
+    int64_t shape[3];            /* cells along the axis of the steepest rise, and the others */
+    int64_t strides[3];          /* negative for axes that are turned */
+    int64_t directions;
+    const double *slopes;        /* (directions, 2) */
+    const double *weights;       /* (directions, 4), of the radiance in fluence and in flux along each axis */
+    const int64_t *kinds;        /* (directions), of the following arrays */
+    const double *passed;        /* (kinds, cells), transmittance */
+    const double *mean;          /* (kinds, cells), mean of exp(-tau) */
+    const double *given;         /* (kinds, cells), radiance that the cell adds to what leaves it */
+    const double *added;         /* (kinds, cells), and to its mean */
+    int64_t cells;
+    int64_t first;               /* cell at which the directions enter */
+    double *fluence[4];          /* fluence, and flux along the three axes, added to */
+    double *scratch;             /* (2, shape[1] + 1, shape[2] + 1) */
+} RadianceSweep;
+
+/* Conjugate gradients: diffusion.solve. */
+typedef struct {
+    int64_t shape[3];
+    const double *diagonal;      /* of the operator */
+    const double *couplings;     /* (3, cells) */
+    double *x, *residual, *direction, *product;
+    double rz, limit;            /* the residual's norm, and the one at which to end */
+    int64_t iterations;          /* at most, in this call */
+} Diffusion;
+
+/* Means of a grid's interpolant over cells of the working cube: working_cube.level0_density. */
+typedef struct {
+    Grid density;                /* dense: `shape` of `values` without padding; sparse: as for rays */
+    int64_t low[3];              /* the first active voxel */
+    int64_t voxels[3];           /* active voxels */
+    int64_t cells;               /* along an edge of the cube */
+    int64_t widths[3];           /* most voxels of a cell along each axis */
+    const int64_t *firsts[3];    /* (cells), first voxel of a cell, from `low` */
+    const float *weights[3];     /* (cells, width) */
+    int64_t begin, end;          /* planes of cells to fill */
+    float *out;
+    int64_t strides[3];
+    int64_t *held;               /* (widths[0]), the voxel plane that each of the planes below is made of, or -1 */
+    float *scratch;              /* (widths[0], cells, cells), (voxels[1], voxels[2]) and (voxels[1], cells) */
+} CellMeans;
+
+/* Means of 2 x 2 x 2 cells: mip_lattices.density_pyramid. */
+typedef struct {
+    const float *fine;
+    int64_t fine_strides[2];     /* along the first two axes; that along the last is 1 */
+    float *coarse;
+    int64_t coarse_strides[2];
+    int64_t size[3];             /* coarse cells */
+} Halving;
+
+/* A grid interpolated between its cells' centres. */
+typedef struct {
+    const float *values;
+    int64_t shape[3];
+    const int32_t *below[3];     /* cell below each fine cell, along each axis */
+    const float *share[3];       /* of the next one */
+} Refinement;
+
+/* Planes of a lattice that descriptors read: mip_lattices.build_lattices. */
+typedef struct {
+    int64_t shape[3];            /* fine cells */
+    Refinement density, depth, visibility;  /* without values: left out */
+    double density_scale, density_step;
+    double depth_scale, least_visible;
+    uint16_t *packed;            /* (shape, columns) */
+    int64_t columns;
+    float *scratch;              /* (2, largest shape[2] of the grids) and (shape[2]) */
+} LatticePart;
+
+/* Values of a grid at the voxels of another: merge.resampled. */
+typedef struct {
+    Grid grid;
+    Occupancy occupancy;
+    int64_t power;               /* of the values */
+    int64_t shape[3];            /* voxels to fill */
+    double linear[9];            /* continuous indices of the grid from voxels */
+    double offset[3];
+    int64_t points;              /* per voxel */
+    const double *places;        /* (points, 3), in indices */
+    float *out;
+    int64_t strides[3];
+} Resampling;
+
+#endif

@@ -1,0 +1,235 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* The density pyramid and the lattices made of it; the twins are grids/working_cube.py, features/mip_lattices.py and
+grids/merge.py. */
+
+#include <math.h>
+
+#include "fields.h"
+#include "sampling.h"
+#include "variants.h"
+
+#define EDGE 8
+
+/* Copy a plane of active voxels, across the first axis. */
+static void fetch_plane(const CellMeans *means, int64_t number, float *plane) {
+    const Grid *grid = &means->density;
+    int64_t rows = means->voxels[1], columns = means->voxels[2], x = means->low[0] + number;
+    if (!grid->table) {
+        const float *from = grid->values + (x * grid->shape[1] + means->low[1]) * grid->shape[2] + means->low[2];
+        for (int64_t i = 0; i < rows; i++) {
+            memcpy(plane + i * columns, from + i * grid->shape[2], (size_t)columns * sizeof *plane);
+        }
+        return;
+    }
+    x += grid->first[0];
+    int64_t first[2] = {means->low[1] + grid->first[1], means->low[2] + grid->first[2]};
+    for (int64_t i = 0; i < rows; i++) {
+        int64_t y = first[0] + i;
+        const int32_t *table = grid->table + ((x >> 3) * grid->size[1] + (y >> 3)) * grid->size[2];
+        for (int64_t c = 0; c < columns;) {
+            int64_t z = first[1] + c, row = table[z >> 3], end = EDGE - (z & 7);
+            if (end > columns - c) end = columns - c;
+            if ((uint64_t)row >= (uint64_t)grid->rows) row = 0;
+            const float *from = grid->values + ((row * EDGE + (x & 7)) * EDGE + (y & 7)) * EDGE + (z & 7);
+            memcpy(plane + i * columns + c, from, (size_t)end * sizeof *plane);
+            c += end;
+        }
+    }
+}
+
+/* Means of a voxel plane over the cells of a plane (cells, cells). */
+static void average_plane(const CellMeans *means, int64_t number, float *out) {
+    int64_t cells = means->cells, rows = means->voxels[1], columns = means->voxels[2];
+    float *plane = means->scratch + means->widths[0] * cells * cells, *lines = plane + rows * columns;
+    fetch_plane(means, number, plane);
+    for (int64_t i = 0; i < rows; i++) {
+        const float *from = plane + i * columns;
+        float *line = lines + i * cells;
+        for (int64_t c = 0; c < cells; c++) {
+            const float *at = from + means->firsts[2][c], *weights = means->weights[2] + c * means->widths[2];
+            float sum = 0.0f;
+            for (int64_t n = 0; n < means->widths[2]; n++) sum += weights[n] * at[n];
+            line[c] = sum;
+        }
+    }
+    for (int64_t r = 0; r < cells; r++) {
+        const float *line = lines + means->firsts[1][r] * cells, *weights = means->weights[1] + r * means->widths[1];
+        float *to = out + r * cells;
+        for (int64_t c = 0; c < cells; c++) to[c] = 0.0f;
+        for (int64_t n = 0; n < means->widths[1]; n++) {
+            if (weights[n] == 0.0f) continue;
+            for (int64_t c = 0; c < cells; c++) to[c] += weights[n] * line[n * cells + c];
+        }
+    }
+}
+
+int64_t NAMED(mean_cells, VARIANT)(const CellMeans *means) {
+    int64_t cells = means->cells, width = means->widths[0];
+    for (int64_t x = means->begin; x < means->end; x++) {
+        const float *weights = means->weights[0] + x * width;
+        int empty = 1;
+        for (int64_t n = 0; n < width; n++) {
+            int64_t number = means->firsts[0][x] + n, place = number % width;
+            if (weights[n] == 0.0f) continue;
+            empty = 0;
+            if (means->held[place] != number) {
+                average_plane(means, number, means->scratch + place * cells * cells);
+                means->held[place] = number;
+            }
+        }
+        if (empty) continue;
+        for (int64_t r = 0; r < cells; r++) {
+            float *to = means->out + x * means->strides[0] + r * means->strides[1];
+            for (int64_t c = 0; c < cells; c++) to[c] = 0.0f;
+            for (int64_t n = 0; n < width; n++) {
+                const float *from = means->scratch + ((means->firsts[0][x] + n) % width * cells + r) * cells;
+                if (weights[n] == 0.0f) continue;
+                for (int64_t c = 0; c < cells; c++) to[c] += weights[n] * from[c];
+            }
+            for (int64_t c = 0; c < cells; c++) to[c] = to[c] > 0.0f ? to[c] : 0.0f;
+        }
+    }
+    return means->end - means->begin;
+}
+
+int64_t NAMED(halve, VARIANT)(const Halving *levels) {
+    const int64_t *fine = levels->fine_strides, *coarse = levels->coarse_strides;
+    for (int64_t i = 0; i < levels->size[0]; i++) {
+        for (int64_t j = 0; j < levels->size[1]; j++) {
+            const float *at = levels->fine + 2 * i * fine[0] + 2 * j * fine[1], *next = at + fine[1];
+            float *to = levels->coarse + i * coarse[0] + j * coarse[1];
+            for (int64_t k = 0; k < levels->size[2]; k++) {
+                float even = (at[2 * k] + at[fine[0] + 2 * k]) + (next[2 * k] + next[fine[0] + 2 * k]);
+                float odd = (at[2 * k + 1] + at[fine[0] + 2 * k + 1]) + (next[2 * k + 1] + next[fine[0] + 2 * k + 1]);
+                to[k] = (even + odd) * 0.125f;
+            }
+        }
+    }
+    return levels->size[0];
+}
+
+static inline float lerp(float low, float high, float fraction) { return (high - low) * fraction + low; }
+
+/* exp(-scale x) in place. */
+static void attenuate(float scale, int64_t count, float *values) {
+    for (int64_t k = 0; k < count; k += LANES) {
+        size_t bytes = (size_t)(count - k < LANES ? count - k : LANES) * sizeof *values;
+        Floats some = in_all(0.0f);
+        memcpy(&some, values + k, bytes);
+        some = transmittance(scale * some);
+        memcpy(values + k, &some, bytes);
+    }
+}
+
+/* The natural logarithm of finite x >= 1. */
+static inline float log_of(float x) {
+    int32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    /* x = m 2^e with m from sqrt(1/2) to sqrt(2). */
+    int32_t e = (bits - 0x3f3504f3) >> 23;
+    bits -= e * (1 << 23);
+    float m, power = (float)e;
+    memcpy(&m, &bits, sizeof m);
+    m -= 1.0f;
+    float p = 7.0376836292e-2f;
+    p = p * m - 1.1514610310e-1f;
+    p = p * m + 1.1676998740e-1f;
+    p = p * m - 1.2420140846e-1f;
+    p = p * m + 1.4249322787e-1f;
+    p = p * m - 1.6668057665e-1f;
+    p = p * m + 2.0000714765e-1f;
+    p = p * m - 2.4999993993e-1f;
+    p = p * m + 3.3333331174e-1f;
+    float square = m * m, rest = p * m * square;
+    rest += power * -2.12194440e-4f;
+    rest -= 0.5f * square;
+    return m + rest + power * 0.693359375f;
+}
+
+/* A row of fine cells along the last axis, from the rows around it. line: scratch. */
+static void refine_row(const Refinement *grid, int64_t i, int64_t j, int64_t count, float *line, float *row) {
+    int64_t columns = grid->shape[2], slab = grid->shape[1] * columns;
+    const float *at = grid->values + grid->below[0][i] * slab + grid->below[1][j] * columns;
+    float f = grid->share[0][i], g = grid->share[1][j];
+    for (int64_t c = 0; c < columns; c++) {
+        float low = lerp(at[c], at[slab + c], f), high = lerp(at[columns + c], at[slab + columns + c], f);
+        line[c] = lerp(low, high, g);
+    }
+    const int32_t *below = grid->below[2];
+    const float *share = grid->share[2];
+    for (int64_t k = 0; k < count; k++) row[k] = lerp(line[below[k]], line[below[k] + 1], share[k]);
+}
+
+/* The whole number, up to 65535, that is nearest to x. */
+static inline uint16_t quantum(float x) {
+    return (uint16_t)(int32_t)(clamped(x, 0.0f, 65535.0f) + ROUNDING - ROUNDING);
+}
+
+int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
+    int64_t count = part->shape[2], columns = part->columns;
+    float *row = part->scratch, *visible = row + count, *line = visible + count;
+    float scale = (float)part->density_scale, steps = (float)(1.0 / part->density_step);
+    for (int64_t i = 0; i < part->shape[0]; i++) {
+        for (int64_t j = 0; j < part->shape[1]; j++) {
+            uint16_t *to = part->packed + (i * part->shape[1] + j) * count * columns;
+            if (part->density.values) {
+                refine_row(&part->density, i, j, count, line, row);
+                for (int64_t k = 0; k < count; k++) {
+                    row[k] = log_of(clamped(row[k] * scale + 1.0f, 1.0f, 3e38f)) * steps;
+                }
+                for (int64_t k = 0; k < count; k++) to[k * columns] = quantum(row[k]);
+            }
+            if (!part->depth.values) continue;
+            refine_row(&part->depth, i, j, count, line, row);
+            attenuate((float)part->depth_scale, count, row);
+            if (part->visibility.values) {
+                float least_visible = (float)part->least_visible;
+                refine_row(&part->visibility, i, j, count, line, visible);
+                for (int64_t k = 0; k < count; k++) row[k] *= visible[k] * (1.0f - least_visible) + least_visible;
+            }
+            for (int64_t k = 0; k < count; k++) to[k * columns + 1] = quantum(row[k] * 65535.0f);
+        }
+    }
+    return part->shape[0];
+}
+
+int64_t NAMED(resample, VARIANT)(const Resampling *grid) {
+    const double *linear = grid->linear;
+    float share = (float)grid->points;
+    for (int64_t i = 0; i < grid->shape[0]; i++) {
+        for (int64_t j = 0; j < grid->shape[1]; j++) {
+            float *to = grid->out + i * grid->strides[0] + j * grid->strides[1];
+            for (int64_t k = 0; k < grid->shape[2]; k++) {
+                double centre[3];
+                float sum = 0.0f;
+                for (int axis = 0; axis < 3; axis++) {
+                    const double *row = linear + 3 * axis;
+                    centre[axis] = row[0] * (double)i + row[1] * (double)j + row[2] * (double)k + grid->offset[axis];
+                }
+                for (int64_t first = 0; first < grid->points; first += LANES) {
+                    Floats positions[3];
+                    Ints held;
+                    FOR_LANES(n) {
+                        /* The last point again where there are no more. */
+                        int64_t point = first + n < grid->points ? first + n : grid->points - 1;
+                        float position[3];
+                        for (int axis = 0; axis < 3; axis++) {
+                            position[axis] = (float)(centre[axis] + grid->places[3 * point + axis]);
+                            positions[axis][n] = position[axis];
+                        }
+                        held[n] = first + n < grid->points && may_hold(&grid->occupancy, position) ? -1 : 0;
+                    }
+                    if (!any_lane(held)) continue;
+                    Floats found = sample_grid(&grid->grid, positions), size = choose(found < 0.0f, -found, found);
+                    Floats power = in_all(1.0f);
+                    for (int64_t times = 1; times < grid->power; times++) power *= size;
+                    FOR_LANES(n) {
+                        if (held[n]) sum += found[n] * power[n] / share;
+                    }
+                }
+                to[k * grid->strides[2]] = sum;
+            }
+        }
+    }
+    return grid->shape[0];
+}

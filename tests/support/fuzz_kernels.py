@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Run every kernel on volumes whose contents are broken in every way, for compilers' checks to watch.
+
+python -m tests.support.fuzz_kernels LIBRARY SECONDS [SEED]
+"""
+
+import ctypes
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+from inference.features.mip_lattices import Between
+from inference.grids import working_cube
+from inference.grids.dense_grid import DenseGrid
+from inference.grids.halving import halve
+from inference.grids.occupancy import Occupancy
+from inference.grids.optical_depth_sweep import sun_optical_depth
+from inference.grids.resampling import Placement, resample
+from inference.grids.sparse_columns import SparseColumns
+from inference.grids.sun_optical_depth import SunOpticalDepth
+from inference.grids.working_cube import Cube, level0_density
+from inference.kernels.field_structures import LatticePart
+from inference.kernels.library import Kernels
+from inference.marching.compiled_march import CompiledMarch
+from inference.marching.ray_steps import RayBatch
+from inference.scene.sparse_grid import SparseGrid
+from inference.transport.diffusion import couple, solve
+from inference.transport.discrete_ordinates import DiscreteOrdinates
+from inference.transport.radiance_sweep import sweep_radiance
+from tests.support.marches import MarchScene, Recipe, random_scene
+
+CELLS = 32
+STRANGE = np.array([np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, -0.0, 2.0**31, -(2.0**31), 2.0**63, 0.5])
+
+
+def random_recipe(random: np.random.Generator) -> Recipe:
+    """A scene of any kind."""
+    volumes = int(random.integers(1, 4))
+    return Recipe(
+        volumes=volumes,
+        suns=int(random.integers(1, 4)),
+        voxels=tuple(random.integers(1, 24, 3).tolist()),
+        thickness=float(10.0 ** random.uniform(-3.0, 8.0)),
+        sparse=random.random() < 0.5,
+        shear=float(random.choice([0.0, 0.5])),
+        shadows=random.random() < 0.3,
+        groups=[[0, 1], [2]] if volumes == 3 and random.random() < 0.5 else None,
+        features=random.random() < 0.7,
+        emission=int(random.choice([0, 1, 4])),
+        projection=str(random.choice(["perspective", "orthographic", "inside"])),
+        depth_samples=int(random.integers(1, 40)),
+        optimizations=frozenset(random.choice(["faint_rays", "empty_space", "behind_opaque"], 2).tolist()),
+        kind=str(random.choice(["lumps", "solid", "voxels", "magnitudes"])),
+    )
+
+
+def spoil(random: np.random.Generator, values: np.ndarray) -> None:
+    """Replace some of the values, in place."""
+    flat = values.reshape(-1)
+    places = random.integers(0, len(flat), max(len(flat) // 20, 1))
+    if values.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            flat[places] = random.choice(STRANGE, len(places)).astype(values.dtype)
+    else:
+        flat[places] = random.integers(np.iinfo(values.dtype).min, np.iinfo(values.dtype).max, len(places))
+
+
+def contents(scene: MarchScene) -> list[np.ndarray]:
+    """Every array of a scene that a volume, a light or a surface fills."""
+    found = []
+    for medium in scene.media:
+        grids = [medium.grid.density, *medium.grid.emission]
+        found += [grid.values if isinstance(grid, SparseGrid) else grid.padded for grid in grids]
+        found += [grid.table for grid in grids if isinstance(grid, SparseGrid)]
+        for depth in medium.sun_depths:
+            columns = depth.columns
+            found.append(columns.offsets)
+            found += [columns.tiles, columns.table] if isinstance(columns, SparseColumns) else [columns.depths]
+    found += [shadow_map.heights for shadow_map in scene.options.shadow_maps or []]
+    for fluence in scene.options.fluence or []:
+        found += fluence.lights if fluence is not None else []
+    return found
+
+
+def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
+    """Rays from anywhere to anywhere."""
+    arrays = [values.copy() for values in (rays.origins, rays.directions, rays.near, rays.far)]
+    for values in arrays:
+        if random.random() < 0.4:
+            spoil(random, values)
+    return RayBatch(*arrays)
+
+
+def march(kernels: Kernels, random: np.random.Generator) -> None:
+    """Rays through a scene of any kind."""
+    scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
+    march = CompiledMarch(kernels, scene.media, scene.options, scene.channels, ctypes.c_int32(0))
+    for array in contents(scene):
+        if random.random() < 0.6:
+            spoil(random, array)
+    march(scene.rays)
+    rays = spoiled_rays(random, scene.rays)
+    finite = np.flatnonzero(
+        np.isfinite(rays.near)
+        & np.isfinite(rays.far)
+        & (np.abs(rays.far - rays.near) < 1e3)
+        & (np.abs(rays.directions).max(axis=1) < 1e3)
+    )
+    march(rays.take(finite))
+    march.march_steps(rays, np.full(len(rays.near), 64))
+
+
+def spoiled(random: np.random.Generator, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
+    """Numbers of any kind."""
+    values = (random.random(shape) * 10.0 ** random.uniform(-6.0, 6.0)).astype(dtype)
+    if random.random() < 0.6:
+        spoil(random, values)
+    return values
+
+
+def direction(random: np.random.Generator) -> np.ndarray:
+    """Towards a sun, sometimes along an axis."""
+    found = random.normal(size=3) * (random.random(3) < 0.8)
+    return found / np.linalg.norm(found) if found.any() else np.array([0.0, -1.0, 0.0])
+
+
+def random_grid(random: np.random.Generator) -> DenseGrid | SparseGrid:
+    """A grid of any kind, with contents of any kind."""
+    shape = tuple(random.integers(1, 40, 3).tolist())
+    values = spoiled(random, shape)
+    if random.random() < 0.5:
+        return DenseGrid(values)
+    return SparseGrid.of_dense(np.where(random.random(shape) < 0.02, values, 0.0).astype(np.float32))
+
+
+def spoil_blocks(random: np.random.Generator, grid: DenseGrid | SparseGrid) -> None:
+    """Let a sparse grid's table name blocks that there are not."""
+    if isinstance(grid, SparseGrid) and random.random() < 0.5:
+        spoil(random, grid.table)
+
+
+def columns(kernels: Kernels, random: np.random.Generator) -> None:
+    """Columns along a sun's rays, and depths at cells."""
+    grid, towards = random_grid(random), direction(random)
+    spoil_blocks(random, grid)
+    SunOpticalDepth(grid, towards, kernels=kernels)
+    if isinstance(grid, DenseGrid):
+        sun_optical_depth(grid.padded, towards, 0.1, kernels)
+
+
+def transport(kernels: Kernels, random: np.random.Generator) -> None:
+    """Light on coarse cells."""
+    n = int(random.choice([4, 6, 8, 16]))
+    triangles = random.normal(size=(3, 3, 3)) * 0.3 if random.random() < 0.5 else None
+    density, sigma = spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0))
+    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles, kernels).light(direction(random))
+    shape = tuple(random.integers(1, 12, 3).tolist())
+    extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
+    sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])), kernels=kernels)
+    equation = couple(spoiled(random, shape, np.float64), 0.1)
+    solve(equation, spoiled(random, shape, np.float64), kernels=kernels)
+
+
+def pyramid(kernels: Kernels, random: np.random.Generator) -> None:
+    """Means over cells, their levels, and lattices made of them."""
+    grid, matrix = random_grid(random), np.diag([*random.uniform(0.5, 2.0, 3), 1.0])
+    if random.random() < 0.3:
+        matrix[:3, :3] += random.normal(size=(3, 3)) * 0.3
+    else:
+        spoil_blocks(random, grid)
+    shape = np.array(grid.shape)
+    density = grid if isinstance(grid, SparseGrid) else np.ascontiguousarray(grid.padded[1:-2, 1:-2, 1:-2])
+    volume = SimpleNamespace(density=density, world_from_index=matrix)
+    cube = Cube(np.eye(3), random.normal(size=3), float(random.uniform(0.1, 3.0) * shape.max()), 0 * shape, shape)
+    level = level0_density(volume, cube, kernels=kernels)
+    part = level[:14, :18, :10] if random.random() < 0.5 else spoiled(random, (14, 18, 10))
+    halve(part, np.empty((7, 9, 5), np.float32), kernels)
+    source, fine = tuple(random.integers(2, 9, 3).tolist()), tuple(random.integers(1, 20, 3).tolist())
+    between = Between.of([random.uniform(-3.0, 12.0, n) for n in fine], source)
+    grids = [between.described(spoiled(random, source) if random.random() < 0.8 else None) for _ in range(3)]
+    scales = 10.0 ** random.uniform(-6.0, 6.0, 3)
+    scratch = np.empty(2 * fine[2] + source[2], np.float32)
+    packed = np.empty((*fine, 2), np.uint16)
+    data = LatticePart(
+        shape=np.array(fine),
+        density=grids[0],
+        depth=grids[1],
+        visibility=grids[2],
+        density_scale=scales[0],
+        density_step=scales[1],
+        depth_scale=scales[2],
+        least_visible=0.1,
+        packed=packed,
+        columns=2,
+        scratch=scratch,
+    )
+    kernels.prepare("fill_lattice", data)
+
+
+def resampling(kernels: Kernels, random: np.random.Generator) -> None:
+    """Values of a grid at other voxels, anywhere."""
+    grid = random_grid(random)
+    filled, peaks = random.random(grid.cells().shape) < 0.7, grid.cell_peaks()
+    spoil_blocks(random, grid)
+    linear, offset, places = (
+        spoiled(random, (3, 3), np.float64),
+        spoiled(random, (3,), np.float64),
+        random.normal(size=(8, 3)),
+    )
+    out = np.empty(random.integers(1, 12, 3), np.float32)
+    placement = Placement(linear, offset, places)
+    resample(
+        grid,
+        int(random.integers(1, 5)),
+        Occupancy(filled, peaks, grid.CELL, grid.cells_first),
+        placement,
+        out,
+        kernels=kernels,
+    )
+
+
+KINDS = (march, columns, transport, pyramid, resampling)
+
+
+def fuzz(library: str, seconds: float, seed: int) -> int:
+    """Run as many cases as fit in the time, of each kind in turn; returns how many."""
+    # Cells of the working cube: few, so that many cases fit.
+    working_cube.LEVEL0_CELLS = CELLS
+    kernels, end, count = Kernels(library), time.monotonic() + seconds, 0
+    with np.errstate(all="ignore"):
+        while time.monotonic() < end:
+            KINDS[count % len(KINDS)](kernels, np.random.default_rng(seed + count))
+            count += 1
+    return count
+
+
+if __name__ == "__main__":
+    print(fuzz(sys.argv[1], float(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0), "cases")
