@@ -10,16 +10,12 @@ a ray are arrays over its steps. Places on a ray are counted in its coarse steps
 
 #include "kernels.h"
 #include "sampling.h"
-
-#define JOINED(a, b) a##_##b
-#define NAMED(a, b) JOINED(a, b)
+#include "variants.h"
 
 /* Steps per block, points per step at which density is sampled, and columns of the ray features. */
 #define STEPS 4
 #define SAMPLES 2
-#define SCALES 3
-#define SCATTERED 2
-#define INTEGRALS (SCALES + SCATTERED)
+#define INTEGRALS 5
 #define COLUMNS (2 + INTEGRALS)
 
 /* How often a block may be cut, and into how many at a time. */

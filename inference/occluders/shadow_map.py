@@ -22,7 +22,7 @@ MARGIN = 0.1
 class ShadowMap:
     """Height of the highest surface above each cell of a plane perpendicular to the sun's direction.
 
-    linear: (3, 3), offset: (3,): column, row and height from world positions, a frame as RaySteps takes them.
+    linear: (3, 3), offset: (3,): column, row and height from world positions, a frame as RayLines takes them.
     """
 
     def __init__(

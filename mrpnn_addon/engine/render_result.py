@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The render result of one view layer: a coarse picture first, then finished parts."""
 
+import time
+
 import numpy as np
 
 from ..output.layer_frame import rgba
 from ..output.passes import extra_passes
 from ..scene.film import over
+
+# Seconds between two pictures of an unfinished render: each costs as much as the whole image is large.
+SHOW_INTERVAL = 0.5
 
 
 class RenderResult:
@@ -19,7 +24,7 @@ class RenderResult:
         self._engine, self._view_layer, self._camera, self._background = engine, view_layer, camera, background
         x0, y0, x1, y1 = camera.window
         self._image, self._result = np.zeros((y1 - y0, x1 - x0, 4), np.float32), None
-        self._extras = extra_passes(view_layer)
+        self._extras, self._shown = extra_passes(view_layer), 0.0
 
     def show_coarse(self, layer) -> None:
         """Show a layer of lower resolution in the whole window."""
@@ -30,9 +35,11 @@ class RenderResult:
         self._show()
 
     def show_part(self, window, layer) -> None:
-        """Show a finished part. window: (x0, y0, x1, y1) in the image."""
+        """Show a finished part, soon. window: (x0, y0, x1, y1) in the image."""
         self._put(window, rgba(layer))
-        self._show()
+        if time.monotonic() - self._shown > SHOW_INTERVAL:
+            self._show()
+            self._shown = time.monotonic()
 
     def finish(self, layer, stamped) -> None:
         """Write the whole layer with all passes. stamped: names and values for the file's metadata."""

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...inference.marching.ray_steps import MIN_VOXELS, STEP_THICKNESS, STEPS_PER_EDGE
+from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
 
-# Fine steps on a ray into volumes that are thick enough for them.
-FINE_STEPS = 40
+# Fine steps per one that optical thickness asks for: cutting halves, and looks at blocks before it cuts them.
+FINE_STEPS = 2.5
 # Mean density along a ray, as a share of the peak.
 FILLED = 0.1
 # Sample rays along each image axis.
@@ -41,16 +41,17 @@ class Box:
 class Workload:
     """Work of a render, estimated from bounding boxes.
 
-    names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: ray march steps.
-    opacity: mean square root of the pixels' opacity, estimated. thickness: optical thickness of a voxel.
-    volumes, lights, samples: their numbers. channels: colour channels marched separately. filled: share of voxels that
-    are not 0; None where some volume has not been read.
+    names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: coarse ray march steps.
+    fine: those that cutting adds. opacity: mean square root of the pixels' opacity, estimated. thickness: optical
+    thickness of a voxel. volumes, lights, samples: their numbers. channels: colour channels marched separately. filled:
+    share of voxels that are not 0; None where some volume has not been read.
     """
 
     names: frozenset[str] = frozenset()
     window: int = 0
     pixels: float = 0.0
     steps: float = 0.0
+    fine: float = 0.0
     opacity: float = 1.0
     thickness: float = 0.0
     volumes: int = 0
@@ -90,9 +91,12 @@ def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: in
     found.filled = float(np.mean(filled)) if len(filled) == len(boxes) else None
     found.thickness = sum(box.thickness for box in boxes)
     steps_per_voxel = max(1.0, STEPS_PER_EDGE / max(max(box.cells for box in boxes), 1.0))
-    fine = FINE_STEPS if found.thickness / steps_per_voxel > STEP_THICKNESS else 0
     voxels = np.maximum((far - near)[hit] / min(box.voxel for box in boxes), MIN_VOXELS)
-    found.steps = float((np.ceil(voxels * steps_per_voxel) + fine).sum()) * share
+    found.steps = float(np.ceil(voxels * steps_per_voxel).sum()) * share
+    if found.thickness / steps_per_voxel > STEP_THICKNESS:
+        # Steps of a thickness that grows with the optical depth in front.
+        fine = STEP_GROWTH / STEP_THICKNESS * -np.expm1(-FILLED * thickness[hit] / STEP_GROWTH)
+        found.fine = FINE_STEPS * float(fine.sum()) * share
     if hit.any():
         found.opacity = float(np.sqrt(-np.expm1(-FILLED * thickness[hit])).mean())
     return found

@@ -64,7 +64,7 @@ class Calibration:
 def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> float:
     """Estimated wall-clock seconds."""
     shares = _shares(workload, known)
-    evaluated = workload.steps * shares.evaluated * workload.channels
+    evaluated = (workload.steps * shares.evaluated + workload.fine) * workload.channels
     taken = _seconds(workload, evaluated, *_points(workload, shares))
     total = sum(seconds * known.rates.get(stage, 1.0) for stage, seconds in taken.items())
     return total * (known.threads / max(threads, 1)) ** SCALING
@@ -78,7 +78,7 @@ def calibrate(known: Calibration, workload: Workload, report, alpha: np.ndarray)
         return
     opaque, channels = alpha[alpha > 0.0], workload.channels
     shares = Shares(
-        evaluated=min(evaluated / (workload.steps * channels), 1.0),
+        evaluated=float(np.clip((evaluated / channels - workload.fine) / workload.steps, 0.0, 1.0)),
         visible=count("rays that meet density", 0) / channels / max(workload.pixels, 1.0),
         opacity=float(np.sqrt(opaque).mean()) if opaque.size else None,
     )
