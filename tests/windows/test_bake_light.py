@@ -40,7 +40,7 @@ def picture(window, name):
     left, top, right, bottom = window.box("VIEW_3D")
     x, y = (left + right) // 2, (top + bottom) // 2
     return float(screen[y - 40 : y + 40, x - 40 : x + 40].mean()), float(
-        screen[y + 100 : y + 115, x - 20 : x + 20].mean()
+        screen[y + 190 : y + 205, x - 20 : x + 20].mean()
     )
 
 
