@@ -21,7 +21,7 @@ from .directions import fit_directions, make_lobe
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
 from .lit_volume import BakedView, LitVolume
 from .point_radiance import PointRadiance
-from .smooth_light import radiance_in_voxels
+from .smooth_light import importance_of, radiance_in_voxels
 
 # For plans of images, of which a bake makes none.
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
@@ -165,7 +165,8 @@ class _Bake:
 
         wanted = self._wanted(v)
         thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
-        radiance, predicted = radiance_in_voxels(wanted, thickness, predict, "smooth_light" in self._switches)
+        importance = importance_of(thickness, self.visibilities[v].towards(self.view, lattice))
+        radiance, predicted = radiance_in_voxels(wanted, importance, predict, "smooth_light" in self._switches)
         report.count("voxels with light", np.count_nonzero(wanted))
         report.count("voxels predicted", predicted)
         return radiance

@@ -9,12 +9,13 @@ from ..scene.description import Sun
 from .lattice import DIRECTIONS, BakeLattice, Visibility
 from .lit_volume import COEFFICIENTS, BakedView, DirectionalFactor, Lobe, directional_terms
 
-# Nodes along the longest edge of the grid of coefficients.
-NODES = 32
+# Nodes along the longest edge of the grid of coefficients, at most.
+NODES = 48
 # Suns about which the lobe is, the brightest.
 MAX_LIGHTS = 4
-# Light that is hidden from a direction hardly counts there, and radiance far below the mean of a point hardly counts.
-MIN_TRANSMITTANCE, MIN_RADIANCE = 0.01, 0.01
+# Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
+# which it hardly counts.
+MIN_TRANSMITTANCE, MIN_RADIANCE = 0.02, 0.01
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
@@ -50,15 +51,23 @@ def fit_directions(
     nodes, voxels = _representatives(radiance, stride)
     if not len(nodes):
         return None
+    # A ray along a direction shows a point to a viewer on the other side of it.
+    opposite = [int(np.abs(DIRECTIONS + direction).sum(axis=1).argmin()) for direction in DIRECTIONS]
+    seen = visibility.transmittances(voxels)[:, opposite]
+    seen[seen < MIN_TRANSMITTANCE] = 0.0
+    some = seen.any(axis=1)
+    if some.any():
+        nodes, voxels, seen = nodes[some], voxels[some], seen[some]
+    else:
+        seen = np.ones_like(seen)
     positions = lattice.positions(voxels)
     baked = radiance[tuple(voxels.T)].mean(axis=1).astype(np.float64)
     same = steady[tuple(voxels.T)].mean(axis=1)
-    samples = np.empty((len(nodes), len(DIRECTIONS)))
+    samples = np.zeros((len(nodes), len(DIRECTIONS)))
     for number, direction in enumerate(DIRECTIONS):
-        samples[:, number] = same + predict(positions, np.broadcast_to(direction, positions.shape).copy())
-    # A ray along a direction shows a point to a viewer on the other side of it.
-    opposite = [int(np.abs(DIRECTIONS + direction).sum(axis=1).argmin()) for direction in DIRECTIONS]
-    seen = visibility.transmittances(voxels)[:, opposite] + MIN_TRANSMITTANCE
+        at = np.flatnonzero(seen[:, number])
+        along = np.broadcast_to(direction, (len(at), 3)).copy()
+        samples[at, number] = same[at] + predict(positions[at], along)
     coefficients = np.zeros((len(nodes), COEFFICIENTS), np.float32)
     for start in range(0, len(nodes), NODES_PER_BATCH):
         span = slice(start, start + NODES_PER_BATCH)
@@ -90,11 +99,12 @@ def _representatives(radiance: np.ndarray, stride: int) -> tuple[np.ndarray, np.
 def _fit(samples: np.ndarray, seen: np.ndarray, baked: np.ndarray, lobe: Lobe) -> np.ndarray:
     """Coefficients (N, COEFFICIENTS - 1) from grey radiance (N, 26) along DIRECTIONS.
 
-    seen: (N, 26), importance of each direction. baked: (N,), radiance that was baked. Least squares of the logarithm,
-    weighted such that relative errors count by the radiance, then scaled to the right mean.
+    seen: (N, 26), importance of each direction, 0 where the radiance is not known, but never for all. baked: (N,),
+    radiance that was baked. Least squares of the logarithm, weighted such that relative errors count by the radiance,
+    then scaled to the right mean.
     """
     terms = directional_terms(DIRECTIONS, lobe)
-    mean = samples.mean(axis=1, keepdims=True)
+    mean = samples.sum(axis=1, keepdims=True) / (seen > 0.0).sum(axis=1, keepdims=True)
     floor = np.maximum(MIN_RADIANCE * mean, 1e-30)
     logarithms = np.log(np.maximum(samples, floor) / np.maximum(mean, 1e-30))
     weights = seen * (np.maximum(samples, floor) / np.maximum(mean, 1e-30))

@@ -14,6 +14,7 @@ from ..scene.camera import Camera
 from ..scene.description import Volume
 from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
+from .lit_volume import BakedView
 
 # Optical depth behind which nothing is seen.
 UNSEEN_DEPTH = 20.0
@@ -126,7 +127,25 @@ class Visibility:
 
     def seen(self) -> np.ndarray:
         """bool (nx, ny, nz): voxels that some straight line reaches from outside within UNSEEN_DEPTH."""
-        cells = self.depths.min(axis=0) - self._within < UNSEEN_DEPTH
+        return self._in_voxels(self.depths.min(axis=0) - self._within < UNSEEN_DEPTH)
+
+    def towards(self, view: BakedView, lattice: BakeLattice) -> np.ndarray:
+        """Transmittance float32 (nx, ny, nz) from voxels towards the viewer; without one, in the clearest direction."""
+        cells = np.indices(self.depths.shape[1:]).reshape(3, -1)
+        rays = view.directions(lattice.positions(cells.T * self.cell + 0.5 * (self.cell - 1)))
+        if rays is None:
+            return self._in_voxels(np.exp(-self.depths.min(axis=0)))
+        nearest = (rays @ -DIRECTIONS.T).argmax(axis=1)
+        depths = self.depths.reshape(len(DIRECTIONS), -1)[nearest, np.arange(len(nearest))]
+        if view.position is not None:
+            # Nothing behind a viewer within the volume hides anything.
+            place = np.linalg.inv(lattice.world_from_index) @ [*view.position, 1.0]
+            at = np.floor((place[:3] + 0.5) / self.cell).astype(int)
+            if np.all((at >= 0) & (at < self.depths.shape[1:])):
+                depths = np.maximum(depths - self.depths[(nearest, *at)], np.float32(0.0))
+        return self._in_voxels(np.exp(-depths).reshape(self.depths.shape[1:]))
+
+    def _in_voxels(self, cells: np.ndarray) -> np.ndarray:
         for axis, size in enumerate(self.shape):
             cells = cells.repeat(self.cell, axis).take(range(size), axis)
         return cells

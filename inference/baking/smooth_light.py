@@ -1,83 +1,88 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Radiance in voxels, predicted only where it is not smooth and interpolated in between."""
+"""Radiance in voxels, predicted where the picture needs it and interpolated in between.
+
+Prediction goes from coarse lattices of voxels to fine ones. Where a prediction agrees with the interpolation of the
+next coarser lattice, or where hardly any light reaches the viewer, finer lattices are interpolated.
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 
-# Edges of the cells at whose corners radiance is predicted, in voxels, coarsest first.
-STRIDES = (8, 4, 2)
-# Difference of the radiance at a cell's corners, over its mean, and optical thickness of a cell, up to which it is
-# interpolated.
-SMOOTH, THIN = 0.2, 4.0
+# Distances of neighbours in the lattices, in voxels. The first two are predicted everywhere.
+STRIDES = (4, 2, 1)
+# Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
+TOLERANCE = 0.015
+# Optical thickness of a voxel, times this, from which it counts in full.
+THIN = 10.0
 
-CORNERS = [np.array(corner) for corner in np.ndindex(2, 2, 2)]
+
+def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
+    """How much voxels count in the picture, 0 to 1, float32 (nx, ny, nz).
+
+    thickness: optical, of voxels. transmittance: towards the viewer. Both (nx, ny, nz).
+    """
+    return np.minimum(np.float32(THIN) * thickness, np.float32(1.0)) * transmittance
 
 
 def radiance_in_voxels(
-    wanted: np.ndarray, thickness: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], interpolate: bool
+    wanted: np.ndarray, importance: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], interpolate: bool
 ) -> tuple[np.ndarray, int]:
     """Radiance float32 (nx, ny, nz, 3) in the wanted voxels, 0 in others, and the number of voxels predicted.
 
-    wanted: bool (nx, ny, nz). thickness: float32 (nx, ny, nz), optical, of voxels. predict: radiance (3, N) of voxels
-    int (N, 3). interpolate: whether cells of smooth light are interpolated.
+    wanted: bool (nx, ny, nz). importance: see `importance_of`. predict: radiance (3, N) of voxels int (N, 3).
+    interpolate: whether any voxels are interpolated.
     """
-    radiance = np.zeros((*wanted.shape, 3), np.float32)
-    known, left = np.zeros_like(wanted), wanted.copy()
-
-    def evaluate(some: np.ndarray) -> None:
-        voxels = np.argwhere(some)
-        if len(voxels):
-            radiance[some] = predict(voxels).T
-            known[some] = True
-            left[some] = False
-
-    for stride in STRIDES if interpolate else ():
-        cells = _open_cells(wanted, left, thickness, stride)
-        if not len(cells):
-            continue
-        corners = np.stack([(cells + corner) * stride for corner in CORNERS])
-        needed = np.zeros_like(wanted)
-        needed[tuple(corners.reshape(-1, 3).T)] = True
-        evaluate(needed & ~known)
-        at_corners = radiance[tuple(np.moveaxis(corners, -1, 0))]
-        grey = at_corners.mean(axis=-1)
-        smooth = grey.max(axis=0) - grey.min(axis=0) <= SMOOTH * grey.mean(axis=0)
-        _fill(radiance, left, cells[smooth] * stride, at_corners[:, smooth], stride)
-    evaluate(left.copy())
-    return radiance, int(known.sum())
+    predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
+    known = np.zeros((0, 0, 0), bool)
+    for stride in STRIDES if interpolate else (1,):
+        here = wanted[::stride, ::stride, ::stride]
+        between, near = _upsampled(values, known, here.shape)
+        chosen = here.copy()
+        if interpolate and stride not in STRIDES[:2]:
+            counts = _block_maxima(importance, stride)
+            grey = between.mean(axis=3)
+            mean = float((counts * grey)[here].sum() / max(float((counts * near)[here].sum()), 1e-30))
+            chosen &= ~near | (_around(error, here.shape) * counts > TOLERANCE * mean)
+        values = np.where((here & ~chosen)[..., None], between, np.float32(0.0))
+        places = np.argwhere(chosen)
+        if len(places):
+            values[chosen] = predict(places * stride).T
+        predicted += len(places)
+        # Interpolated voxels have no error that is known: finer lattices around them are interpolated, too.
+        error = np.where(chosen & near, np.abs(values.mean(axis=3) - between.mean(axis=3)), np.float32(0.0))
+        known = here
+    return values, predicted
 
 
-def _open_cells(wanted: np.ndarray, left: np.ndarray, thickness: np.ndarray, stride: int) -> np.ndarray:
-    """Cells int (N, 3), optically thin and with all corners wanted, that hold voxels without radiance."""
-    nodes = wanted[::stride, ::stride, ::stride]
-    count = [n - 1 for n in nodes.shape]
-    if min(count) < 1:
-        return np.zeros((0, 3), int)
-    inside = np.ones(count, bool)
-    for corner in CORNERS:
-        inside &= nodes[tuple(slice(c, c + n) for c, n in zip(corner, count))]
-    ends = [slice(0, n * stride) for n in count]
-    blocks = [part for n in count for part in (n, stride)]
-    inside &= left[tuple(ends)].reshape(blocks).any(axis=(1, 3, 5))
-    inside &= thickness[tuple(ends)].reshape(blocks).max(axis=(1, 3, 5)) * np.float32(stride) <= THIN
-    return np.argwhere(inside)
+def _upsampled(values: np.ndarray, known: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A lattice (nx, ny, nz, 3) interpolated on one twice as fine, from known neighbours; and where there are any."""
+    if not known.size:
+        return np.zeros((*shape, 3), np.float32), np.zeros(shape, bool)
+    sums = np.concatenate([values, known[..., None]], axis=3).astype(np.float32)
+    for axis, size in enumerate(shape):
+        coarse = sums.shape[axis]
+        after = np.concatenate([sums.take(range(1, coarse), axis), np.zeros_like(sums.take([0], axis))], axis)
+        pairs = np.stack([sums, np.float32(0.5) * (sums + after)], axis + 1)
+        doubled = pairs.reshape([2 * coarse if a == axis else n for a, n in enumerate(sums.shape)])
+        sums = doubled.take(range(size), axis)
+    weight = sums[..., 3:]
+    return sums[..., :3] / np.maximum(weight, np.float32(1e-6)), weight[..., 0] > 0.0
 
 
-def _fill(radiance: np.ndarray, left: np.ndarray, first: np.ndarray, corners: np.ndarray, stride: int) -> None:
-    """Interpolate in cells; first: int (N, 3), their lowest voxels. corners: (8, N, 3), radiance at their corners."""
-    for offset in np.ndindex(*[stride + 1] * 3):
-        place = first + np.array(offset)
-        at = tuple(place.T)
-        some = np.flatnonzero(left[at])
-        if not len(some):
-            continue
-        share = np.array(offset) / stride
-        values = np.zeros((len(some), 3), np.float32)
-        for corner, radiance_there in zip(CORNERS, corners):
-            weight = np.prod(np.where(corner == 1, share, 1.0 - share))
-            if weight > 0.0:
-                values += np.float32(weight) * radiance_there[some]
-        chosen = tuple(place[some].T)
-        radiance[chosen] = values
-        left[chosen] = False
+def _around(error: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Largest error of a lattice near each place of one twice as fine."""
+    for axis, size in enumerate(shape):
+        edge = np.zeros_like(error.take([0], axis))
+        padded = np.concatenate([edge, error, edge], axis)
+        count = error.shape[axis]
+        error = np.maximum(error, np.maximum(padded.take(range(count), axis), padded.take(range(2, count + 2), axis)))
+        error = error.repeat(2, axis).take(range(size), axis)
+    return error
+
+
+def _block_maxima(values: np.ndarray, size: int) -> np.ndarray:
+    """Largest values of blocks of size^3, smaller ones at the end."""
+    values = np.pad(values, [(0, -n % size) for n in values.shape])
+    parts = [part for n in values.shape for part in (n // size, size)]
+    return values.reshape(parts).max(axis=(1, 3, 5))
