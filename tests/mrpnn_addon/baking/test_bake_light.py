@@ -155,6 +155,19 @@ def test_a_scene_without_light_is_refused(addon, scene, cloud, tmp_path):
     assert scene.cycles.volume_bounces == 7 and not lights()
 
 
+def test_surfaces_whose_light_is_not_baked_are_named(addon, scene, cloud, tmp_path):
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+    from mrpnn.operators.bake import bake_warnings
+
+    assert bake_warnings(read_scene(blender_scenes.depsgraph())) == []
+    for number in range(5):
+        mesh = bpy.data.meshes.new("Floor")
+        mesh.from_pydata([(-4, -4, -3), (4, -4, -3), (4, 4, -3)], [], [(0, 1, 2)])
+        blender_scenes.add_object(scene, f"Floor {number}", mesh)
+    [warning] = bake_warnings(read_scene(blender_scenes.depsgraph()))
+    assert all(f'"Floor {number}"' in warning for number in range(3)) and warning.endswith("and 2 others")
+
+
 def test_the_command_bakes_a_sequence_and_saves_a_file_that_shows_it(addon, scene, cloud, tmp_path):
     sun = scene.objects["Sun"]
     for frame, angle in ((1, 0.0), (3, 1.0)):
