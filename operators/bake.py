@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
-from ..mrpnn_addon.baking.baked_scene import baked_keys, remove_light, show_light
+from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, remove_light, show_light
 from ..mrpnn_addon.scene.reader import SceneDescription, read_scene
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from .waiting import SceneLoading
@@ -150,8 +150,9 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         else:
             self.report(
                 {"INFO"},
-                f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s; volume bounces are 0 now, for "
-                "the whole scene",
+                f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s; volume bounces are 0 now"
+                f"{' and volumes biased (ray marching)' if chooses_ray_marching(context.scene) else ''}, for the whole "
+                "scene",
             )
         return {"FINISHED"}
 
