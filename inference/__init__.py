@@ -12,11 +12,12 @@ from .network.predictor import predict_multiple
 from .render import render, render_tiles
 from .render_cache import RenderCache
 from .runtime.report import Report
-from .scene import Camera, Cancelled, Medium, SceneError, Settings, SparseGrid, Sun, Surface, Volume
+from .scene import Camera, Cancelled, Environment, Medium, SceneError, Settings, SparseGrid, Sun, Surface, Volume
 
 __all__ = [
     "Camera",
     "Cancelled",
+    "Environment",
     "Layer",
     "LitVolume",
     "Medium",

@@ -8,6 +8,7 @@ import numpy as np
 
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
+from .image.environment_pass import add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
@@ -28,6 +29,7 @@ from .runtime.progress import Progress
 from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
+from .scene.description import Sun
 from .scene.settings import Settings
 from .transport.scattered_emission import ScatteredEmission
 
@@ -42,12 +44,13 @@ def render(
     cache: RenderCache | None = None,
     surfaces=(),
 ) -> Layer:
-    """Render volumes lit by suns.
+    """Render volumes lit by suns and environments.
 
-    volumes: list of (Volume, Medium). lights: list of Sun. progress: (fraction, message), called on the calling thread;
-    the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier renders, for
-    what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera rays end, for
-    a layer that is put over them (but not those of equirectangular cameras), and that keep light from the volumes.
+    volumes: list of (Volume, Medium). lights: list of Sun and Environment. progress: (fraction, message), called on the
+    calling thread; the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier
+    renders, for what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera
+    rays end, for a layer that is put over them (but not those of equirectangular cameras), and that keep light from the
+    volumes.
 
     The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
     Cancelled when asked to stop.
@@ -75,7 +78,7 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings)
+            plan = make_plan(volumes, lights, camera, settings, bool(surfaces))
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
             kernels = load_compiled(settings, report)
@@ -88,7 +91,8 @@ def render_tiles(
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
     report.count("suns", len(scene.plan.suns))
-    report.count("suns left out", len(lights) - len(scene.plan.suns))
+    report.count("environments", len(scene.plan.environments))
+    report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
     yield camera.window, compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
@@ -132,6 +136,7 @@ def _tiles(
             if channel_pass.first:
                 add_scattered_emission(context, scene, channel_pass, tile, samples, emission)
             add_multiple_scattering(context, sources, tile, samples)
+            add_environment_light(context, environments, tile, samples)
         return tile
 
     windows, tasks = scene.plan.tiles, context.tasks
@@ -140,9 +145,11 @@ def _tiles(
         marched = list(tasks.map(march, windows))
         view = [samples for _, samples in marched if samples is not None]
         sources = prepare_prediction(context, scene, channel_pass, camera, view)
+        environments = prepare_environment(context, scene, channel_pass, view)
         context.progress.message("multiple scattering")
         return tasks.map(lambda one: predict(*one), marched)
     sources = prepare_prediction(context, scene, channel_pass, camera, ())
+    environments = prepare_environment(context, scene, channel_pass, ())
     context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
 
@@ -184,7 +191,7 @@ def load_compiled(settings: Settings, report: Report) -> Kernels | None:
 def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
-    report, cancel, cache = context.report, context.cancel, context.cache
+    report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with report.stage("shadows"):
@@ -223,7 +230,13 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         if group is not None and channels is not None:
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
-    return PreparedScene(plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network)
+    environment = None
+    if plan.environments and any(group is not None for group in groups):
+        with report.stage("network loading"):
+            environment = cache.environment_network(settings.model, settings.provider, cancel)
+    return PreparedScene(
+        plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment
+    )
 
 
 def _load_network(context: RenderContext, plan: Plan):

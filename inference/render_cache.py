@@ -9,6 +9,7 @@ from typing import Any
 from .grids.grid import Grid
 from .grids.merge import merge
 from .kernels.library import Kernels
+from .network.environment_network import EnvironmentNetwork, load_environment_network
 from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
@@ -42,6 +43,7 @@ class RenderCache:
         self.any_view = any_view
         self._lock = threading.Lock()
         self._networks: dict[tuple[str, str], System] = {}
+        self._environment_networks: dict[tuple[str, str], EnvironmentNetwork] = {}
         self._grids: list[tuple[Volume, Grid]] = []
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
         self._predictors: dict[int, VolumePredictor] = {}
@@ -53,6 +55,13 @@ class RenderCache:
             if (name, provider) not in self._networks:
                 self._networks[name, provider] = load_network(name, provider)
             return self._networks[name, provider]
+
+    def environment_network(self, model: str, provider: str, cancel: CancelToken = NEVER) -> EnvironmentNetwork:
+        """As `load_environment_network`; loads each network once per provider."""
+        with cancel.locked(self._lock):
+            if (model, provider) not in self._environment_networks:
+                self._environment_networks[model, provider] = load_environment_network(model, provider)
+            return self._environment_networks[model, provider]
 
     def grids(self, volumes: Sequence[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
         """Grid of each volume."""

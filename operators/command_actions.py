@@ -143,13 +143,13 @@ def report(options, console, found: dict) -> None:
         require_volumes(description)
         if options.strict:
             require_all(description)
-        plan = make_plan(description.volumes, description.suns, description.camera, settings)
+        plan = make_plan(description.volumes, description.lights, description.camera, settings)
     width, height = description.camera.resolution
     found["plan"] = {
         "frame": description.frame,
         "resolution": [width, height],
         "volumes": [{"name": volume.name, "voxels": list(volume.density.shape)} for volume, _ in description.volumes],
-        "suns": [sun.name for sun in description.suns],
+        "suns": [light.name for light in description.lights],
         "planned": plan.planned,
         "left_out": plan.left_out,
         "warnings": description.warnings,
@@ -160,7 +160,7 @@ def report(options, console, found: dict) -> None:
         f'  volume "{volume.name}": {" x ".join(map(str, volume.density.shape))} voxels'
         for volume, _ in description.volumes
     ]
-    lines += [f"  {sun.name}" for sun in description.suns]
+    lines += [f"  {light.name}" for light in description.lights]
     lines += [f"  renders {sentence}" for sentence in plan.planned]
     lines += [f"  leaves out {sentence}" for sentence in plan.left_out]
     for warning in description.warnings:

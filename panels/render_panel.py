@@ -47,9 +47,6 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "depth_samples")
         column.prop(settings, "seed")
-        row = column.row()
-        row.active = context.scene.world is not None
-        row.prop(settings, "world_directions")
         _draw_last(context, layout, last_render())
 
 

@@ -119,9 +119,9 @@ def measure(path: Path, cells: int, size) -> dict:
     read = time.perf_counter() - start
     density, settings = found.volumes[0][0].density, Settings()
     held = held_memory() - before
-    plan = make_plan(found.volumes, found.suns, found.camera, settings)
+    plan = make_plan(found.volumes, found.lights, found.camera, settings)
     with Peak() as rendering:
-        layer = render(found.volumes, found.suns, found.camera, settings)
+        layer = render(found.volumes, found.lights, found.camera, settings)
     voxels = float(np.prod(np.array(density.shape, float)))
     values = getattr(density, "values", density)
     return {

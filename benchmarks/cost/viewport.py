@@ -81,7 +81,7 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     description, shaded = read()
     rows.append(("density changed", *pictures(addon, description, turned, settings, prepared)))
     start = clock()
-    addon.inference.render(description.volumes, description.suns, turned, settings)
+    addon.inference.render(description.volumes, description.lights, turned, settings)
     whole = since(start)
 
     print(f"{size[0]} x {size[1]} pixels, {voxels}^3 voxels, {depth_samples} depth samples, {os.cpu_count()} cores")

@@ -94,7 +94,7 @@ def steadiness(described, options) -> dict:
     def image(values):
         pairs = [(inference.Volume(values, volume.world_from_index, volume.name), medium)]
         return inference.render(
-            pairs, described.suns, described.camera, inference.Settings(depth_samples=options.depth_samples)
+            pairs, described.lights, described.camera, inference.Settings(depth_samples=options.depth_samples)
         )
 
     first = image(density)

@@ -81,7 +81,7 @@ def measured(name, stage, options) -> dict:
     start = time.process_time()
     layer = inference.render(
         described.volumes,
-        described.suns,
+        described.lights,
         described.camera,
         inference.Settings(depth_samples=DEPTH_SAMPLES),
         surfaces=described.surfaces,
@@ -133,7 +133,7 @@ def named(stage) -> dict:
         described = read_scene(bpy.context.evaluated_depsgraph_get())
         layer = inference.render(
             described.volumes,
-            described.suns,
+            described.lights,
             described.camera,
             inference.Settings(multiple=False),
             surfaces=described.surfaces,

@@ -12,6 +12,7 @@ from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
 from ..marching.marcher import Marcher
+from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..occluders.depth_buffer import DepthBuffer
 from ..occluders.occluders import Occluders
@@ -52,7 +53,8 @@ class PreparedScene:
 
     grids: of V volumes. sun_depths: (V, L), of each volume towards each sun of the plan. depth_buffer: of surfaces that
     cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
-    None where nothing is predicted. network: None if nothing is predicted at all.
+    None where nothing is predicted. network: None if nothing is predicted at all. environment_network: that predicts
+    the light of environments, or None.
     """
 
     plan: Plan
@@ -63,6 +65,7 @@ class PreparedScene:
     extended_lights: ExtendedLights | None
     groups: list[ScatteringGroup | None]
     network: System | None = None
+    environment_network: EnvironmentNetwork | None = None
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

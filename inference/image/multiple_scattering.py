@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..marching.extended_lights import EquivalentDirections
 from ..network.predictor import POINTS_PER_TASK, Bounds, PreparedPredictor, VolumePredictor
 from ..numerics.small_matmul import product
 from ..plan.plan import Channels, distinct_albedos
+from ..runtime.report import Report
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_size
 from ..transport.scattered_fluence import ScatteredFluence
@@ -24,10 +26,11 @@ def solve_transport(
 ) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted, of some suns.
 
-    None for networks that need no ray features. Raises Cancelled.
+    None for networks that need no ray features, without suns and without multiple scattering. Raises Cancelled.
     """
     network = scene.network
-    if network is None or not network.needs_ray_features:
+    wanted = context.settings.multiple and scene.plan.suns
+    if network is None or not network.needs_ray_features or not wanted:
         return None
     directions = [scene.plan.suns[l].direction for l in suns]
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
@@ -51,11 +54,13 @@ def prepare_prediction(
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
+    if not context.settings.multiple:
+        return []
     plan, sources, indices = scene.plan, [], channel_pass.channels.indices
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):
-            bounds = _bounds(context, members, group.predictor, view)
+            bounds = lattice_bounds(context, members, group.predictor, view)
             for place, l in enumerate(channel_pass.suns):
                 sun = plan.suns[l]
                 with context.progress.stage("lattices", 1):
@@ -95,12 +100,12 @@ def add_multiple_scattering(
                 estimate.evaluate(inside)
             else:
                 single = tile.framebuffer.single[:, source.indices].T / source.suns
-                _evaluate_adaptively(estimate, inside, tile.camera.window, single)
+                evaluate_adaptively(estimate, inside, tile.camera.window, single)
             tile.framebuffer.multiple[:, source.indices] += estimate.radiance.T
             tile.framebuffer.uncertainty += estimate.error
 
 
-def _bounds(
+def lattice_bounds(
     context: RenderContext, members: list[int], predictor: VolumePredictor, view: Sequence[DepthSamples]
 ) -> Bounds:
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
@@ -113,7 +118,7 @@ def _bounds(
     return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
 
 
-def _batches(points: np.ndarray) -> list[np.ndarray]:
+def sample_batches(points: np.ndarray) -> list[np.ndarray]:
     """Points in batches of one network call each."""
     return [points[i : i + POINTS_PER_TASK] for i in range(0, len(points), POINTS_PER_TASK)]
 
@@ -141,6 +146,35 @@ class Source:
     directions: EquivalentDirections
 
 
+class Estimate(Protocol):
+    """What `evaluate_adaptively` evaluates, over P pixels.
+
+    radiance: float64 (C, P), of C quantities. error: float32 (P,), standard error of their sum, over 3. pixel: int
+    (M,), of each sample. fraction: (M, V), share of the members in the extinction there.
+    """
+
+    context: RenderContext
+    samples: DepthSamples
+    report: Report
+    camera: Camera
+    fraction: np.ndarray
+    pixel: np.ndarray
+    radiance: np.ndarray
+    error: np.ndarray
+
+    def evaluate(self, points: np.ndarray) -> None:
+        """Predict at some samples and add their radiance."""
+
+    def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Opacity float32 (P,), and the mean over it of the scattered light ahead, (P,) or None."""
+
+    def pixels_per_voxel(self) -> np.ndarray:
+        """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
+
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """What has to be smooth where pixels are interpolated, (P,) each; mean: (C, P), over the opacity."""
+
+
 class _Estimate:
     """The network's estimate of one source's multiple scattering in a tile of P pixels.
 
@@ -164,7 +198,7 @@ class _Estimate:
         values = [value for value, _ in source.albedos]
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
-        for done in _batches(points):
+        for done in sample_batches(points):
             self.context.cancel.check()
             directions = self.directions[samples.ray[done]]
             radiance = source.prepared.predict(
@@ -189,11 +223,7 @@ class _Estimate:
 
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
-        weight = self.samples.weight * self.fraction.sum(axis=1)
-        sums = (np.bincount(self.pixel, w, len(self.error)) for w in (weight, weight * self.samples.distance))
-        opacity, moment = sums
-        width = pixel_size(self.camera, moment / np.maximum(opacity, 1e-30))
-        return np.where(opacity > 0.0, self.source.voxel / np.maximum(width, 1e-30), 0.0)
+        return pixels_per_voxel(self, self.source.voxel)
 
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
@@ -205,9 +235,24 @@ class _Estimate:
         ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity))
         return opacity, ahead / np.maximum(opacity, np.float32(1e-30))
 
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """The mean of the channels, which one sun lights alike; mean: (C, P)."""
+        return [mean.mean(axis=0)]
 
-def _evaluate_adaptively(
-    estimate: _Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
+
+def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
+    """Width (P,) of voxels of an edge in pixels, where the light of each pixel is scattered; 0 if none is."""
+    samples = estimate.samples
+    weight = samples.weight * estimate.fraction.sum(axis=1)
+    opacity, moment = (
+        np.bincount(estimate.pixel, values, len(estimate.error)) for values in (weight, weight * samples.distance)
+    )
+    width = pixel_size(estimate.camera, moment / np.maximum(opacity, 1e-30))
+    return np.where(opacity > 0.0, voxel / np.maximum(width, 1e-30), 0.0)
+
+
+def evaluate_adaptively(
+    estimate: Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
 ) -> None:
     """Predict where neighbouring pixels disagree, and interpolate where they agree.
 
@@ -234,15 +279,18 @@ def _evaluate_adaptively(
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
-        smooth, centre_error = interpolable(
-            squares,
-            mean.mean(axis=0),
-            error * (3.0 / len(mean)),
-            opacity,
-            single.mean(axis=0),
-            ahead,
-            difference / np.sqrt(estimate.context.settings.depth_samples),
-        )
+        smooth, centre_error = np.ones(len(squares.pixels), bool), np.zeros(len(squares.pixels))
+        for part in estimate.smooth_parts(mean):
+            found, part_error = interpolable(
+                squares,
+                part,
+                error * (3.0 / len(mean)),
+                opacity,
+                single.mean(axis=0),
+                ahead,
+                difference / np.sqrt(estimate.context.settings.depth_samples),
+            )
+            smooth, centre_error = smooth & found, np.maximum(centre_error, part_error)
         smooth &= ~squares.any(split)
         interior = squares.interior(smooth) & ~evaluated & ~interpolated
         for values in (*mean, error):

@@ -18,7 +18,8 @@ EVALUATED_SHARE = 0.4
 class WorkEstimate:
     """Expects marched steps and depth samples by what a sparse grid of rays takes in the first channel pass.
 
-    A job is one group of volumes in the light of one sun in one set of colour channels."""
+    A job is one group of volumes in the light of one sun, or of all environments, in one set of colour channels.
+    """
 
     def __init__(self, context: RenderContext, scene: PreparedScene, camera: Camera, passes: int):
         """passes: in which the whole image is rendered, see ChannelPass."""
@@ -28,7 +29,9 @@ class WorkEstimate:
         self._all, self._finished = np.zeros((2, 2))
         plan, progress = scene.plan, context.progress
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
-        self._jobs = groups * len(plan.suns)
+        suns = groups * len(plan.suns)
+        # Environments are predicted together.
+        self._jobs = suns + groups * bool(plan.environments)
         needs_fluence = scene.network is not None and scene.network.needs_ray_features
         progress.expect("transport", self._jobs if needs_fluence else 0)
         progress.expect("lattices", self._jobs)

@@ -64,6 +64,7 @@ class OrdinateSweep(Shared):
         ("leaving", c_void_p),
         ("within", c_void_p),
         ("links", c_void_p),
+        ("entering", c_void_p),
         ("sums", c_void_p),
         ("scratch", c_void_p),
     ]

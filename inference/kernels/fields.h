@@ -59,6 +59,7 @@ typedef struct {
                                     a corner */
     const float *within;         /* (3, n, n, n), and in the mean within it */
     const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
+    const float *entering;       /* (directions), radiance at the faces of the cube, or NULL */
     float *sums;                 /* (4, n, n, n), fluence and flux, added to */
     float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */
 } OrdinateSweep;

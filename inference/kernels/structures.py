@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 7
+INTERFACE = 8
 CHANNELS = 3
 
 

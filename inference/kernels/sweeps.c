@@ -40,7 +40,10 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
     int lateral = 0;
     for (int64_t d = 0; d < count; d++) lateral |= sweep->steps[2 * d] != 0;
     int64_t together = lateral ? n : 1;
-    memset(sweep->scratch, 0, (size_t)(2 * count * border * border) * sizeof(float));
+    for (int64_t d = 0; d < count; d++) {
+        float entering = sweep->entering ? sweep->entering[d] : 0.0f;
+        for (int64_t c = d * border * border; c < (d + 1) * border * border; c++) light[0][c] = light[1][c] = entering;
+    }
     for (int64_t first = 0; first < n; first += together) {
         for (int64_t k = 0; k < n; k++) {
             int64_t number = sweep->sign > 0 ? k : n - 1 - k;

@@ -110,6 +110,19 @@ class DepthSamples:
         along += self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0]
         return along - np.floor(along) - 0.5
 
+    def optical_depths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Optical depth (M,) between the camera and each sample, and of its whole ray.
+
+        Samples are Gauss-Legendre nodes in the opacity of rays, which their weights sum to.
+        """
+        nodes = np.zeros(len(self.ray))
+        for count in np.unique(self.counts):
+            rays = np.flatnonzero(self.counts == count)
+            nodes[self.starts[rays, None] + np.arange(count)] = gauss_legendre(int(count))[0]
+        alpha = np.minimum(np.add.reduceat(self.weight, self.starts), 1.0 - 1e-12)
+        alpha = np.repeat(alpha, self.counts)
+        return -np.log1p(-nodes * alpha), -np.log1p(-alpha)
+
     def standard_error(self, parts: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors of the sums over some rays of weighted values: the rays' pixels (S,), and errors (S,).
 

@@ -8,7 +8,6 @@ import base64
 import contextlib
 import hashlib
 import json
-import pathlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,8 +23,8 @@ from .interfaces import Predictor, System
 from .lattice_predictor import LatticePredictor
 from .provider import open_session
 from .stencil_predictor import RayPredictor, StencilPredictor
+from .weights_file import WEIGHTS, read_weights
 
-WEIGHTS = pathlib.Path(__file__).parent.parent / "weights"
 # What reads a volume for a network, by the kind that its weights file states.
 KINDS: dict[str, type[StencilPredictor] | type[LatticePredictor]] = {
     "stencil": StencilPredictor,
@@ -147,7 +146,7 @@ def load_network(name: str, provider: str = "CPU") -> System:
         )
     if name not in available_models():
         raise SceneError(f"there is no network called {name!r}; available: {available}")
-    content = _read_weights(name)
+    content = read_weights(name)
     try:
         opened = open_session(content, provider)
         session = opened.session
@@ -177,22 +176,3 @@ def load_network(name: str, provider: str = "CPU") -> System:
     if points.digest != promised:
         raise SceneError(f"the weights of {name!r} and their {kind} do not belong together; reinstall the extension")
     return network
-
-
-def _read_weights(name: str) -> bytes:
-    """Content of a weights file that matches the checksum in NAME.sha256 beside it. Raises SceneError otherwise."""
-    try:
-        content = (WEIGHTS / f"{name}.onnx").read_bytes()
-        promised = (WEIGHTS / f"{name}.sha256").read_text().split()[0]
-    except (OSError, IndexError, UnicodeDecodeError) as error:
-        raise SceneError(
-            f"the weights of {name!r} or their checksum cannot be read ({error}); reinstall the extension"
-        ) from None
-    if hashlib.sha256(content).hexdigest() != promised:
-        raise SceneError(
-            f"the weights of {name!r} cannot be read: they do not match their checksum; reinstall the extension"
-        )
-    # The key under which ONNX names a file with the values of a tensor.
-    if b"location" in content:
-        raise SceneError(f"the weights of {name!r} lie partly outside their file, which is refused")
-    return content

@@ -18,9 +18,12 @@ from ..plan.plan import distinct_albedos, in_range
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Medium, Sun, Volume
+from ..scene.environment import Environment
 from ..scene.phase_function import henyey_greenstein
+from ..transport.environment_light import image_in_frame
 from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
 from .network import load_network
 
@@ -146,6 +149,26 @@ class VolumePredictor:
             [self._conditions(sigma_t, direction, anywhere, occluders) for direction in directions], tasks
         )
 
+    def prepare_environment(
+        self,
+        network: EnvironmentNetwork,
+        environments: Sequence[Environment],
+        sigma_t: float,
+        bounds: Bounds,
+        tasks: AnyTasks = SERIAL,
+    ) -> "EnvironmentPredictor":
+        """What predicts the light of environments for one extinction. Raises Cancelled.
+
+        network: beside this one. bounds: of the points to predict at, from `bounds`.
+        """
+        up = np.array([0.0, 0.0, 1.0])
+        conditions = Conditions(sigma_t * self.cube.edge, up, bounds)
+        image = image_in_frame(environments, self.cube.rotation)
+        prepared = self._predictor.prepare_environment(
+            network, image, conditions, max(self.peak_sigma_hat(sigma_t), 1e-30), tasks
+        )
+        return EnvironmentPredictor(prepared, self.cube)
+
     def _conditions(self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
         sun = self.cube.directions(direction)
@@ -204,6 +227,31 @@ class PreparedPredictor:
         scale = np.float32(min(1.0 / self.used, 1.0))
         radiance = self.prediction.predict(x, omega, np.clip(albedos, *self.albedo_range), jitter, ray_features)
         return np.minimum(radiance, self.most) * scale
+
+
+@dataclass(frozen=True)
+class EnvironmentPredictor:
+    """A VolumePredictor for one extinction and the light of environments. Immutable."""
+
+    prediction: PreparedEnvironment
+    cube: Cube
+
+    @property
+    def channels(self) -> int:
+        """Channels of the light: 1 if it is grey, else 3."""
+        return self.prediction.radiance.shape[1]
+
+    def predict(
+        self,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        along: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As `PreparedEnvironment.predict`, at world positions (N, 3) for camera rays along directions (N, 3)."""
+        x, omega = self.cube.positions(positions), self.cube.directions(directions)
+        return self.prediction.predict(x, omega, along, albedos, jitter)
 
 
 def predict_multiple(

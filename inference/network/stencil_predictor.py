@@ -24,9 +24,18 @@ from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
+from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
+from ..transport.environment_light import (
+    direction_depths,
+    direction_radiance,
+    ordinate_radiance,
+    solve_environment,
+)
 from ..transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
+from .environment_features import blurs
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -133,25 +142,72 @@ class RayPredictor(StencilPredictor):
         self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
+        self._depths: np.ndarray | None = None
+        self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
         """What predicts under these conditions. Raises Cancelled."""
-        stencil = self.network.points
         with tasks.cancel.locked(self._lock):
-            if self._lattices is None or self._lattices[0] != conditions.bounds_key:
-                self._lattices = None
-                lattices = build_lattices(
-                    self.padded,
-                    conditions.sigma_hat,
-                    stencil,
-                    bounds=conditions.bounds,
-                    mapper=tasks.each,
-                    kernels=self.kernels,
-                )
-                self._lattices = conditions.bounds_key, lattices
-            lattices = self._lattices[1]
+            lattices = self._density_lattices(conditions, tasks)
             light = FluenceLattice(self._solve(conditions, tasks.cancel))
-        return PreparedRays(self.network, FieldLookup(stencil, lattices, conditions.sun), light, self.anisotropy)
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedRays(self.network, lookup, light, self.anisotropy)
+
+    def prepare_environment(
+        self,
+        network: EnvironmentNetwork,
+        image: np.ndarray,
+        conditions: Conditions,
+        thickness: float,
+        tasks: AnyTasks = SERIAL,
+    ) -> PreparedEnvironment:
+        """What predicts the light of an environment. Raises Cancelled.
+
+        image: (H, 2H, C), in the cube's frame. conditions: whose sun only gives the stencil a frame. thickness: optical
+        thickness of the cube at the largest density.
+        """
+        ordinates = ordinate_radiance(image)
+        key = conditions.sigma_hat, ordinates.tobytes()
+        with tasks.cancel.locked(self._lock):
+            lattices = self._density_lattices(conditions, tasks)
+            if self._depths is None:
+                self._depths = direction_depths(self.coarse, tasks.cancel, self.kernels)
+            if self._environment is None or self._environment[0] != key:
+                self._environment = None
+                solved = solve_environment(
+                    self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel, self.kernels
+                )
+                self._environment = key, solved
+            depths, (light, absorbed) = self._depths, self._environment[1]
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedEnvironment(
+            network,
+            lookup,
+            len(self.network.points.low),
+            depths,
+            light,
+            absorbed,
+            direction_radiance(image).astype(np.float32),
+            blurred(image, blurs(self.anisotropy)),
+            conditions.sigma_hat,
+            thickness,
+            self.anisotropy,
+        )
+
+    def _density_lattices(self, conditions: Conditions, tasks: AnyTasks) -> Lattices:
+        """Lattices of the density, which serve every light."""
+        if self._lattices is None or self._lattices[0] != conditions.bounds_key:
+            self._lattices = None
+            lattices = build_lattices(
+                self.padded,
+                conditions.sigma_hat,
+                self.network.points,
+                bounds=conditions.bounds,
+                mapper=tasks.each,
+                kernels=self.kernels,
+            )
+            self._lattices = conditions.bounds_key, lattices
+        return self._lattices[1]
 
     def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several suns for lookups along camera rays. Raises Cancelled."""

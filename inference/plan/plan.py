@@ -9,11 +9,13 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Volume
+from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
+from .lights import Light, split_lights
+from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -50,10 +52,11 @@ class Plan:
 
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. suns: those that contribute,
     parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
-    network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
+    network treats as one medium. multiple: (G,), whether a network predicts in a group.
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
-    (x0, y0, x1, y1) of the image, each of which one thread renders.
+    (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
+    peaks.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -67,6 +70,7 @@ class Plan:
     optimizations: frozenset[str] = ALL
     memory: int = 0
     tiles: list[tuple[int, int, int, int]] = field(default_factory=list)
+    environments: list[Environment] = field(default_factory=list)
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -179,16 +183,20 @@ def make_tiles(window: tuple[int, int, int, int], bands: int) -> list[tuple[int,
 
 
 def make_plan(
-    volumes: Sequence[tuple[Volume, Medium]], suns: Sequence[Sun], camera: Camera, settings: Settings
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
+    camera: Camera,
+    settings: Settings,
+    surfaces: bool = False,
 ) -> Plan:
-    """Decide what to render.
+    """Decide what to render; surfaces: whether there are any.
 
     Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
     """
     if not volumes:
         raise SceneError("there is no volume to render")
-    if not suns and not any(emits(*pair) for pair in volumes):
-        raise SceneError("there is no sun: without light the image would be black")
+    if not lights and not any(emits(*pair) for pair in volumes):
+        raise SceneError("there is no sun and no environment: without light the image would be black")
     planned: list[str] = []
     left_out: list[str] = []
     volumes = [in_range(volume, medium) for volume, medium in volumes]
@@ -200,19 +208,25 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+    groups, _ = overlapping([volume for volume, _ in rendered])
+    suns, environments = split_lights(lights, settings, surfaces, planned, left_out)
     merged = _needed_suns(suns, settings, left_out)
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
-    groups, _ = overlapping([volume for volume, _ in rendered])
     multiple, scattered_emission = [], []
     for group in groups:
-        predicted, scattered = _plan_group([rendered[v] for v in group], bool(merged), settings, planned, left_out)
+        members, lit = [rendered[v] for v in group], bool(merged or environments)
+        predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
+        # The network for environments predicts their single scattering, too.
+        predicted |= bool(environments) and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
-    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
+    memory += (
+        sum(len(group) > 1 for group in groups) * MERGED_BYTES + bool(environments) * len(groups) * ENVIRONMENT_BYTES
+    )
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged), memory)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
@@ -234,6 +248,7 @@ def make_plan(
         settings.leave_out,
         needed,
         tiles,
+        environments,
     )
 
 
@@ -264,23 +279,20 @@ def _channel_groups(volumes: list[tuple[Volume, Medium]], settings: Settings) ->
 
 
 def _plan_group(
-    members: list[tuple[Volume, Medium]], has_sun: bool, settings: Settings, planned: list[str], left_out: list[str]
+    members: list[tuple[Volume, Medium]], lit: bool, settings: Settings, planned: list[str], left_out: list[str]
 ) -> tuple[bool, bool]:
     """Whether multiple scattering is predicted in a group of volumes, and whether it scatters its own emission.
 
     Adds sentences to `planned` and `left_out`.
     """
     names = " and ".join(volume.name for volume, _ in members)
-    scatters = any(
-        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
-        for volume, medium in members
-    )
-    predicted = settings.multiple and scatters and has_sun
+    scatters = _scatters(members, settings)
+    predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
         planned.append(f"{names}: scattered emission")
     if not predicted:
-        reason = "its albedo or density is 0" if not scatters else "no sun shines"
+        reason = "its albedo or density is 0" if not scatters else "no light shines"
         left_out.append(f"{names}: multiple scattering, {reason if settings.multiple else 'turned off'}")
     elif len(members) > 1:
         planned.append(f"{names}: multiple scattering, as one medium")
@@ -288,6 +300,14 @@ def _plan_group(
         stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
         planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
+
+
+def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
+    """Whether a group of volumes scatters light."""
+    return any(
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        for volume, medium in members
+    )
 
 
 def _plan_tiles(

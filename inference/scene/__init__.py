@@ -4,6 +4,7 @@
 from ..runtime.cancellation import Cancelled
 from .camera import Camera
 from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, Volume
+from .environment import Environment
 from .errors import SceneError
 from .settings import Settings
 from .sparse_grid import SparseGrid
@@ -13,6 +14,7 @@ __all__ = [
     "MAX_IRRADIANCE",
     "Camera",
     "Cancelled",
+    "Environment",
     "Medium",
     "SceneError",
     "Settings",

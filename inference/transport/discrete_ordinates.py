@@ -2,24 +2,27 @@
 """Multiple scattering on coarse cells by discrete ordinates: what light does far from where it enters.
 
 Radiance travels between neighbouring cells of the working cube along 26 directions, with the weights of Lebedev's
-quadrature of that order, for albedo 1. The forward peak of the phase function counts as unscattered (delta scaling,
-Wiscombe 1977), so that few directions suffice for any anisotropy G:
+quadrature of that order, for albedo 1 unless another is given. The forward peak of the phase function counts as
+unscattered (delta scaling, Wiscombe 1977), so that few directions suffice for any anisotropy G and albedo w:
 
-    sigma' = sigma_hat (1 - G^2),    G' = G / (1 + G).
+    sigma' = sigma_hat (1 - w G^2),    w' = w (1 - G^2) / (1 - w G^2),    G' = G / (1 + G).
 
 A sweep along all directions gives the fluence phi and the flux F of the light scattered from the sun's beam and from
-the previous phi and F; its sources are (phi + 3 G' F . u) / (4 pi), and for the beam the Henyey-Greenstein phase
+the previous phi and F; its sources are w' (phi + 3 G' F . u) / (4 pi), and for the beam the Henyey-Greenstein phase
 function of G'. The part of the fluence that a sweep still lacks follows from a diffusion equation,
 
-    -div(D grad psi) = sigma' (phi_new - phi_old),    D = 1 / (3 sigma_hat (1 - G)) + numerical diffusion of the cells,
+    -div(D grad psi) + sigma_hat (1 - w) psi = w' sigma' (phi_new - phi_old),
+    D = 1 / (3 sigma_hat (1 - w G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
-through the faces of the cube and none enters. The solution is too coarse to be the answer; it is a feature for the
-network, which otherwise knows a point's surroundings in outline only.
+through the faces of the cube. That of a sun does not enter there, because its beam is known; that of an environment
+does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a feature for
+the network, which otherwise knows a point's surroundings in outline only.
 """
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +67,13 @@ Phases = tuple[np.ndarray, np.ndarray]
 STEPS = [_directions(axis) for axis in range(3)]
 
 
-def reduced_anisotropy(anisotropy: float) -> float:
+def _ordinates() -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (26, 3) towards the light of all steps, in the order of sweeps, and their shares (26,) of 4 pi."""
+    steps = np.concatenate([sign * steps for steps in STEPS for sign in (1, -1)])
+    return -steps / np.sqrt((steps**2).sum(axis=1))[:, None], _solid_angles(steps)
+
+
+def reduced_anisotropy(anisotropy: Any) -> Any:
     """G', the mean cosine of the phase function without its forward peak."""
     return anisotropy / (1.0 + anisotropy)
 
@@ -74,7 +83,7 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None. kernels: compiled ones, or None.
+    surfaces, or None. kernels: compiled ones, or None. albedo: in (0, 1].
     """
 
     def __init__(
@@ -84,16 +93,20 @@ class DiscreteOrdinates:
         anisotropy: float,
         triangles: np.ndarray | None = None,
         kernels: Kernels | None = None,
+        albedo: float = 1.0,
     ):
         n = len(density)
         self.kernels = kernels
-        self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - anisotropy**2))
+        self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
         self.anisotropy = reduced_anisotropy(anisotropy)
+        #: w', and whether that of the medium is 1.
+        self.albedo = np.float32(albedo * (1.0 - anisotropy**2) / (1.0 - albedo * anisotropy**2))
+        self.conservative = albedo == 1.0
         self.extinction = self.sigma * density
-        reduced = np.float32(sigma_hat * (1.0 - anisotropy)) * density
+        reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels)
+            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels, albedo)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
@@ -105,6 +118,8 @@ class DiscreteOrdinates:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
+        if not self.conservative:
+            self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
         self.leaving, self.within = self._source_shares()
 
     def _source_shares(self) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +176,7 @@ class DiscreteOrdinates:
             for one in follow:
                 cancel.check()
                 one()
-            change = self.extinction * (swept[0] - field[0])
+            change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
@@ -170,21 +185,57 @@ class DiscreteOrdinates:
             self._correct(field, change, cancel)
         return swept
 
+    def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.
+
+        radiance: (26,), that arrives from ORDINATES. Linear in it. Raises Cancelled.
+        """
+        n = len(self.density)
+        field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
+        entering = iter(np.split(np.asarray(radiance, np.float32), INFLOW_ENDS))
+        follow = [
+            self._follower(axis, sign, np.zeros(len(steps)), field, swept, np.ascontiguousarray(next(entering)))
+            for axis, steps in enumerate(STEPS)
+            for sign in (1, -1)
+        ]
+        if self.coarser is not None:
+            field[:4] = [self._finer(values) for values in self.coarser.environment(radiance, cancel)]
+            sweeps = FINE_SWEEPS
+        elif self.conservative:
+            # Exact for even light, which no albedo of 1 changes.
+            field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
+        for number in range(sweeps):
+            swept.fill(0.0)
+            for one in follow:
+                cancel.check()
+                one()
+            change = self.albedo * self.extinction * (swept[0] - field[0])
+            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+                break
+            field[:4] = swept
+            self._correct(field, change, cancel, limit=False)
+        return swept
+
     def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Henyey-Greenstein phase function of the beam along steps and along their opposites, (D,) each."""
         cosine = -(steps @ sun) / np.sqrt((steps**2).sum(axis=1))
         return henyey_greenstein(cosine, self.anisotropy), henyey_greenstein(-cosine, self.anisotropy)
 
-    def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken) -> None:
-        """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet."""
+    def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken, limit: bool = True) -> None:
+        """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet.
+
+        limit: whether sources are kept from being negative, which makes the solution not quite linear.
+        """
         n = len(self.density)
         source = self._means(change) * np.float32((2.0 / n) ** 2)
         found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, self.kernels, cancel)
         more = self._finer(found.astype(np.float32))
-        field[0] = np.maximum(field[0] + more, 0.0)
+        field[0] += more
         for axis in range(3):
             field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)
-        self._limit_flux(field)
+        if limit:
+            np.maximum(field[0], 0.0, out=field[0])
+            self._limit_flux(field)
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
         """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
@@ -202,17 +253,24 @@ class DiscreteOrdinates:
         return means
 
     def _follower(
-        self, axis: int, sign: int, phase: np.ndarray, field: np.ndarray, swept: np.ndarray
+        self,
+        axis: int,
+        sign: int,
+        phase: np.ndarray,
+        field: np.ndarray,
+        swept: np.ndarray,
+        entering: np.ndarray | None = None,
     ) -> Callable[[], object]:
         """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
 
-        phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam.
+        phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam. entering:
+        float32 (D,), radiance at the faces of the cube, or None.
         """
         steps = sign * STEPS[axis]
         links = None if self.links is None else self.links[axis][sign]
         emit, gather = self._weights(steps, phase)
         if self.kernels is None:
-            return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links)
+            return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links, entering)
         n = len(self.density)
         data = OrdinateSweep(
             cells=n,
@@ -227,6 +285,7 @@ class DiscreteOrdinates:
             leaving=self.leaving,
             within=self.within,
             links=links,
+            entering=entering,
             sums=swept,
             scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 11 * n, np.float32),
         )
@@ -235,7 +294,8 @@ class DiscreteOrdinates:
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
         unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
-        scattered = unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        scattered = self.albedo * unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        phase = self.albedo * phase
         gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
         return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 
@@ -247,10 +307,11 @@ class DiscreteOrdinates:
         field: np.ndarray,
         swept: np.ndarray,
         links: np.ndarray | None,
+        entering: np.ndarray | None,
     ) -> None:
         """Add fluence and flux of light along steps (D, 3), all of which lead to one side along an axis, to `swept`.
 
-        weights: from `_weights`.
+        weights: from `_weights`. entering: as for `_follower`.
         """
         n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
         emit, gather = weights
@@ -258,8 +319,10 @@ class DiscreteOrdinates:
         field, swept, leaving, within = (
             np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
         )
-        # Light that leaves the previous slice, with a border of zeros.
+        # Light that leaves the previous slice, with a border of what enters.
         light = np.zeros((len(steps), n + 2, n + 2), np.float32)
+        if entering is not None:
+            light[:] = entering[:, None, None]
         for k in range(n)[:: steps[0, axis]]:
             arriving = np.stack(
                 [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(light, steps[:, across])]
@@ -277,6 +340,12 @@ class DiscreteOrdinates:
 def _solid_angles(steps: np.ndarray) -> np.ndarray:
     """Solid angles (D,) of steps, over 4 pi."""
     return np.array(WEIGHTS)[np.abs(steps).sum(axis=1) - 1]
+
+
+#: Unit vectors (26, 3) towards the light of the directions that are solved for, and their shares (26,) of the sphere.
+ORDINATES, ORDINATE_WEIGHTS = _ordinates()
+# Where the directions of each axis and sign end among them.
+INFLOW_ENDS = np.cumsum([len(steps) for steps in STEPS for _ in range(2)])[:-1]
 
 
 def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:

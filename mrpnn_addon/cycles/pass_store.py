@@ -73,6 +73,8 @@ def scene_key(description, bounces: int, version: str) -> str:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
         for array in sun.spread or ():
             digest.update(np.ascontiguousarray(array))
+    for environment in description.environments:
+        digest.update(environment.radiance.tobytes())
     camera = asdict(description.camera)
     digest.update(camera.pop("world_matrix").tobytes())
     digest.update(repr(sorted(camera.items())).encode())

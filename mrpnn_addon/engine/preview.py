@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import inference
 from ...inference import RenderCache
-from ...inference.scene import Camera, Cancelled, SceneError, Settings, Sun
+from ...inference.scene import Camera, Cancelled, Environment, SceneError, Settings, Sun
 from ..output.layer_frame import rgba
 
 # Pixels of the pictures before the last, which has the region's resolution.
@@ -33,7 +33,7 @@ class Step:
     """One picture of a preview: its resolution, lights and settings."""
 
     size: tuple
-    suns: list[Sun]
+    lights: list[Sun | Environment]
     settings: Settings
 
 
@@ -41,15 +41,19 @@ def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
     coarse = replace(settings, depth_samples=1)
     rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
-    every = description.suns
+    every = description.lights
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]
     if prepared.fields is description:
         return [Step(rough, every, coarse), *last]
     single = replace(coarse, multiple=False)
     if prepared.shadows is description:
         return [Step(rough, every, single), *last]
-    brightest = sorted(every, key=lambda sun: sun.irradiance.sum())[-1:]
+    brightest = sorted(every, key=_brightness)[-1:]
     return [Step(rough, brightest, single), Step(finer, every, single), *last]
+
+
+def _brightness(light: Sun | Environment) -> float:
+    return float((light.irradiance if isinstance(light, Sun) else light.fluence()).sum())
 
 
 def _size(resolution, pixels: int) -> tuple:
@@ -89,7 +93,7 @@ class Preview:
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(
                     description.volumes,
-                    step.suns,
+                    step.lights,
                     replace(camera, resolution=step.size),
                     step.settings,
                     cancelled=self._stop.is_set,
@@ -111,9 +115,9 @@ class Preview:
 
 
 def _remember(prepared: Prepared, description, step: Step) -> None:
-    if step.suns is description.suns:
+    if len(step.lights) == len(description.lights):
         prepared.shadows = description
         # Fields of several suns or colours replace each other in the cache.
-        one = len(step.suns) == 1 and all(len(set(medium.sigma_t)) == 1 for _, medium in description.volumes)
+        one = len(step.lights) == 1 and all(len(set(medium.sigma_t)) == 1 for _, medium in description.volumes)
         if one and step.settings.multiple:
             prepared.fields = description

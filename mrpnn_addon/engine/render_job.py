@@ -74,11 +74,11 @@ def _render(scene: SceneDescription, settings: Settings, progress, cancelled, pa
         coarse = replace(settings, depth_samples=1)
         parts.show_coarse(
             inference.render(
-                scene.volumes, scene.suns, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces
+                scene.volumes, scene.lights, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces
             )
         )
     for window, layer in inference.render_tiles(
-        scene.volumes, scene.suns, scene.camera, settings, progress, cancelled, cache, scene.surfaces
+        scene.volumes, scene.lights, scene.camera, settings, progress, cancelled, cache, scene.surfaces
     ):
         if parts is not None and layer.report is None:
             parts.show_part(window, layer)

@@ -186,7 +186,7 @@ class Viewport:
 def _state(depsgraph, space):
     """A value that changes where the scene must be described again although no object has changed."""
     world = depsgraph.scene.world
-    return visibility_state(depsgraph, space), depsgraph.scene.mrpnn.world_directions, world and world.name_full
+    return visibility_state(depsgraph, space), world and world.name_full
 
 
 def _left_out(description) -> str:

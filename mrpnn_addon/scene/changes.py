@@ -17,7 +17,6 @@ def scene_state(scene) -> tuple:
         scene.camera and scene.camera.name,
         scene.mrpnn.settings(),
         scene.world and scene.world.name_full,
-        scene.mrpnn.world_directions,
         render.resolution_x,
         render.resolution_y,
         render.resolution_percentage,

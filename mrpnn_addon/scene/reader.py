@@ -4,7 +4,7 @@
 import functools
 from dataclasses import dataclass, field
 
-from ...inference.scene import Camera, Medium, SceneError, Sun, Surface, Volume
+from ...inference.scene import Camera, Environment, Medium, SceneError, Sun, Surface, Volume
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_suns
@@ -23,10 +23,10 @@ NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add
 class SceneDescription:
     """What a render needs of a scene.
 
-    volumes, suns, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces.
+    volumes, lights, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces.
     crop: whether the image has the region's size instead of the full frame's.
     view_layer: its name. frame: its number.
-    environment: whether `suns` include the World's light.
+    environments: the World's light without its discs, which are among the suns. environment: whether the World shines.
     warnings: what is left out or approximated, naming each object.
     left_out: names of visible volumes and lights that are not in the description.
     unseen: which volumes are invisible, and why. empty: those among them that are empty in this frame; a scene of only
@@ -37,6 +37,7 @@ class SceneDescription:
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
+    environments: list[Environment] = field(default_factory=list)
     camera: Camera = None
     opaque: list[OpaqueMesh] = field(default_factory=list)
     crop: bool = True
@@ -53,7 +54,12 @@ class SceneDescription:
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
         boxes, channels = zip(*self.boxes)
-        return estimate_workload(boxes, self.camera, len(self.suns), depth_samples, max(channels))
+        return estimate_workload(boxes, self.camera, len(self.lights), depth_samples, max(channels))
+
+    @property
+    def lights(self) -> list[Sun | Environment]:
+        """Everything that lights the volumes, but for what they emit."""
+        return [*self.suns, *self.environments]
 
     @functools.cached_property
     def surfaces(self) -> list[Surface]:
@@ -120,11 +126,11 @@ def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescrip
             _refuse(description, shown, problem)
     description.warnings += overlap_warnings(description.volumes)
     try:
-        lights, warnings = read_world(depsgraph, description.suns, check)
+        discs, description.environments, warnings = read_world(depsgraph, check)
     except SceneError as problem:
-        lights, warnings = [], _refused(description, problem)
-    description.environment = bool(lights)
-    description.suns += lights
+        discs, warnings = [], _refused(description, problem)
+    description.environment = bool(discs or description.environments)
+    description.suns += discs
     description.warnings += warnings
     return description
 
@@ -146,7 +152,7 @@ def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
 
 
 def _has_light(description: SceneDescription) -> bool:
-    return bool(description.suns) or any(volume.emission is not None for volume, _ in description.volumes)
+    return bool(description.lights) or any(volume.emission is not None for volume, _ in description.volumes)
 
 
 def require_volumes(description: SceneDescription) -> None:

@@ -73,7 +73,7 @@ def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> fl
 def calibrate(known: Calibration, workload: Workload, report, alpha: np.ndarray) -> None:
     """Update a calibration. workload: the render's work. report: its report. alpha: (H, W), its opacity."""
     count = report.counts.get
-    lights, evaluated = max(count("suns", 0), 1), count("steps evaluated", 0)
+    lights, evaluated = max(count("suns", 0) + count("environments", 0), 1), count("steps evaluated", 0)
     if not evaluated or not workload.steps or not workload.lights:
         return
     opaque, channels = alpha[alpha > 0.0], workload.channels

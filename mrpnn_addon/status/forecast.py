@@ -15,14 +15,14 @@ from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
 from ..volumes.bounding_boxes import box_around
-from ..world.lighting import expected_lights
+from ..world.lighting import lights_volumes
 from .calibration import calibration
 from .cost_model import estimate_seconds, is_rough
 
 
 @dataclass
 class Forecast:
-    """volumes, suns: numbers of each; soft suns and the World count as several suns. pixels: inside the bounds of
+    """volumes, suns: numbers of each; soft suns count as several suns, the World as one. pixels: inside the bounds of
     volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera and suns. problem:
     why the scene cannot be rendered, or "". lamps: sun lamps. world: whether the World lights the volumes. rough:
     whether the density of the volumes is a guess because they have not been read.
@@ -66,7 +66,7 @@ def forecast(depsgraph) -> Forecast:
                     lamps += bool(bright)
                     lights += bright
                     warnings += noted
-        world = expected_lights(depsgraph.scene.world, lights, depsgraph.scene.mrpnn.world_directions)
+        world = lights_volumes(depsgraph.scene.world)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
     suns = len(merge_parallel(lights)) + world
@@ -81,6 +81,6 @@ def forecast(depsgraph) -> Forecast:
         seconds,
         warnings,
         lamps=lamps,
-        world=world > 0,
+        world=world,
         rough=is_rough(workload, calibration()),
     )

@@ -43,7 +43,7 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
         warnings = check_runtime()
         scene = read_scene(depsgraph, reader)
         require_volumes(scene)
-        plan = make_plan(scene.volumes, scene.suns, scene.camera, settings)
+        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings)
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(
             state,

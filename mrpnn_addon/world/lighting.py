@@ -1,28 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The World's light as a few directional lights."""
+"""The World's light as an environment."""
 
 import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...inference.scene import Sun
+from ...inference.scene import Environment, Sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from ..objects.lights import disc_directions
 from ..objects.visibility import evaluated_world
 from .picture import WorldSource, is_known, world_picture, world_source
 from .process import PictureFailed
-from .quadrature import Sphere, quadrature
-
-# Below this share of the suns' light, the World gets half the directions.
-MINOR = 0.1
-LUMA = np.array([0.2126, 0.7152, 0.0722])
+from .sphere import Sphere
 
 
 def wanted_world(depsgraph) -> list[WorldSource]:
     """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
-    if world is None or scene.mrpnn.world_directions < 1 or not _lights_volumes(world):
+    if world is None or not _visible_to_volumes(world):
         return []
     try:
         _radiance(world, active_output(world), Sphere(1, images=False))
@@ -31,43 +27,33 @@ def wanted_world(depsgraph) -> list[WorldSource]:
     return []
 
 
-def read_world(depsgraph, suns: list[Sun], check=lambda: None) -> tuple[list[Sun], list[str]]:
-    """Directional lights that represent the World's light in volumes, and warnings.
+def read_world(depsgraph, check=lambda: None) -> tuple[list[Sun], list[Environment], list[str]]:
+    """The World's light in volumes: suns of its discs, an Environment of the rest, if it shines, and warnings.
 
-    suns: of the scene; beside bright suns the World gets fewer directions. check: called often while Cycles renders.
+    check: called often while Cycles renders.
 
     Cycles renders a World whose nodes cannot be evaluated. Where that fails, or its light cannot be read, it is left
     out with a warning that names it.
     """
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
-    directions = scene.mrpnn.world_directions
     if world is None:
-        return [], []
+        return [], [], []
     name, warnings = f'World "{world.name}"', []
     output = active_output(world)
     if output is not None and source_of(output.inputs["Volume"]).node is not None:
         warnings.append(f"{name}: its fog is not rendered")
-    if not _lights_volumes(world):
-        return [], warnings
+    if not _visible_to_volumes(world):
+        return [], [], warnings
     sphere, discs = Sphere(), []
     try:
         radiance = _radiance(world, output, sphere)
     except Unsupported as problem:
-        if directions < 1:
-            return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
         try:
             radiance, discs = _picture(world, scene, sphere, name, check)
         except PictureFailed as failure:
-            return [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
-    if not radiance.max() > 0.0 and not discs:
-        return [], warnings
-    if directions < 1:
-        return [], warnings + [f"{name} is left out: the setting World Directions is 0"]
-    suns = suns + discs
-    count = _count(float((radiance * sphere.solid_angle[:, None]).sum(axis=0) @ LUMA), suns, directions)
-    lights = quadrature(sphere, radiance, count, name) if count else []
-    beside = " beside its sun" if discs else ""
-    return discs + lights, warnings + [f"{name} is rendered as parallel light from {len(lights)} directions{beside}"]
+            return [], [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
+    found = [Environment(sphere.image(radiance), name=name)] if radiance.max() > 0.0 else []
+    return discs, found, warnings
 
 
 def _picture(world, scene, sphere, name, check):
@@ -82,25 +68,17 @@ def _picture(world, scene, sphere, name, check):
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
-def expected_lights(world, suns: list[Sun], directions: int) -> int:
-    """Approximate number of lights of `read_world`, without reading images: fast enough for a panel."""
-    if world is None or not _lights_volumes(world):
-        return 0
+def lights_volumes(world) -> bool:
+    """Whether a World's light reaches volumes, without reading images: fast enough for a panel."""
+    if world is None or not _visible_to_volumes(world):
+        return False
     try:
-        radiance = _radiance(world, active_output(world), Sphere(1, images=False))
+        return bool(_radiance(world, active_output(world), Sphere(4, images=False)).any())
     except Unsupported:
-        return directions
-    return _count(4.0 * np.pi * float(radiance.mean(axis=0) @ LUMA), suns, directions)
+        return True
 
 
-def _count(fluence: float, suns, directions: int) -> int:
-    if not fluence > 0.0:
-        return 0
-    others = sum(float(sun.irradiance @ LUMA) for sun in suns)
-    return (directions + 1) // 2 if fluence < MINOR * others else directions
-
-
-def _lights_volumes(world) -> bool:
+def _visible_to_volumes(world) -> bool:
     # Properties of Cycles, absent while Cycles is disabled.
     visibility = getattr(world, "cycles_visibility", None)
     return visibility is None or visibility.scatter

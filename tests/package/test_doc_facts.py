@@ -98,6 +98,14 @@ FACTS = [
     ),
     ("docs/method.md", r"per sun, (\d+) cells along its longer side", "inference.occluders.shadow_map", ("CELLS",)),
     ("docs/method.md", r"behind an optical depth of (\d+)\.", "inference.features.mip_lattices", ("MAX_SHADOW_DEPTH",)),
+    ("docs/method.md", r"of (\d+) radiances L_k", "inference.network.environment_features", ("CANDIDATES",)),
+    ("docs/method.md", r"represented by (\d+) parallel lights", "inference.plan.lights", ("DIRECTIONS",)),
+    (
+        "docs/method.md",
+        r"exceeds (\d+) times the mean of the rest within a cone of (\d+)°, where that is at least (\d+) %",
+        "inference.scene.environment",
+        ("PEAK", "np.degrees(PEAK_ANGLE)", "100 * PEAK_SHARE"),
+    ),
     ("docs/method.md", r"\(S_N\) on (\d+)³ cells", "inference.transport.discrete_ordinates", ("CELLS",)),
     (
         "docs/method.md",

@@ -208,7 +208,7 @@ scene = bpy.context.scene
 with over(area("VIEW_3D")):
     bpy.ops.object.volume_import(filepath=WORK + "/window.vdb", directory=WORK, files=[{"name": "window.vdb"}])
 scene.render.engine = "MRPNN"; scene.render.resolution_percentage = 5
-scene.mrpnn.depth_samples = 1; scene.mrpnn.world_directions = 1
+scene.mrpnn.depth_samples = 1
 area("PROPERTIES").spaces.active.context = "RENDER"
 """
 # What the viewport says of what it shows.

@@ -45,7 +45,6 @@ def test_the_preferences_draw_without_console_output(window):
 @pytest.mark.parametrize(
     "sought, lit, grey",
     [
-        ("World Directions", "scene.world = world", "scene.world = None"),
         ("File", "scene.mrpnn.use_exr = True", "scene.mrpnn.use_exr = False"),
         ("Composite", "addon_utils.enable('cycles')", "addon_utils.disable('cycles')"),
     ],

@@ -145,7 +145,7 @@ def test_a_view_layer_shows_its_own_collections(addon, scene, cloud, tmp_path):
 
 
 def test_an_opaque_film_shows_the_world_behind(addon, scene, cloud, tmp_path):
-    scene.mrpnn.world_directions = 0
+    scene.world.cycles_visibility.scatter = False
     through = combined_of(scene, tmp_path / "transparent.exr")
     scene.render.film_transparent = False
     node = scene.world.node_tree.nodes["Background"]
@@ -181,7 +181,6 @@ def test_a_frame_before_a_sequence_begins_is_an_empty_picture(addon, scene, clou
 @pytest.mark.slow
 def test_an_animated_world_follows_the_frame(addon, scene, cloud, tmp_path):
     """Also in F12, which evaluates frames other than the scene's current one."""
-    scene.mrpnn.world_directions = 1
     scene.render.film_transparent = False
     strength = scene.world.node_tree.nodes["Background"].inputs["Strength"]
     for frame, value in ((2, 0.4), (1, 0.1)):

@@ -22,7 +22,8 @@ SAMPLES = 64
 def veil(scene, tmp_path):
     """A scene whose only volume is too thin to be seen and to take light from the World."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=1e-7)
-    scene.mrpnn.depth_samples, scene.mrpnn.world_directions = 1, 0
+    scene.mrpnn.depth_samples = 1
+    scene.world.cycles_visibility.scatter = False
     scene.render.resolution_x, scene.render.resolution_y = 48, 32
     scene.camera.rotation_euler = 1.3, 0.1, 0.4
     blender_scenes.set_up_cycles(scene, SAMPLES)
@@ -197,10 +198,12 @@ def test_the_camera_may_see_another_world_than_volumes_do(addon, veil, scene, tm
     found, expected = shown(scene, tmp_path)
     np.testing.assert_allclose(found[..., :3], alone, atol=2e-5)
     assert np.median(np.abs(found - expected)) < 0.005
-    scene.mrpnn.world_directions = 4
+    scene.world.cycles_visibility.scatter = True
     bpy.data.objects.remove(scene.objects["Sun"])
-    lights = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).suns
-    np.testing.assert_allclose(sum(sun.irradiance for sun in lights), [4.0 * math.pi, 0.0, 0.0], rtol=1e-3, atol=1e-6)
+    lights = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).environments
+    np.testing.assert_allclose(
+        sum(light.fluence() for light in lights), [4.0 * math.pi, 0.0, 0.0], rtol=1e-3, atol=1e-6
+    )
 
 
 def test_a_world_hidden_from_the_camera_is_black(veil, scene, tmp_path):
@@ -213,7 +216,8 @@ def test_a_world_hidden_from_the_camera_is_black(veil, scene, tmp_path):
 
 def test_it_shows_through_a_cloud_by_alpha(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
-    scene.render.engine, scene.mrpnn.depth_samples, scene.mrpnn.world_directions = "MRPNN", 1, 0
+    scene.render.engine, scene.mrpnn.depth_samples = "MRPNN", 1
+    scene.world.cycles_visibility.scatter = False
     gradient(scene)
     blender_scenes.write_multilayer(scene)
     images = []

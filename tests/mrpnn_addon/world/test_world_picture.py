@@ -33,9 +33,7 @@ def feed(scene, kind, output=0):
 
 def test_a_picture_equals_the_evaluated_nodes(scene, pictures):
     """Colours that follow the direction, whatever the camera is shown, and without the World's fog."""
-    environment, world = (
-        importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}") for name in ("quadrature", "lighting")
-    )
+    environment, world = (importlib.import_module(f"mrpnn.mrpnn_addon.world.{name}") for name in ("sphere", "lighting"))
     tree, coordinates = scene.world.node_tree, feed(scene, "ShaderNodeTexCoord", "Generated")
     assert coordinates.outputs["Generated"].is_linked
     sphere = environment.Sphere(32)
@@ -81,13 +79,12 @@ def test_a_sky_lights_a_volume_beside_its_sun(addon, scene, tmp_path):
     bpy.data.objects.remove(scene.objects["Sun"])
     feed(scene, "ShaderNodeTexSky").sun_elevation = 0.5
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
-    (warning,) = described.warnings
-    assert "parallel light from 12 directions beside its sun" in warning
+    assert not described.warnings
     discs = [sun for sun in described.suns if sun.name.startswith("sun of World")]
-    assert len(discs) == 1 and len(described.suns) == 13 and described.environment
+    assert len(discs) == 1 and len(described.lights) == 2 and described.environment
     brightest = max(described.suns, key=lambda sun: sun.irradiance.sum())
     assert brightest is discs[0]
-    scene.mrpnn.world_directions = 0
+    scene.world.cycles_visibility.scatter = False
     with pytest.raises(SceneError, match="no sun"):
         addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
 

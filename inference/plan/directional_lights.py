@@ -1,88 +1,69 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light from all directions, represented by a few."""
+"""Light from all directions, represented by a few parallel lights."""
 
 import numpy as np
 
-from ...inference.scene import Sun
-from ..nodes.sockets import Unsupported
+from ..scene.description import Sun
+from ..scene.environment import LUMA, Environment, pixel_solid_angles
 
-ROWS = 128
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0]])
 # Edge of the boxes in which directions of light are merged, radians.
 COARSE = 0.05
-LUMA = np.array([0.2126, 0.7152, 0.0722])
+# Rows of images that are reduced, by whole factors, before they are divided among directions.
+ROWS = 128
 
 
-class Sphere:
-    """Directions covering the sphere, at which a World's nodes are evaluated.
-
-    directions: float64 (n, 3) unit vectors. solid_angle: (n,), of each; their sum is 4 pi. images: whether environment
-    images may be read, which takes time.
-    """
-
-    fills_its_bounds = False
-    # Volumes scatter this light; cameras do not see it.
-    visible_to_camera = False
-
-    def __init__(self, rows: int = ROWS, images: bool = True):
-        self.images = images
-        columns = 2 * rows
-        edges = np.sin(np.linspace(-0.5, 0.5, rows + 1) * np.pi)
-        z = np.repeat(0.5 * (edges[1:] + edges[:-1]), columns)
-        turn = np.tile((np.arange(columns) + 0.5) * (2.0 * np.pi / columns), rows)
-        flat = np.sqrt(1.0 - z * z)
-        self.directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
-        self.solid_angle = np.repeat(np.diff(edges), columns) * (2.0 * np.pi / columns)
-
-    def coordinates(self, kind: str, node) -> np.ndarray:
-        """The directions: a World's coordinates of every kind."""
-        return self.directions
-
-    def attribute(self, name: str, node):
-        """Raises Unsupported: a World has no attributes."""
-        raise Unsupported(f'node "{node.name}" reads an attribute, which a World does not have')
-
-
-def quadrature(sphere: Sphere, radiance: np.ndarray, count: int, name: str = "sun") -> list[Sun]:
-    """Up to `count` suns whose irradiances sum to the light's fluence, each with the angular extent of its cell.
-
-    radiance: (n, 3) at the sphere's directions.
+def directional_lights(environment: Environment, count: int) -> list[Sun]:
+    """Up to `count` suns whose irradiances sum to an environment's fluence, each with the angular extent of its cell.
 
     The sphere is divided around the vertices of a regular solid, which integrate uniform light exactly to second (4),
     third (6) or fifth degree (12 or more). The cell with the largest variance is then split until there are enough (as
     Viriyothai and Debevec's variance minimization, 2009). A cell's direction is the mean of its light, so bright spots
     are met.
     """
-    light = radiance * sphere.solid_angle[:, None]
+    directions, light, name = *_reduced(environment), environment.name
     power = light @ LUMA
     vertices = next(
         solid
         for solid in (_icosahedron(), _octahedron(), TETRAHEDRON, TETRAHEDRON[:2] * [1, 1, 0], TETRAHEDRON[:1])
         if len(solid) <= count
     )
-    nearest = (sphere.directions @ vertices.T).argmax(axis=1)
+    nearest = (directions @ vertices.T).argmax(axis=1)
     cells = [np.flatnonzero((nearest == n) & (power > 0.0)) for n in range(len(vertices))]
     cells = [cell for cell in cells if len(cell)]
     while len(cells) < count:
-        spreads = [_spread(sphere.directions[cell], power[cell])[0] for cell in cells]
+        spreads = [_spread(directions[cell], power[cell])[0] for cell in cells]
         widest = int(np.argmax(spreads))
-        halves = _split(sphere.directions, power, cells[widest])
+        halves = _split(directions, power, cells[widest])
         if halves is None:
             break
         cells[widest : widest + 1] = halves
     return [
         Sun(
-            _mean(sphere.directions[cell], power[cell]),
+            _mean(directions[cell], power[cell]),
             light[cell].sum(axis=0),
             name,
-            _coarsened(sphere.directions[cell], power[cell]),
+            _coarsened(directions[cell], power[cell]),
         )
         for cell in cells
     ]
 
 
-def _coarsened(directions, power):
+def _reduced(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (n, 3) in the world and the light (n, 3), W/m^2, that arrives from around each."""
+    rows = len(environment.radiance)
+    light = environment.radiance.astype(np.float64) * pixel_solid_angles(rows)[..., None]
+    directions, block = environment.directions(), -(-rows // ROWS)
+    if block > 1:
+        for axis in (0, 1):
+            starts = np.arange(0, light.shape[axis], block)
+            light, directions = (np.add.reduceat(values, starts, axis=axis) for values in (light, directions))
+        directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return directions.reshape(-1, 3), light.reshape(-1, 3)
+
+
+def _coarsened(directions: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The light of directions (n, 3) merged: unit vectors (K, 3) and shares of its power (K,), as `Sun.spread`."""
     # Boxes in space, so that each holds neighbouring directions.
     boxes, box = np.unique(np.floor(directions / COARSE).astype(int), axis=0, return_inverse=True)
@@ -92,21 +73,21 @@ def _coarsened(directions, power):
     return mean / np.linalg.norm(mean, axis=1, keepdims=True), share / share.sum()
 
 
-def _mean(directions, power):
+def _mean(directions: np.ndarray, power: np.ndarray) -> np.ndarray:
     mean = power @ directions
     length = np.linalg.norm(mean)
     # A cell of uniform light has no mean direction: use the zenith.
     return mean / length if length > 1e-6 * power.sum() else np.array([0.0, 0.0, 1.0])
 
 
-def _spread(directions, power):
+def _spread(directions: np.ndarray, power: np.ndarray) -> tuple[float, np.ndarray]:
     """Power times variance of the directions, and their principal axis."""
     off = directions - (power @ directions) / power.sum()
     values, axes = np.linalg.eigh((off * power[:, None]).T @ off)
     return values.sum(), axes[:, -1]
 
 
-def _split(directions, power, cell):
+def _split(directions: np.ndarray, power: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     if len(cell) < 2:
         return None
     along = directions[cell] @ _spread(directions[cell], power[cell])[1]
@@ -115,13 +96,13 @@ def _split(directions, power, cell):
     return halves if len(halves[0]) and len(halves[1]) else None
 
 
-def _octahedron():
+def _octahedron() -> np.ndarray:
     # Rotated so that no face looks at the horizon.
     turn = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [2.0, 1.0, -2.0]]) / 3.0
     return np.concatenate([turn, -turn])
 
 
-def _icosahedron():
+def _icosahedron() -> np.ndarray:
     half = np.array([[0.0, 1.0, GOLDEN], [0.0, -1.0, GOLDEN]])
     corners = np.concatenate([half, -half])
     corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])

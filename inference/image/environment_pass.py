@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adds the light of environments that volumes scatter, at the depth samples of camera rays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..marching.depth_samples import DepthSamples
+from ..network.predictor import EnvironmentPredictor
+from ..numerics.small_matmul import product
+from ..plan.plan import distinct_albedos
+from .context import ChannelPass, PreparedScene, RenderContext, Tile
+from .framebuffer import add_at
+from .multiple_scattering import evaluate_adaptively, lattice_bounds, pixels_per_voxel, sample_batches
+
+
+@dataclass(frozen=True)
+class EnvironmentSource:
+    """One group of volumes in the light of the plan's environments.
+
+    members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: distinct
+    albedos of these channels, and the channels of each. last_albedo: float32 (V, C), of the last scattering in each of
+    the group's volumes. voxel: shortest edge of the group's voxels.
+    """
+
+    members: list[int]
+    indices: list[int]
+    albedos: list[tuple[float, list[int]]]
+    last_albedo: np.ndarray
+    voxel: float
+    predictor: EnvironmentPredictor
+
+
+def prepare_environment(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
+) -> list[EnvironmentSource]:
+    """What predicts the light of environments in every group of a pass. Raises Cancelled.
+
+    view: as for `prepare_prediction`.
+    """
+    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
+    if scene.environment_network is None or not channel_pass.first:
+        return []
+    for g, group in scene.predicted(channel_pass.channels):
+        members = plan.groups[g]
+        context.progress.message(f"light from everywhere in {plan.group_name(g)}")
+        with context.report.stage("fields"):
+            bounds = lattice_bounds(context, members, group.predictor, view)
+            sigma_t = float(group.medium.sigma_t[indices[0]])
+            predictor = group.predictor.prepare_environment(
+                scene.environment_network, plan.environments, sigma_t, bounds, context.tasks
+            )
+            context.cancel.check()
+        source = EnvironmentSource(
+            members=members,
+            indices=indices,
+            albedos=distinct_albedos(group.medium, indices, plan.optimizations),
+            last_albedo=np.array([plan.volumes[v][1].albedo[indices] for v in members], np.float32),
+            voxel=min(scene.grids[v].voxel for v in members),
+            predictor=predictor,
+        )
+        sources.append(source)
+    return sources
+
+
+def add_environment_light(
+    context: RenderContext, sources: Sequence[EnvironmentSource], tile: Tile, samples: DepthSamples
+) -> None:
+    """Add single and multiple scattering of the plan's environments to the tile. Raises Cancelled."""
+    with tile.report.stage("network"):
+        for source in sources:
+            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            if not len(inside):
+                continue
+            tile.report.count("network points wanted", len(inside))
+            estimate = _EnvironmentEstimate(context, samples, tile, source)
+            if "shared_pixels" not in context.settings.leave_out:
+                estimate.evaluate(inside)
+            else:
+                evaluate_adaptively(estimate, inside, tile.camera.window, np.zeros((1, len(estimate.error))))
+            count = len(source.indices)
+            tile.framebuffer.single[:, source.indices] += estimate.radiance[:count].T
+            if context.settings.multiple:
+                tile.framebuffer.multiple[:, source.indices] += estimate.radiance[count:].T
+            tile.framebuffer.uncertainty += estimate.error
+
+
+class _EnvironmentEstimate:
+    """The network's estimate of the light of environments that one group scatters; an `Estimate`.
+
+    radiance: float64 (2 C, P), single scattering of the C channels rendered together, then multiple scattering.
+    """
+
+    def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: EnvironmentSource):
+        self.context, self.samples, self.source, self.report = context, samples, source, tile.report
+        self.camera = tile.camera
+        self.fraction = samples.fraction[:, source.members]
+        self.pixel = samples.pixel[samples.ray]
+        self.radiance = np.zeros((2 * len(source.indices), len(tile.framebuffer.alpha)))
+        self.error = np.zeros(self.radiance.shape[1], np.float32)
+        behind, whole = samples.optical_depths()
+        self.along = np.stack([np.maximum(whole - behind, 0.0), behind], axis=1).astype(np.float32)
+
+    def evaluate(self, points: np.ndarray) -> None:
+        """Predict at some samples and add their radiance."""
+        samples, source, indices = self.samples, self.source, self.source.indices
+        values = [value for value, _ in source.albedos]
+        # Contribution of each sample to the mean of the three channels.
+        parts = np.zeros(len(self.pixel), np.float32)
+        for done in sample_batches(points):
+            self.context.cancel.check()
+            directions = samples.directions[samples.ray[done]]
+            radiance = source.predictor.predict(
+                samples.positions(done), directions, self.along[done], values, samples.jitter(done)
+            )
+            weight = samples.weight[done, None] * product(self.fraction[done], source.last_albedo)
+            pixel = self.pixel[done]
+            for row, (_, channels) in zip(radiance[1:], source.albedos):
+                for c in channels:
+                    number, colour = indices.index(c), c if source.predictor.channels > 1 else 0
+                    single, multiple = weight[:, number] * radiance[0, :, colour], weight[:, number] * row[:, colour]
+                    add_at(self.radiance[number], pixel, single)
+                    add_at(self.radiance[len(indices) + number], pixel, multiple)
+                    parts[done] += (single + multiple) / 3.0
+        if len(points):
+            add_at(self.error, *samples.standard_error(parts, points))
+        self.report.count("network points", len(points))
+        self.report.count("network answers", len(points) * len(source.albedos))
+
+    def opacity(self) -> tuple[np.ndarray, None]:
+        """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
+        weight = self.samples.weight * self.fraction.sum(axis=1)
+        return np.bincount(self.pixel, weight, len(self.error)).astype(np.float32), None
+
+    def pixels_per_voxel(self) -> np.ndarray:
+        """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
+        return pixels_per_voxel(self, self.source.voxel)
+
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """Half the light of each channel, since colours come from different directions; mean: (2 C, P)."""
+        channels = mean.reshape(2, -1, mean.shape[1]).mean(axis=0)
+        return list(channels) if self.source.predictor.channels > 1 else [channels.mean(axis=0)]

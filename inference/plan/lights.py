@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which lights a render computes as suns, and which as light from everywhere."""
+
+from collections.abc import Sequence
+
+from ..scene.description import Sun
+from ..scene.environment import Environment
+from ..scene.settings import Settings
+from .directional_lights import directional_lights
+
+Light = Sun | Environment
+
+#: Networks beside which there is one for light from everywhere.
+ENVIRONMENT_MODELS = frozenset({"mrpnn"})
+# Parallel lights that represent an environment where it is not computed as a whole.
+DIRECTIONS = 12
+
+
+def split_lights(
+    lights: Sequence[Light], settings: Settings, surfaces: bool, planned: list[str], left_out: list[str]
+) -> tuple[list[Sun], list[Environment]]:
+    """Suns, those of the environments' peaks included, and the environments without them.
+
+    surfaces: whether there are any. Adds sentences to `planned` and `left_out`.
+    """
+    suns = [light for light in lights if isinstance(light, Sun)]
+    bright = []
+    for light in lights:
+        if isinstance(light, Environment):
+            if light.radiance.any():
+                bright.append(light)
+            else:
+                left_out.append(f"{light.name}: it is black")
+    reason = ""
+    if settings.model not in ENVIRONMENT_MODELS:
+        reason = f"the network {settings.model} knows suns alone"
+    elif surfaces:
+        reason = "surfaces shadow it"
+    environments = []
+    for environment in bright:
+        rest, peaks = environment.without_peaks()
+        if peaks:
+            planned.append(f"{environment.name}: {len(peaks)} of its peaks as suns")
+        suns += peaks
+        if reason:
+            found = directional_lights(rest, DIRECTIONS)
+            planned.append(f"{environment.name}: as parallel light from {len(found)} directions, since {reason}")
+            suns += found
+        else:
+            environments.append(rest)
+    return suns, environments

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that arrives from everywhere: an environment image."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from .description import MAX_IRRADIANCE, Sun
+from .errors import SceneError
+
+#: Largest deviation of a rotation from an orthonormal matrix.
+ORTHONORMAL = 1e-4
+#: Largest radiance, W/(m^2 sr), that single precision is safe with.
+MAX_RADIANCE = MAX_IRRADIANCE
+# A peak rises above this many times the mean radiance of the rest, fits in a cone of this half-angle, and holds at
+# least this fraction of all light; and at most so many are taken out.
+PEAK, PEAK_ANGLE, PEAK_SHARE, MAX_PEAKS = 16.0, np.radians(10.0), 0.02, 4
+# Root mean square angle above which a peak is more than one direction.
+POINT_ANGLE = np.radians(0.7)
+# Directions of a peak's angular extent, as cells of this angle.
+PEAK_CELL = np.radians(2.0)
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+
+
+@functools.lru_cache(maxsize=8)
+def _grid(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    columns = 2 * rows
+    azimuth = (np.arange(columns) + 0.5) * (2.0 * np.pi / columns)
+    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
+    flat = np.cos(elevation)[:, None]
+    directions = np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), np.broadcast_to(np.sin(elevation)[:, None], (rows, columns))],
+        axis=-1,
+    )
+    edges = np.sin(np.pi * (0.5 - np.arange(rows + 1) / rows))
+    angles = np.broadcast_to(((edges[:-1] - edges[1:]) * (2.0 * np.pi / columns))[:, None], (rows, columns))
+    return directions, angles
+
+
+def pixel_directions(rows: int) -> np.ndarray:
+    """Unit vectors float64 (rows, 2 rows, 3) of the directions from which the light of an image's pixels arrives."""
+    return _grid(rows)[0]
+
+
+def pixel_solid_angles(rows: int) -> np.ndarray:
+    """Solid angles float64 (rows, 1) of the pixels of each row; all pixels together have 4 pi."""
+    return _grid(rows)[1][:, :1]
+
+
+@dataclass
+class Environment:
+    """Light from all directions, infinitely far away.
+
+    radiance: float32 (H, 2H, 3), W/(m^2 sr), in [0, 1e30], constant within a pixel. Pixel (r, c) is the radiance that
+        arrives from (cos a cos e, sin a cos e, sin e), with a = 2 pi (c + 1/2) / (2H) and e = pi (1/2 - (r + 1/2) / H).
+        A pixel's solid angle is 2 pi / (2H) times the difference of the sines of its upper and its lower edge.
+    world_from_environment: (3, 3) orthonormal matrix that turns these directions into those of the world, or None for
+        the identity.
+    name: for messages.
+
+    Raises SceneError for other shapes, for radiance out of range and for matrices that are not orthonormal.
+    """
+
+    radiance: np.ndarray
+    world_from_environment: np.ndarray | None = None
+    name: str = "environment"
+
+    def __post_init__(self) -> None:
+        self.radiance = np.ascontiguousarray(self.radiance, dtype=np.float32)
+        shape = self.radiance.shape
+        if len(shape) != 3 or shape[2] != 3 or shape[0] < 1 or shape[1] != 2 * shape[0]:
+            raise SceneError(f"{self.name}: radiance must be an image (H, 2H, 3), not {shape}")
+        low, high = float(self.radiance.min()), float(self.radiance.max())
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise SceneError(f"{self.name}: radiance holds NaN or infinite values")
+        if low < 0.0 or high > MAX_RADIANCE:
+            raise SceneError(f"{self.name}: radiance must not be negative or above {MAX_RADIANCE:g}")
+        matrix = np.eye(3) if self.world_from_environment is None else self.world_from_environment
+        matrix = np.asarray(matrix, dtype=np.float64)
+        if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+            raise SceneError(f"{self.name}: world_from_environment must be a finite 3x3 matrix")
+        if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHONORMAL:
+            raise SceneError(f"{self.name}: world_from_environment must be orthonormal")
+        self.world_from_environment = matrix
+
+    def directions(self) -> np.ndarray:
+        """Directions float64 (H, 2H, 3) in the world from which the light of the pixels arrives."""
+        assert self.world_from_environment is not None
+        return pixel_directions(len(self.radiance)) @ self.world_from_environment.T
+
+    def fluence(self) -> np.ndarray:
+        """Fluence float64 (3,), W/m^2: radiance integrated over the sphere."""
+        return (self.radiance.astype(np.float64).sum(axis=1) * pixel_solid_angles(len(self.radiance))).sum(axis=0)
+
+    def without_peaks(self) -> tuple["Environment", list[Sun]]:
+        """The environment without its peaks, and these as suns: together as much light as before.
+
+        What exceeds a multiple of the mean is taken out; the light below it stays.
+        """
+        light = self.radiance @ LUMA
+        angles = np.broadcast_to(pixel_solid_angles(len(light)), light.shape)
+        total = float((light * angles).sum())
+        most, limit = float(light.max(initial=0.0)), np.inf
+        for _ in range(16):
+            limit = PEAK * float((np.minimum(light, limit) * angles).sum()) / (4.0 * np.pi)
+            if not most > limit:
+                return self, []
+        excess = np.maximum(light - limit, 0.0) * angles
+        if excess.sum() < PEAK_SHARE * total:
+            return self, []
+        directions, rest, suns = self.directions(), self.radiance.astype(np.float64), []
+        pixels = np.flatnonzero(excess)
+        towards, power = directions.reshape(-1, 3)[pixels], excess.reshape(-1)[pixels]
+        for _ in range(MAX_PEAKS):
+            near = towards @ towards[power.argmax()] > np.cos(PEAK_ANGLE)
+            if power[near].sum() < PEAK_SHARE * total:
+                break
+            own = pixels[near]
+            flat = rest.reshape(-1, 3)
+            taken = flat[own] * (power[near] / (light * angles).reshape(-1)[own])[:, None]
+            flat[own] -= taken
+            irradiance = (taken * angles.reshape(-1)[own, None]).sum(axis=0)
+            suns.append(_peak(towards[near], power[near], irradiance, f"sun of {self.name}"))
+            power[near] = 0.0
+        return Environment(np.maximum(rest, 0.0), self.world_from_environment, self.name), suns
+
+
+def _peak(directions: np.ndarray, power: np.ndarray, irradiance: np.ndarray, name: str) -> Sun:
+    """The light of nearby directions (n, 3) as one sun."""
+    mean = power @ directions
+    mean /= np.linalg.norm(mean)
+    share = power / power.sum()
+    if np.arccos(min(np.sqrt(share @ (directions @ mean) ** 2), 1.0)) < POINT_ANGLE:
+        return Sun(mean, irradiance, name)
+    boxes, box = np.unique(np.floor(directions / PEAK_CELL).astype(int), axis=0, return_inverse=True)
+    box = box.reshape(-1)
+    shares = np.bincount(box, share, len(boxes))
+    means = np.stack([np.bincount(box, share * axis, len(boxes)) for axis in directions.T], axis=1)
+    return Sun(mean, irradiance, name, (means / np.linalg.norm(means, axis=1, keepdims=True), shares))

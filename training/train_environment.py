@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Train the network for light from everywhere on the files of training.data.environment_targets.
+
+    nice python -m training.train_environment --data data/exits --held data/exits-held --run runs/environment
+
+Reads the data into memory; a run resumes from its checkpoint. The loss is L2 on the radiance that each volume's
+environments scatter, of mean 1, relative to the prediction and to a part of that mean; single scattering and multiple
+scattering of several albedos count alike. It is linear in the targets' noise.
+"""
+
+import argparse
+import json
+import math
+import pathlib
+import time
+
+import numpy as np
+import torch
+
+from inference.network import environment_features as features
+from inference.transport.blurred_environment import blurred, read_image
+from inference.transport.environment_light import direction_radiance
+from training.files import complete_file
+from training.networks.environment import EnvironmentNet
+from training.tracer.exits import decode_directions
+
+BATCH, STEPS, LEARNING_RATE, WARM_UP, WEIGHT_DECAY = 2048, 8000, 2e-3, 300, 0.05
+AVERAGING = 0.999
+#: Of a row's albedos the first is 1.
+ALBEDOS = 4
+#: Part of the environment's mean radiance that is added to the prediction where errors are relative to it.
+FLOOR = 0.3
+
+
+def environment_values(images: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """Radiance float32 (N, K, E) of environments (E, H, 2H) in directions (N, K) as `Exits` codes them."""
+    rows, columns = images.shape[1:]
+    d = decode_directions(np.arange(65536, dtype=np.uint16))
+    row = np.clip(((0.5 - np.arcsin(np.clip(d[:, 2], -1, 1)) / np.pi) * rows).astype(int), 0, rows - 1)
+    column = (np.arctan2(d[:, 1], d[:, 0]) * (columns / (2 * np.pi)) % columns).astype(int) % columns
+    table = np.ascontiguousarray(images.astype(np.float32)[:, row, column].T)
+    return table[codes]
+
+
+def read_file(path: pathlib.Path, seed: int) -> dict:
+    """Inputs, candidates and targets of one volume's rows."""
+    with np.load(path) as data:
+        d = {key: data[key] for key in data.files}
+    images = d["environments"].astype(np.float32)
+    depths, omega = d["depths"].astype(np.float32), d["omega"]
+    sigma_hat, g = d["sigma_hat"], d["anisotropy"]
+    opened = features.OpenMeans(depths, features.lobe_weights(omega), sigma_hat)
+    light, absorbed = (np.moveaxis(d[name].astype(np.float32), 1, -1) for name in ("light", "absorbed"))
+    seldom, even = features.seldom_scattered(light, absorbed, omega)
+    x = features.inputs(d["density"].astype(np.float32), d["along"], opened, even, omega, sigma_hat, g)
+    stacked = np.moveaxis(images, 0, -1)
+    ahead = np.empty((len(x), len(features.BLUR_POWERS) + len(features.BLURS), len(images)), np.float32)
+    for value in np.unique(g):
+        own = np.flatnonzero(g == value)
+        ahead[own] = read_image(blurred(stacked, features.blurs(float(value))), omega[own])
+    candidates = features.candidates(ahead, opened.radiance(direction_radiance(stacked)), light, seldom, omega, g)
+    random = np.random.default_rng([seed, 7])
+    albedo = np.ones((len(x), ALBEDOS), np.float32)
+    albedo[:, 1] = 1.0 - 10.0 ** random.uniform(-3.0, -0.7, len(x))
+    albedo[:, 2] = random.uniform(0.7, 1.0, len(x))
+    albedo[:, 3] = random.uniform(0.0, 1.0, len(x))
+    values, n = environment_values(images, d["exits"]), d["scatterings"].astype(np.float32)
+    lost = n >= 65535
+    paths = values.shape[1]
+    targets = np.empty((len(x), 2, 1 + ALBEDOS, len(images)), np.float32)
+    for half in range(2):
+        span = slice(half * paths // 2, (half + 1) * paths // 2)
+        single = (n[:, span] == 0).astype(np.float32)
+        powers = [single] + [(1.0 - single) * ~lost[:, span] * a[:, None] ** n[:, span] for a in albedo.T]
+        targets[:, half] = np.stack(powers, axis=1) @ values[:, span] / single.shape[1]
+    return {
+        "x": x,
+        "candidates": candidates.astype(np.float16),
+        "albedo": albedo,
+        "targets": targets.astype(np.float16),
+        "sigma_hat": sigma_hat,
+        "anisotropy": g,
+    }
+
+
+def load(folder: pathlib.Path, most: int | None = None) -> dict:
+    """All rows of a folder's files as tensors."""
+    parts = [read_file(path, int(path.stem)) for path in sorted(folder.glob("*.npz"))[:most]]
+    return {key: torch.from_numpy(np.concatenate([part[key] for part in parts])) for key in parts[0]}
+
+
+def predict(net, data, rows):
+    """Radiance (N, 1 + ALBEDOS, E)."""
+    single, multiple = net(data["x"][rows], data["candidates"][rows].float(), data["albedo"][rows])
+    return torch.cat([single[:, None], multiple], dim=1)
+
+
+def held_error(net, data) -> dict:
+    """Relative errors without the targets' noise, and biases, of all light at albedo 1 by G and sigma_hat."""
+    net.eval()
+    with torch.no_grad():
+        parts = [predict(net, data, rows) for rows in torch.arange(len(data["x"])).split(8192)]
+    y = torch.cat(parts)
+    net.train()
+    t = data["targets"].float()
+    found = {}
+    for name, pick in (("single", slice(0, 1)), ("multiple", slice(1, 2))):
+        a, b, p = t[:, 0, pick], t[:, 1, pick], y[:, pick]
+        found[name] = math.sqrt(max(((p - a) * (p - b)).mean().item(), 0.0))
+    p, a, b = (v[:, 0] + v[:, 1] for v in (y, t[:, 0], t[:, 1]))
+    square, mean = (p - a) * (p - b), 0.5 * (a + b)
+    found["rmse"] = math.sqrt(max(square.mean().item(), 0.0))
+    found["bias"] = (p.mean() / mean.mean() - 1.0).item()
+    p, a, b = y[:, 3], t[:, 0, 3], t[:, 1, 3]
+    found["albedo_rmse"] = math.sqrt(max(((p - a) * (p - b)).mean().item(), 0.0)) / (0.5 * (a + b)).mean().item()
+    found["albedo_bias"] = (p.mean() / (0.5 * (a + b)).mean() - 1.0).item()
+    g, s = data["anisotropy"], data["sigma_hat"]
+    for lo, hi in ((-1, 0.2), (0.2, 0.7), (0.7, 0.87), (0.87, 1)):
+        for low, high in ((0, 20), (20, 100), (100, 600), (600, 1e9)):
+            pick = (g >= lo) & (g < hi) & (s >= low) & (s < high)
+            if pick.any():
+                found[f"G {lo}-{hi} sigma {low}-{high:g}"] = round(math.sqrt(max(square[pick].mean().item(), 0.0)), 4)
+    return found
+
+
+def rate(step: int, steps: int) -> float:
+    if step < WARM_UP:
+        return (step + 1) / WARM_UP
+    return 0.5 * (1.0 + math.cos(math.pi * (step - WARM_UP) / max(steps - WARM_UP, 1)))
+
+
+def main(options=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=pathlib.Path, required=True)
+    parser.add_argument("--held", type=pathlib.Path, required=True)
+    parser.add_argument("--run", type=pathlib.Path, required=True)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--volumes", type=int)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--report-every", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args(options)
+    arguments.run.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
+    data, held = load(arguments.data, arguments.volumes), load(arguments.held)
+    rows = len(data["x"])
+    print(f"{rows} rows, {len(held['x'])} held back", flush=True)
+    net, averaged = EnvironmentNet(), EnvironmentNet()
+    net.calibrate(data["x"])
+    averaged.load_state_dict(net.state_dict())
+    optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    configuration = {
+        "network": "environment",
+        "volumes": len(list(arguments.data.glob("*.npz"))[: arguments.volumes]),
+        "rows": rows,
+        "steps": arguments.steps,
+        "batch": BATCH,
+        "learning_rate": LEARNING_RATE,
+        "weight_decay": WEIGHT_DECAY,
+        "seed": arguments.seed,
+    }
+    first, path = 0, arguments.run / "checkpoint.pt"
+    if path.exists():
+        checkpoint = torch.load(path, weights_only=True)
+        net.load_state_dict(checkpoint["net"])
+        averaged.load_state_dict(checkpoint["averaged"])
+        optimizer.load_state_dict(checkpoint["optimizer"])
+        first = checkpoint["step"]
+    total, since, start = 0.0, 0, time.process_time()
+    for step in range(first, arguments.steps):
+        random = torch.Generator().manual_seed(arguments.seed * 1_000_003 + step)
+        picked = torch.randint(rows, (BATCH,), generator=random)
+        y, t = predict(net, data, picked), data["targets"][picked].float().mean(dim=1)
+        scale = y.detach() ** 2 + FLOOR**2
+        loss = ((y - t) ** 2 / scale).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        for group in optimizer.param_groups:
+            group["lr"] = LEARNING_RATE * rate(step, arguments.steps)
+        optimizer.step()
+        with torch.no_grad():
+            keep = min(AVERAGING, (1 + step) / (10 + step))
+            torch._foreach_lerp_(list(averaged.parameters()), list(net.parameters()), 1.0 - keep)
+        total, since, done = total + loss.item(), since + 1, step + 1
+        if done % arguments.report_every == 0 or done == arguments.steps:
+            found = held_error(averaged, held)
+            line = {"step": done, "loss": total / since, **found, "seconds": time.process_time() - start}
+            print(json.dumps(line), flush=True)
+            with open(arguments.run / "progress.jsonl", "a") as log:
+                log.write(json.dumps(line) + "\n")
+            total, since = 0.0, 0
+            state = {
+                "step": done,
+                "net": net.state_dict(),
+                "averaged": averaged.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "configuration": configuration | {"step": done, "held_rmse": found["rmse"], "held_bias": found["bias"]},
+            }
+            with complete_file(path) as file:
+                torch.save(state, file)
+
+
+if __name__ == "__main__":
+    main()
