@@ -81,7 +81,7 @@ def render_tiles(
             plan = make_plan(volumes, lights, camera, settings, bool(surfaces))
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
-            kernels = _load_kernels(settings, report)
+            kernels = load_compiled(settings, report)
             context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
@@ -176,7 +176,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     return ChannelPass(channels, suns, suns[:1] in ([], [0]), media, march)
 
 
-def _load_kernels(settings: Settings, report: Report) -> Kernels | None:
+def load_compiled(settings: Settings, report: Report) -> Kernels | None:
     """The compiled kernels, or None where they are not wanted, or missing, which causes a warning."""
     kernels = None
     if wanted(settings.compiled):
