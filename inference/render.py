@@ -21,6 +21,7 @@ from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
+from .plan.lights import SURFACES_SHADOW
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
@@ -78,7 +79,7 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings, bool(surfaces))
+            plan = make_plan(volumes, lights, camera, settings, SURFACES_SHADOW if surfaces else "")
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
             kernels = load_compiled(settings, report)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import bpy
 
+from ..inference.plan.lights import SURFACES_SHADOW
 from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
@@ -143,7 +144,13 @@ def report(options, console, found: dict) -> None:
         require_volumes(description)
         if options.strict:
             require_all(description)
-        plan = make_plan(description.volumes, description.lights, description.camera, settings)
+        plan = make_plan(
+            description.volumes,
+            description.lights,
+            description.camera,
+            settings,
+            SURFACES_SHADOW if description.surfaces else "",
+        )
     width, height = description.camera.resolution
     found["plan"] = {
         "frame": description.frame,

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
+from ..plan.lights import Light
 from ..plan.plan import Channels, in_range, make_plan
 from ..render import load_compiled, prepare_scene
 from ..render_cache import RenderCache
@@ -15,7 +16,7 @@ from ..runtime.progress import Progress
 from ..runtime.report import Report, process_peak_memory
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
-from ..scene.description import Medium, Sun, Surface, Volume
+from ..scene.description import Medium, Surface, Volume
 from ..scene.settings import Settings
 from .directions import fit_directions, make_lobe
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
@@ -31,7 +32,7 @@ POINTS_PER_BATCH = 1 << 16
 
 def bake(
     volumes: Sequence[tuple[Volume, Medium]],
-    lights: Sequence[Sun],
+    lights: Sequence[Light],
     camera: Camera | None = None,
     settings: Settings | None = None,
     progress: Callable[[float, str], None] | None = None,
@@ -56,7 +57,7 @@ def bake(
     scaled = [in_range(volume, medium) for volume, medium in volumes]
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(scaled, lights, _NO_IMAGE, settings)
+            plan = make_plan(scaled, lights, _NO_IMAGE, settings, "only suns are baked")
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache()
             kernels = load_compiled(settings, report)

@@ -66,8 +66,7 @@ def fit_directions(
     samples = np.zeros((len(nodes), len(DIRECTIONS)))
     for number, direction in enumerate(DIRECTIONS):
         at = np.flatnonzero(seen[:, number])
-        along = np.broadcast_to(direction, (len(at), 3)).copy()
-        samples[at, number] = same[at] + predict(positions[at], along)
+        samples[at, number] = same[at] + predict(positions[at], np.broadcast_to(direction, (len(at), 3)).copy())
     coefficients = np.zeros((len(nodes), COEFFICIENTS), np.float32)
     for start in range(0, len(nodes), NODES_PER_BATCH):
         span = slice(start, start + NODES_PER_BATCH)

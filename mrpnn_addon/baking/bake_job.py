@@ -87,7 +87,7 @@ def bake_scene(
     try:
         lit = inference.bake(
             [scene.volumes[v] for v in wanted],
-            scene.suns,
+            scene.lights,
             scene.camera,
             settings,
             progress,

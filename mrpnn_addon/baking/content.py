@@ -30,6 +30,9 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
     for sun in description.suns:
         for array in (sun.direction, sun.irradiance, *(sun.spread or ())):
             around.update(np.ascontiguousarray(array))
+    for environment in description.environments:
+        for array in (environment.radiance, environment.world_from_environment):
+            around.update(np.ascontiguousarray(array))
     for surface in description.surfaces:
         around.update(np.ascontiguousarray(surface.triangles))
         around.update(repr((surface.shades, surface.stops)).encode())
