@@ -1,5 +1,7 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Optical depths along a sun's rays; the twins are grids/optical_depth_sweep.py and grids/sparse_columns.py. */
+/* Optical depths along a sun's rays and from points; the twins are grids/optical_depth_sweep.py,
+
+grids/sparse_columns.py and transport/open_depths.py. */
 
 #include <string.h>
 
@@ -10,6 +12,8 @@
 #define BEFORE 2
 #define MORE 3
 #define EDGE 8
+/* Points whose depths are sampled together. */
+#define TOGETHER 64
 
 /* Resample a plane, 0 outside, at points a fraction beyond each cell; grows by MORE.
 
@@ -112,4 +116,52 @@ int64_t NAMED(sweep_blocks, VARIANT)(const BlockSweep *sweep) {
         add_blocks(sweep, n);
     }
     return sweep->blocks;
+}
+
+/* Optical depth from a point in one direction. */
+static float open_depth(const OpenDepthSamples *data, const float *at, const float *towards, const float *lattice) {
+    float depth = 0.0f;
+    for (int64_t s = 0; s < data->samples; s++) {
+        int64_t level = data->sampled[s], cells = data->cells[level], place = 0;
+        const int64_t *strides = data->strides + 2 * level;
+        int outside = 0;
+        for (int axis = 0; axis < 3; axis++) {
+            float along = (at[axis] + data->middles[s] * towards[axis] + 0.5f) * (float)cells;
+            int64_t cell = (int64_t)along;
+            outside |= along < 0.0f || cell >= cells;
+            place += cell * (axis < 2 ? strides[axis] : 1);
+        }
+        if (!outside) depth += data->lengths[s] * data->levels[level][place];
+    }
+    int64_t n = data->edge, place = 0, strides[3] = {n * n, n, 1};
+    float share[3], rows[4], reach = (float)data->reach;
+    for (int axis = 0; axis < 3; axis++) {
+        float end = at[axis] + reach * towards[axis];
+        if (!(end > -0.5f && end < 0.5f)) return depth;
+        float index = (end + 0.5f) * (float)(n - 2) + 0.5f;
+        int64_t cell = (int64_t)index;
+        share[axis] = index - (float)cell;
+        place += cell * strides[axis];
+    }
+    for (int64_t r = 0; r < 4; r++) {
+        const float *row = lattice + place + (r >> 1) * n * n + (r & 1) * n;
+        rows[r] = (1.0f - share[2]) * row[0] + share[2] * row[1];
+    }
+    float low = (1.0f - share[1]) * rows[0] + share[1] * rows[1];
+    return depth + (1.0f - share[0]) * low + share[0] * ((1.0f - share[1]) * rows[2] + share[1] * rows[3]);
+}
+
+int64_t NAMED(sample_open_depths, VARIANT)(const OpenDepthSamples *data) {
+    int64_t n = data->edge, cube = n * n * n;
+    /* Points that are close to each other read the same cells in each direction. */
+    for (int64_t first = 0; first < data->points; first += TOGETHER) {
+        int64_t end = first + TOGETHER < data->points ? first + TOGETHER : data->points;
+        for (int64_t d = 0; d < data->directions; d++) {
+            const float *towards = data->towards + 3 * d, *lattice = data->lattice + d * cube;
+            for (int64_t p = first; p < end; p++) {
+                data->depths[p * data->directions + d] = open_depth(data, data->positions + 3 * p, towards, lattice);
+            }
+        }
+    }
+    return data->points;
 }

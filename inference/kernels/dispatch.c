@@ -17,6 +17,7 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);          \
     int64_t sweep_columns_##variant(const ColumnSweep *data);                              \
     int64_t sweep_blocks_##variant(const BlockSweep *data);                                \
+    int64_t sample_open_depths_##variant(const OpenDepthSamples *data);                    \
     int64_t sweep_ordinates_##variant(const OrdinateSweep *data);                          \
     int64_t sweep_radiance_##variant(const RadianceSweep *data);                           \
     int64_t conjugate_gradients_##variant(Diffusion *data);                                \
@@ -85,6 +86,7 @@ EXPORT int64_t mrpnn_march(int64_t variant, const Scene *scene, const Rays *rays
     EXPORT int64_t mrpnn_##function(int64_t variant, Data *data) { return CHOOSE(variant, function, data); }
 PREPARE(sweep_columns, const ColumnSweep)
 PREPARE(sweep_blocks, const BlockSweep)
+PREPARE(sample_open_depths, const OpenDepthSamples)
 PREPARE(sweep_ordinates, const OrdinateSweep)
 PREPARE(sweep_radiance, const RadianceSweep)
 PREPARE(conjugate_gradients, Diffusion)

@@ -50,6 +50,26 @@ class BlockSweep(Shared):
     ]
 
 
+class OpenDepthSamples(Shared):
+    _fields_ = [
+        ("points", c_int64),
+        ("positions", c_void_p),
+        ("directions", c_int64),
+        ("towards", c_void_p),
+        ("samples", c_int64),
+        ("middles", c_void_p),
+        ("lengths", c_void_p),
+        ("sampled", c_void_p),
+        ("levels", c_void_p * 2),
+        ("cells", c_void_p),
+        ("strides", c_void_p),
+        ("reach", c_double),
+        ("lattice", c_void_p),
+        ("edge", c_int64),
+        ("depths", c_void_p),
+    ]
+
+
 class OrdinateSweep(Shared):
     _fields_ = [
         ("cells", c_int64),
@@ -171,6 +191,7 @@ class Resampling(Shared):
 FUNCTIONS = {
     "sweep_columns": ColumnSweep,
     "sweep_blocks": BlockSweep,
+    "sample_open_depths": OpenDepthSamples,
     "sweep_ordinates": OrdinateSweep,
     "sweep_radiance": RadianceSweep,
     "conjugate_gradients": Diffusion,

@@ -45,6 +45,25 @@ typedef struct {
     float *depths;               /* (touched, 8, 8, 8) */
 } BlockSweep;
 
+/* Optical depths from points out of the working cube: OpenDepths. */
+typedef struct {
+    int64_t points;
+    const float *positions;      /* (points, 3), in the cube from -1/2 to 1/2 */
+    int64_t directions;
+    const float *towards;        /* (directions, 3), unit vectors */
+    int64_t samples;             /* of the density, in each direction */
+    const float *middles;        /* (samples), distances */
+    const float *lengths;        /* (samples), of the steps that they stand for */
+    const int64_t *sampled;      /* (samples), numbers of levels */
+    const float *levels[2];      /* densities */
+    const int64_t *cells;        /* (levels), along an edge of the cube */
+    const int64_t *strides;      /* (levels, 2), along the first two axes; that along the last is 1 */
+    double reach;                /* distance from which on the lattice is read */
+    const float *lattice;        /* (directions, edge, edge, edge), depths from cells, the outermost ones repeated */
+    int64_t edge;
+    float *depths;               /* (points, directions) */
+} OpenDepthSamples;
+
 /* Light along the directions that leave one side of the cells: DiscreteOrdinates._follow_steps. */
 typedef struct {
     int64_t cells;               /* n, along an edge */

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 8
+INTERFACE = 9
 CHANNELS = 3
 
 

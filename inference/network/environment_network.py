@@ -13,6 +13,7 @@ from ..features.descriptors import FieldLookup, distinct_rows
 from ..scene.errors import SceneError
 from ..transport.blurred_environment import read_image
 from ..transport.environment_light import ALBEDOS, read_lattice
+from ..transport.open_depths import OpenDepths
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import open_session
 from .weights_file import read_weights
@@ -60,7 +61,7 @@ def load_environment_network(model: str, provider: str = "CPU") -> EnvironmentNe
 class PreparedEnvironment:
     """What predicts the light of an environment in one volume, for one optical thickness. Immutable.
 
-    lookup: of the density at the stencil. low: number of its low-frequency points. depths: of `direction_depths`.
+    lookup: of the density at the stencil. low: number of its low-frequency points. depths: what is open to points.
     light, absorbed: of `solve_environment`. radiance: (50, C), of `direction_radiance`. blurred: float32 (H, 2H, B, C).
     sigma_hat: extinction per unit density times the cube's edge. thickness: the same at the largest density.
     anisotropy: G.
@@ -69,7 +70,7 @@ class PreparedEnvironment:
     network: EnvironmentNetwork
     lookup: FieldLookup
     low: int
-    depths: np.ndarray
+    depths: OpenDepths
     light: np.ndarray
     absorbed: np.ndarray
     radiance: np.ndarray
@@ -89,7 +90,7 @@ class PreparedEnvironment:
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1]
         density = self.lookup(positions, omega[first], view, jitter)[:, : self.low, 0]
-        depths = read_lattice(self.depths, positions)
+        depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)
         flat = probes.reshape(-1, 3)

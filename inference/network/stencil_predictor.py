@@ -26,12 +26,8 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import (
-    direction_depths,
-    direction_radiance,
-    ordinate_radiance,
-    solve_environment,
-)
+from ..transport.environment_light import direction_radiance, ordinate_radiance, solve_environment
+from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
 from .environment_features import blurs
@@ -142,7 +138,7 @@ class RayPredictor(StencilPredictor):
         self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
-        self._depths: np.ndarray | None = None
+        self._depths: OpenDepths | None = None
         self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
@@ -171,7 +167,9 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
             if self._depths is None:
-                self._depths = direction_depths(self.coarse, tasks.cancel, self.kernels)
+                levels = [inner_cells(self.padded[m], m, self.network.points) for m in (0, 1)]
+                lattice = direction_depths(self.coarse, tasks.cancel, self.kernels)
+                self._depths = OpenDepths(levels, lattice, self.kernels)
             if self._environment is None or self._environment[0] != key:
                 self._environment = None
                 solved = solve_environment(

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
@@ -126,20 +125,6 @@ def direction_radiance(image: np.ndarray) -> np.ndarray:
 def _radiance(image: np.ndarray, number: int) -> np.ndarray:
     rows = len(image)
     return _parts(rows, number) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
-
-
-def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None) -> np.ndarray:
-    """Optical depth float16 (n + 2, n + 2, n + 2, 50) from each cell out towards DIRECTIONS, for sigma_hat = 1.
-
-    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once.
-    kernels: compiled ones, or None. Raises Cancelled.
-    """
-    n = len(coarse)
-    depths = np.empty((n, n, n, len(DIRECTIONS)), np.float16)
-    for k, towards in enumerate(DIRECTIONS):
-        cancel.check()
-        depths[..., k] = sun_optical_depth(coarse, towards, 1.0 / n, kernels)
-    return np.pad(depths, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
 def solve_environment(

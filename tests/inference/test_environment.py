@@ -28,6 +28,7 @@ from inference.transport.environment_light import (
     image_in_frame,
     ordinate_radiance,
 )
+from inference.transport.open_depths import OpenDepths, direction_depths
 
 
 def sky(rows=16, seed=0):
@@ -160,6 +161,25 @@ def test_directions_integrate_polynomials():
         assert DIRECTION_WEIGHTS @ (DIRECTIONS @ axis) ** degree == pytest.approx(wanted, abs=1e-12)
     radiance = direction_radiance(sky().astype(np.float64))
     np.testing.assert_allclose(DIRECTION_WEIGHTS @ radiance, Environment(sky()).fluence() / (4 * math.pi), rtol=1e-6)
+
+
+def test_depths_of_what_is_open_are_sharp_near_faces():
+    """In a slab, points a fraction of a coarse cell below its face know how far it is."""
+    levels = [np.zeros((n, n, n), np.float32) for n in (256, 128, 64)]
+    for level in levels:
+        level[:, :, : len(level) // 2] = 1.0
+    random = np.random.default_rng(4)
+    positions = random.uniform(-0.1, 0.1, (200, 3))
+    positions[:, 2] = -random.uniform(0.0, 0.03, 200)
+    found = OpenDepths(levels[:2], direction_depths(levels[2]))(positions)
+    up = DIRECTIONS[:, 2] > 0.5
+    wanted = -positions[:, 2, None] / DIRECTIONS[up, 2]
+    # Samples stand for up to 5 cells of level 0, those near the point for fewer.
+    error = np.abs(found[:, up] - wanted)
+    assert error.max() < 2.5 / 256 / 0.5 and error[positions[:, 2] > -0.01].mean() < 0.5 / 256
+    # Downwards it is far, sideways farther still.
+    down = DIRECTIONS[:, 2] < -0.9
+    np.testing.assert_allclose(found[:, down], (positions[:, 2, None] + 0.5) / -DIRECTIONS[down, 2], rtol=0.02)
 
 
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
@@ -297,5 +317,6 @@ def test_the_estimate_of_memory_includes_the_lattices():
     network = load_environment_network("mrpnn")
     prepared = predictor.prepare_environment(network, [dome], 15.0, bounds).prediction
     held = sum(values.nbytes for values in vars(prepared).values() if isinstance(values, np.ndarray))
+    held += prepared.depths.lattice.nbytes
     # While they are padded, both copies are held.
     assert 4 * prepared.light.nbytes + held < with_dome.memory - without.memory

@@ -28,6 +28,7 @@ from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
+from inference.transport.open_depths import OpenDepths, direction_depths
 from inference.transport.radiance_sweep import sweep_radiance
 from tests.support.marches import random_density
 from tests.support.volumes import SUN, cloud
@@ -97,6 +98,20 @@ def test_discrete_ordinates_beside_surfaces():
     one, other = (DiscreteOrdinates(density, 30.0, 0.5, triangles, kernels) for kernels in (None, KERNELS))
     assert one.links is not None
     assert_close(one.light(sun, visibility), other.light(sun, visibility))
+
+
+def test_open_depths():
+    random = np.random.default_rng(8)
+    fine = random_density(random, (64, 64, 64), "lumps")
+    # Levels as they lie in their padded arrays; points in the cube, on its faces and beyond.
+    padded = [np.pad(level, 3) for level in density_pyramid(fine)[:3]]
+    levels = [level[3:-3, 3:-3, 3:-3] for level in padded]
+    lattice = direction_depths(np.ascontiguousarray(levels[2]))
+    positions = np.concatenate([random.uniform(-0.5, 0.5, (500, 3)), random.choice([-0.5, 0.5], (8, 3)), [[0.7, 0, 0]]])
+    expected = OpenDepths(levels[:2], lattice)(positions)
+    for kernels in variants():
+        assert_close(lattice, direction_depths(np.ascontiguousarray(levels[2]), kernels=kernels))
+        assert_close(expected, OpenDepths(levels[:2], lattice, kernels)(positions), 1e-4)
 
 
 @pytest.mark.parametrize("shape", [(12, 20, 9), (1, 1, 7), (16, 16, 16)])

@@ -34,11 +34,11 @@ from inference.network.environment_features import probe_positions
 from inference.transport.discrete_ordinates import LEVEL
 from inference.transport.environment_light import (
     ALBEDOS,
-    direction_depths,
     ordinate_radiance,
     read_lattice,
     solve_environment,
 )
+from inference.transport.open_depths import OpenDepths, direction_depths
 from training.data.descriptors import Levels, describe_points
 from training.data.environments import random_environment
 from training.data.seeded_volume import seeded_volume
@@ -55,12 +55,13 @@ SIGMA_HAT_RANGE = (2.0, 1500.0)
 ENVIRONMENTS, MEDIA, POINTS, PATHS = 6, 5, 1536, 96
 
 
-def transport_rows(coarse, positions, omega, sigma_hat, anisotropy, radiance, kernels=None):
+def transport_rows(pyramid, positions, omega, sigma_hat, anisotropy, radiance, kernels=None):
     """The arrays depths, light and absorbed of points in the cube's frame.
 
-    coarse: level of the density pyramid. radiance: (26, ENVIRONMENTS). kernels: compiled ones, or None.
+    pyramid: of the density. radiance: (26, ENVIRONMENTS). kernels: compiled ones, or None.
     """
-    depths = read_lattice(direction_depths(coarse, kernels=kernels), positions)
+    coarse = pyramid[LEVEL]
+    depths = OpenDepths(pyramid[:2], direction_depths(coarse, kernels=kernels), kernels)(positions)
     probes, count = probe_positions(positions, omega, depths, sigma_hat), radiance.shape[1]
     light = np.empty((len(positions), count, probes.shape[1], 4), np.float16)
     absorbed = np.empty((len(positions), count + 1, probes.shape[1], len(ALBEDOS), 4), np.float16)
@@ -104,7 +105,7 @@ def make_rows(seed: int) -> dict:
 
     x, w, sigma_hat = cube.positions(positions), cube.directions(omega), sigma * cube.edge
     pyramid = density_pyramid(level0_density(volume, cube))
-    depths, light, absorbed = transport_rows(pyramid[LEVEL], x, w, sigma_hat, anisotropy, radiance, _kernels())
+    depths, light, absorbed = transport_rows(pyramid, x, w, sigma_hat, anisotropy, radiance, _kernels())
     stencil = load_stencil()
     padded = padded_levels(pyramid, stencil)
     up = np.array([0.0, 0.0, 1.0])
