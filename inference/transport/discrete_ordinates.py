@@ -14,9 +14,9 @@ function of G'. The part of the fluence that a sweep still lacks follows from a 
     -div(D grad psi) = sigma' (phi_new - phi_old),    D = 1 / (3 sigma_hat (1 - G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
-through the faces of the cube. That of a sun does not enter there, because its beam is known; that of an environment
-does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a feature for
-the network, which otherwise knows a point's surroundings in outline only.
+through the faces of the cube. That of a sun or a lamp does not enter there, because its beam is known; that of an
+environment does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a
+feature for the network, which otherwise knows a point's surroundings in outline only.
 """
 
 import functools
@@ -61,6 +61,8 @@ def _directions(axis: int) -> np.ndarray:
 
 # Phase function of the beam along the steps of an axis, and along their opposites.
 Phases = tuple[np.ndarray, np.ndarray]
+# Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
+Beam = Callable[["DiscreteOrdinates", CancelToken], tuple[np.ndarray, np.ndarray]]
 
 # With their opposites, all 26 directions.
 STEPS = [_directions(axis) for axis in range(3)]
@@ -178,6 +180,47 @@ class DiscreteOrdinates:
             self._correct(field, change, cancel)
         return swept
 
+    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
+
+        beam: of the lamp, on any number of cells. Raises Cancelled.
+        """
+        n = len(self.density)
+        light, towards = beam(self, cancel)
+        # Of the beam along each direction, so that none of it is lost whatever the quadrature of the phase function.
+        units = np.concatenate([sign * steps for steps in STEPS for sign in (1, -1)]).astype(np.float32)
+        units /= np.linalg.norm(units, axis=1, keepdims=True)
+        phases = [henyey_greenstein(-np.tensordot(unit, towards, 1), self.anisotropy) for unit in units]
+        total = sum(weight * phase for weight, phase in zip(ORDINATE_WEIGHTS, phases)) * (4.0 * np.pi)
+        field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
+        beams = [np.asarray(light * phase / total, np.float32) for phase in phases]
+        one = np.ones(1)
+        follow = [
+            self._follower(axis, sign, one, field, swept, None, slice(k, k + 1))
+            for axis, steps in enumerate(STEPS)
+            for sign in (1, -1)
+            for k in range(len(steps))
+        ]
+        if self.coarser is not None:
+            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
+            sweeps = FINE_SWEEPS
+        for number in range(sweeps):
+            if self.boundaries is not None:
+                field *= ~self.boundaries.inside
+            swept.fill(0.0)
+            for along, of_beam in zip(follow, beams):
+                cancel.check()
+                field[4] = of_beam
+                along()
+            change = self.extinction * (swept[0] - field[0])
+            if self.boundaries is not None:
+                change *= ~self.boundaries.inside
+            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+                break
+            field[:4] = swept
+            self._correct(field, change, cancel)
+        return swept
+
     def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.
 
@@ -253,14 +296,15 @@ class DiscreteOrdinates:
         field: np.ndarray,
         swept: np.ndarray,
         entering: np.ndarray | None = None,
+        some: slice = slice(None),
     ) -> Callable[[], object]:
         """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
 
         phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam. entering:
-        float32 (D,), radiance at the faces of the cube, or None.
+        float32 (D,), radiance at the faces of the cube, or None. some: of the steps, D of them.
         """
-        steps = sign * STEPS[axis]
-        links = None if self.links is None else self.links[axis][sign]
+        steps = sign * STEPS[axis][some]
+        links = None if self.links is None else np.ascontiguousarray(self.links[axis][sign][:, some])
         emit, gather = self._weights(steps, phase)
         if self.kernels is None:
             return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links, entering)

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light of lamps along camera rays: single scattering, and what networks read of it.
+
+The light of a lamp near a ray varies within a step as the inverse square of its distance. Its integral over each step
+is a quadrature in the angle under which the lamp sees the step, in which the inverse square is constant (Kulla and
+Fajardo, "Importance Sampling Techniques for Path Tracing in Participating Media", 2012); the transmittance varies
+exponentially within a step, as for suns.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grids.bound_medium import BoundMedium
+from ..grids.grid import Grid
+from ..grids.lamp_optical_depth import MAX_COLUMNS, LampOpticalDepth
+from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Surface
+from ..scene.lamps import Emitter, Lamp
+from ..transport.scattered_fluence import ScatteredFluence
+from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
+from .ray_march import (
+    DARK,
+    MarchedMedium,
+    MarchOptions,
+    block_sums,
+    group_sums,
+    mean_transmittance,
+    optical_depth_behind,
+    rays_from,
+    reduced_fractions,
+    scattered_source,
+)
+from .ray_steps import STEPS, Cutting, RayBatch
+
+# Most emitters of a lamp in the coarse transport.
+COARSE = 4
+# Angle in radians, as the lamp sees a step, from which on it takes MANY nodes instead of FEW.
+WIDE, FEW, MANY = 0.2, 2, 10
+
+
+@dataclass(frozen=True)
+class LampInMedia:
+    """A lamp, and what lies between it and points of some volumes.
+
+    emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
+    coarse transport. shadow_maps: of each emitter, or None where no surface shadows anything from the lamp. key: digest
+    that is equal for lamps with the same light and shadows.
+    """
+
+    lamp: Lamp
+    emitters: Sequence[Emitter]
+    depths: list[list[LampOpticalDepth]]
+    coarse: Sequence[Emitter]
+    shadow_maps: list[LampShadowMap] | None = None
+    key: bytes = b""
+
+    @property
+    def coarse_shadow_maps(self) -> list[LampShadowMap] | None:
+        """Of each emitter of the coarse transport, that of the nearest of all emitters."""
+        if self.shadow_maps is None:
+            return None
+        positions = np.array([emitter.position for emitter in self.emitters])
+        nearest = [np.linalg.norm(positions - emitter.position, axis=1).argmin() for emitter in self.coarse]
+        return [self.shadow_maps[number] for number in nearest]
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,), the middle of the emitters in the world."""
+        return np.mean([emitter.position for emitter in self.emitters], axis=0)
+
+    def fluence(self, points: np.ndarray) -> np.ndarray:
+        """Fluence float64 (N,) at world points (N, 3), for power 1, without what lies in between."""
+        return np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
+
+
+def place_lamp(
+    lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), cancel: CancelToken = NEVER
+) -> LampInMedia:
+    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled."""
+    corners = np.concatenate([grid.corners() for grid in grids])
+    emitters = lamp.emitters(corners.min(axis=0), corners.max(axis=0))
+    digest, maps = hashlib.blake2b(digest_size=16), None
+    for emitter in emitters:
+        digest.update(repr(emitter).encode())
+    # The shadows of many emitters blend: each of them may be coarser.
+    coarser = max(round(len(emitters) ** 0.5), 1)
+    shading = [surface for surface in surfaces if surface.shades]
+    if shading:
+        cells = CELLS // (1 << (coarser - 1).bit_length())
+        maps = [LampShadowMap(shading, emitter.position, cells, cancel) for emitter in emitters]
+        maps = None if all(one.empty for one in maps) else maps
+        for surface in shading:
+            digest.update(np.ascontiguousarray(surface.triangles).tobytes())
+    depths = [
+        [
+            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, MAX_COLUMNS // coarser, cancel)
+            for grid in grids
+        ]
+        for emitter in emitters
+    ]
+    coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
+    return LampInMedia(lamp, emitters, depths, coarse, maps, digest.digest())
+
+
+def softened(fluence: np.ndarray, radius: float) -> np.ndarray:
+    """Fluence of a lamp of power 1 as if it were no nearer than a distance: a lamp's light on a coarse scale."""
+    return fluence / (1.0 + fluence * (4.0 * np.pi * radius**2))
+
+
+@dataclass(frozen=True)
+class LampSegment:
+    """What a batch of R rays gathered of K lamps of power 1 in V volumes.
+
+    single: (R, V, K), single scattering for albedo 1. features: RayFeatures of samples, their lights the lamps over
+    their softened fluence there, or None.
+    """
+
+    single: np.ndarray
+    features: RayFeatures | None = None
+
+
+class _Steps:
+    """Known steps of marched rays, flat: S of them, and the edges between them, E of them."""
+
+    def __init__(self, medium: MarchedMedium, rays: RayBatch, known: np.ndarray):
+        """known: bool (P, STEPS), whether light is looked up there."""
+        blocks = medium.blocks
+        self.medium, self.rays, self.filled = medium, rays, np.flatnonzero(known)
+        self.ray = np.repeat(blocks.ray, STEPS)[self.filled]
+        edges = np.zeros((len(blocks.ray), STEPS + 1), bool)
+        edges[:, :-1] |= known
+        edges[:, 1:] |= known
+        self.edge = np.flatnonzero(edges)
+        self.edge_ray, self.edge_place = np.repeat(blocks.ray, STEPS + 1)[self.edge], blocks.edges().ravel()[self.edge]
+        # Where the edges of each step are in the flat array of edges.
+        self.start = self.filled + self.filled // STEPS
+        near, dt = medium.lines.near[self.ray], medium.lines.dt[self.ray]
+        self.begin = near + blocks.steps(0.0).ravel()[self.filled] * dt
+        self.end = near + blocks.steps(1.0).ravel()[self.filled] * dt
+        self.middle = self.positions(0.5 * (self.begin + self.end))
+
+    def scattered(self, values: np.ndarray, dtype=np.float64) -> np.ndarray:
+        """Values (S,) as (P, STEPS), 0 elsewhere."""
+        found = np.zeros(self.medium.total.shape, dtype)
+        found.reshape(-1)[self.filled] = values
+        return found
+
+    def positions(self, distance: np.ndarray) -> np.ndarray:
+        """World positions (S, 3) at distances (S,) along the rays."""
+        return self.rays.origins[self.ray] + distance[:, None] * self.rays.directions[self.ray]
+
+    def optical_depth(self, media: Sequence[BoundMedium], depths: Sequence[LampOpticalDepth]) -> np.ndarray:
+        """Optical depth float32 (V, P, STEPS + 1) towards a lamp, at both ends of filled steps."""
+        shape = len(self.medium.total), STEPS + 1
+        found = np.full((len(media), *shape), DARK, np.float32)
+        for v, (bound, depth) in enumerate(zip(media, depths)):
+            index = self.medium.lines.index(v, self.edge_ray, self.edge_place)
+            found[v].reshape(-1)[self.edge] = depth(index, bound.sigma_t) if bound.sigma_t > 0.0 else 0.0
+        return found
+
+    def integrals(self, emitter: Emitter, media: Sequence[BoundMedium]) -> np.ndarray:
+        """Integrals (V, S) over the filled steps of the emitter's fluence times the phase function."""
+        origin = self.rays.origins[self.ray] - emitter.position
+        direction = self.rays.directions[self.ray]
+        nearest = -(origin * direction).sum(axis=1)
+        height = np.linalg.norm(origin + nearest[:, None] * direction, axis=1)
+        height = np.sqrt(height**2 + emitter.extent**2 + 1e-6 * (self.end - self.begin) ** 2)
+        first, last = (np.arctan2(ends - nearest, height) for ends in (self.begin, self.end))
+        found = np.zeros((len(media), len(self.ray)))
+        wide = last - first > WIDE
+        for some, count in ((np.flatnonzero(~wide), FEW), (np.flatnonzero(wide), MANY)):
+            nodes, weights = np.polynomial.legendre.leggauss(count)
+            for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights):
+                angle = first[some] + node * (last[some] - first[some])
+                along = height[some] * np.tan(angle)
+                # Linear in distance where the angle is too small to tell.
+                away = origin[some] + (nearest[some] + along)[:, None] * direction[some]
+                points = away + emitter.position
+                light = emitter.fluence(points) * (height[some] ** 2 + along**2) / height[some]
+                light *= weight * (last[some] - first[some])
+                cosine = -(away * direction[some]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+                for v, bound in enumerate(media):
+                    found[v, some] += light * bound.medium.scattered(cosine)
+        return found
+
+
+class _LitSteps:
+    """One lamp in known steps: for each of its emitters optical depths (V, P, STEPS + 1) and visibility (S,)."""
+
+    def __init__(self, steps: _Steps, media: Sequence[BoundMedium], lamp: LampInMedia):
+        self.steps, self.media, self.lamp = steps, media, lamp
+        self.depths = [steps.optical_depth(media, depths) for depths in lamp.depths]
+        self.visible: list[np.ndarray | float] = [1.0] * len(lamp.emitters)
+        if lamp.shadow_maps is not None:
+            self.visible = [shadow_map.visibility(steps.middle) for shadow_map in lamp.shadow_maps]
+
+    def single(self, transmitted: np.ndarray) -> np.ndarray:
+        """Single scattering (R, V) for power 1 and albedo 1; transmitted: (P, STEPS), from the ray's start."""
+        steps, medium = self.steps, self.steps.medium
+        found = np.zeros((medium.blocks.rays, len(self.media)))
+        for emitter, each, visible in zip(self.lamp.emitters, self.depths, self.visible):
+            depth = each.sum(axis=0)
+            passed = transmitted * mean_transmittance(depth[:, :-1], depth[:, 1:] + medium.tau)
+            light = steps.integrals(emitter, self.media) * (passed.ravel()[steps.filled] * visible)
+            for v in range(len(self.media)):
+                scattered = steps.scattered(light[v]) * medium.sigma[v]
+                found[:, v] += medium.blocks.sums(block_sums(scattered))
+        return found
+
+    def beam(self, groups: list[list[int]] | None, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lamp as one light: optical depth (G, P, STEPS + 1), softened fluence and visibility (P, STEPS)."""
+        steps = self.steps
+        fluence = [emitter.fluence(steps.middle) for emitter in self.lamp.emitters]
+        total = np.maximum(np.sum(fluence, axis=0), 1e-30)
+        visible = sum(part * lit for part, lit in zip(fluence, self.visible)) / total
+        depths = [group_sums(each, groups) for each in self.depths]
+        if len(depths) == 1:
+            depth = depths[0]
+        else:
+            passed = np.zeros(depths[0].shape)
+            for part, one in zip(fluence, depths):
+                share = np.full(one.shape[1:], 1.0 / len(depths))
+                for ends in (steps.start + 1, steps.start):
+                    share.reshape(-1)[ends] = part / total
+                passed += share * np.exp(-one.astype(np.float64))
+            depth = np.minimum(-np.log(np.maximum(passed, 1e-30)), DARK).astype(np.float32)
+        received = steps.scattered(softened(total, radius), np.float32)
+        return depth, received, steps.scattered(visible, np.float32)
+
+
+def march_lamps(
+    media: Sequence[BoundMedium],
+    rays: RayBatch,
+    lamps: Sequence[LampInMedia],
+    options: MarchOptions,
+    samples: tuple[np.ndarray, np.ndarray],
+    radius: float = 0.0,
+) -> LampSegment:
+    """What rays, whose intervals contain all media, gather of lamps.
+
+    options: whose fluence is that of the lamps. samples: ray int (M,) and distance (M,) of samples at which ray
+    features are wanted if there is a fluence. radius: by which light is softened for these.
+    """
+    cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
+    medium = MarchedMedium(media, rays, cutting)
+    steps = _Steps(medium, rays, medium.total > 0.0)
+    transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
+    single, beams = np.zeros((len(rays.near), len(media), len(lamps))), []
+    for k, lamp in enumerate(lamps):
+        lit = _LitSteps(steps, media, lamp)
+        single[:, :, k] = lit.single(transmitted)
+        if options.fluence is not None:
+            beams.append(lit.beam(options.groups, radius))
+    if options.fluence is None or not len(samples[0]):
+        return LampSegment(single)
+    where = find_steps(medium, *samples)
+    points = rays.origins[samples[0]] + samples[1][:, None] * rays.directions[samples[0]]
+    return LampSegment(single, _features(steps, beams, lamps, options, where, points, radius))
+
+
+def lamp_features_at(
+    medium: BoundMedium,
+    positions: np.ndarray,
+    directions: np.ndarray,
+    lamp: LampInMedia,
+    fluence: ScatteredFluence,
+    radius: float,
+) -> RayFeatures:
+    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), of a lamp in one medium alone."""
+    rays = rays_from(medium, positions, directions)
+    marched = MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
+    start = np.flatnonzero(marched.blocks.rank == 0)
+    known = marched.total > 0.0
+    known[start, 0] = True
+    steps = _Steps(marched, rays, known)
+    beam = _LitSteps(steps, [medium], lamp).beam(None, radius)
+    where = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
+    return _features(steps, [beam], [lamp], MarchOptions(1, [fluence]), where, positions, radius)
+
+
+def _features(
+    steps: _Steps,
+    beams: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    lamps: Sequence[LampInMedia],
+    options: MarchOptions,
+    where: SampleSteps,
+    points: np.ndarray,
+    radius: float,
+) -> RayFeatures:
+    """Ray features at points (M, 3) of lamps, over their softened fluence there; beams: of each lamp."""
+    medium, fluence = steps.medium, options.fluence
+    assert fluence is not None
+    depths = np.stack([depth for depth, _, _ in beams], axis=1)
+    light = np.stack([received * visible for _, received, visible in beams])
+    sigma = group_sums(medium.sigma, options.groups)
+    source = scattered_source(fluence, steps.rays, sigma, len(lamps), medium)
+    found = gather_ray_features(
+        medium.blocks, sigma * medium.dt, depths, source, reduced_fractions(fluence), where, light
+    ).values
+    for k, (lamp, (depth, _, visible)) in enumerate(zip(lamps, beams)):
+        # The optical depth is the medium's and the surfaces', without the inverse square.
+        start, end = depth[:, where.block, where.step], depth[:, where.block, where.step + 1]
+        dark = -np.log(np.maximum(visible[where.block, where.step], 1e-30))
+        found[:, :, k, 0] = np.minimum((start + where.inside * (end - start) + dark).T, MAX_TAU_SUN)
+        found[:, :, k, 2:] /= np.maximum(softened(lamp.fluence(points), radius), 1e-30)[:, None, None]
+    return RayFeatures(found)
+
+
+def find_steps(medium: MarchedMedium, ray: np.ndarray, distance: np.ndarray) -> SampleSteps:
+    """Where points of marched rays lie among the steps: the step that holds each, or the nearest one."""
+    blocks, lines = medium.blocks, medium.lines
+    place = (distance - lines.near[ray]) / lines.dt[ray]
+    span = 2.0 * (lines.count.max(initial=1) + STEPS)
+    block = np.searchsorted(blocks.ray * span + blocks.place, ray * span + np.maximum(place, 0.0), side="right") - 1
+    block = np.clip(block, np.searchsorted(blocks.ray, ray), np.searchsorted(blocks.ray, ray, side="right") - 1)
+    inside = (place - blocks.place[block]) / blocks.size[block]
+    step = np.clip(np.floor(inside).astype(int), 0, STEPS - 1)
+    return SampleSteps(block, step, np.clip(inside - step, 0.0, 1.0))
