@@ -216,6 +216,7 @@ def make_plan(
     suns, environments = split_lights(lights, settings, len(groups), surfaces, planned, left_out)
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
     predicts_lamps = settings.model in LAMP_MODELS
+    planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     channels = _channel_groups(rendered, settings)
