@@ -11,9 +11,11 @@ unless the tag is the manifest's version.
 import argparse
 import hashlib
 import importlib.util
+import os
 import re
 import subprocess
 import sys
+import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -75,16 +77,21 @@ def blender_tool(*arguments) -> None:
 
 
 def build() -> list[Path]:
-    """One validated zip per platform, in the manifest's order of platforms."""
+    """One validated zip per platform, in the manifest's order of platforms.
+
+    Each appears in build/ once it is whole, so that several processes may build at the same time.
+    """
     fetch_wheels()
-    blender_tool("build", "--source-dir", ROOT, "--output-dir", BUILD, "--split-platforms")
     facts = manifest()
-    zips = [
-        BUILD / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip" for platform in facts["platforms"]
-    ]
-    for path, platform in zip(zips, facts["platforms"]):
-        add_kernels(path, platform)
-        blender_tool("validate", path)
+    zips = []
+    with tempfile.TemporaryDirectory(dir=BUILD) as folder:
+        blender_tool("build", "--source-dir", ROOT, "--output-dir", folder, "--split-platforms")
+        for platform in facts["platforms"]:
+            made = Path(folder) / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip"
+            add_kernels(made, platform)
+            blender_tool("validate", made)
+            zips.append(BUILD / made.name)
+            os.replace(made, zips[-1])
     return zips
 
 

@@ -36,11 +36,11 @@ def describe_blocks(grid: SparseGrid) -> structures.Grid:
 
 def describe_occupancy(occupancy: Occupancy) -> structures.Occupancy:
     """Which cells of a grid may hold a value other than 0."""
-    filled = np.ascontiguousarray(occupancy.filled).view(np.uint8)
+    clearance = occupancy.clearance()
     return structures.Occupancy(
-        filled=filled,
+        clearance=clearance,
         peaks=np.ascontiguousarray(occupancy.peaks, np.float32),
-        size=np.array(filled.shape),
+        size=np.array(clearance.shape),
         first=np.float64(occupancy.first),
         scale=1.0 / occupancy.cell,
     )

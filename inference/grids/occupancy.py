@@ -19,6 +19,18 @@ class Occupancy:
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
+    def clearance(self) -> np.ndarray:
+        """uint8 (cx, cy, cz): 0 for filled cells, otherwise a distance in cells below which all others are empty.
+
+        The distance is along the axis along which it is largest, at most the true one, and at most 21.
+        """
+        grown, found = self.filled, np.where(self.filled, np.uint8(0), np.uint8(1))
+        distance = 1
+        for by in (1, 1, 1, 1, 1, 1, 2, 4, 8):
+            grown, distance = _grown(grown, by), distance + by
+            found[~grown] = distance
+        return found
+
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""
         return float(self.filled.mean())
@@ -42,12 +54,12 @@ class Occupancy:
         return np.asarray(base)
 
 
-def _grown(cells: np.ndarray) -> np.ndarray:
-    """The largest of the values of each cell and its neighbours."""
+def _grown(cells: np.ndarray, by: int = 1) -> np.ndarray:
+    """The largest of the values of each cell and of those so many cells beside it along any axes."""
     for axis in range(3):
         around = np.moveaxis(cells, axis, 0)
         grown = around.copy()
-        np.maximum(grown[1:], around[:-1], out=grown[1:])
-        np.maximum(grown[:-1], around[1:], out=grown[:-1])
+        np.maximum(grown[by:], around[:-by], out=grown[by:])
+        np.maximum(grown[:-by], around[by:], out=grown[:-by])
         cells = np.moveaxis(grown, 0, axis)
     return np.ascontiguousarray(cells)

@@ -32,10 +32,11 @@ def solve_transport(
 ) -> list[ScatteredFluence | None] | None:
     """Scattered fluence of each group in which multiple scattering is predicted, of some suns.
 
-    None for networks that need no ray features, and without suns. Raises Cancelled.
+    None for networks that need no ray features, without suns and without multiple scattering. Raises Cancelled.
     """
     network = scene.network
-    if network is None or not network.needs_ray_features or not scene.plan.suns:
+    wanted = context.settings.multiple and scene.plan.suns
+    if network is None or not network.needs_ray_features or not wanted:
         return None
     directions = [scene.plan.suns[l].direction for l in suns]
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
@@ -59,8 +60,11 @@ def prepare_prediction(
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
-    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
+    plan, indices = scene.plan, channel_pass.channels.indices
+    sources: list[Source] = []
     prepared: PreparedPredictor | PreparedLampPredictor
+    if not context.settings.multiple:
+        return sources
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):

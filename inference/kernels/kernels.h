@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 6
+#define MRPNN_INTERFACE 8
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -27,7 +27,7 @@ typedef struct {
 
 /* Cells of a grid that may hold a value other than 0. */
 typedef struct {
-    const uint8_t *filled;   /* (size[0], size[1], size[2]) */
+    const uint8_t *clearance; /* (size[0], size[1], size[2]): 0 for filled cells; cells nearer than this are empty */
     const float *peaks;      /* the same cells: largest density near */
     int64_t size[3];
     double first[3];         /* position of voxel 0 in the cells, in voxels */

@@ -89,14 +89,30 @@ static inline Floats sample_block(const Grid *grid, const Line *line, double pla
     return sample_grid(grid, position);
 }
 
-/* Whether a volume may hold something in a block. nearby: raised by the largest extinction that it may have there. */
+/* What is known of the neighbourhood of a block before it is sampled. */
+typedef struct {
+    double peak;     /* the largest extinction that there may be */
+    int64_t empty;   /* blocks behind this one that are known to be empty */
+} Nearby;
+
+/* Whether a volume may hold something in a block. nearby: its peak is raised, its empty blocks become fewer. */
 static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
-                             double *nearby) {
+                             Nearby *nearby) {
+    const Occupancy *cells = &medium->occupancy;
     float position[3];
     position_at(line, place + 0.5 * STEPS * size, position);
-    int64_t cell = cell_around(&medium->occupancy, position);
-    *nearby += (double)medium->occupancy.peaks[cell] * medium->sigma_t;
-    return !scene->skip_empty || medium->occupancy.filled[cell];
+    int64_t cell = cell_around(cells, position), clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
+    if (clearance > 1) {
+        double x = fabs(line->slope[0]), y = fabs(line->slope[1]), z = fabs(line->slope[2]);
+        double advance = (x > y ? (x > z ? x : z) : (y > z ? y : z)) * cells->scale * STEPS * size;
+        /* Blocks are judged by the cells of their middles, which are rounded. */
+        double blocks = ((double)clearance - 1.01) / advance;
+        empty = blocks >= 1.0 && blocks < FAR_AWAY ? (int64_t)blocks : 0;
+    }
+    if (empty < nearby->empty) nearby->empty = empty;
+    if (clearance > 0) return 0;
+    nearby->peak += (double)cells->peaks[cell] * medium->sigma_t;
+    return 1;
 }
 
 static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
@@ -109,12 +125,12 @@ static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
 }
 
 /* Extinction and optical thickness of the steps of a block, which are left behind the last block that is kept; returns
-whether density may be near. nearby: the largest extinction there may be. */
-static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work, double *nearby) {
+whether density may be near. */
+static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work, Nearby *nearby) {
     int64_t steps = STEPS * work->room, at = STEPS * work->blocks;
     float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at, dt = (float)(ray->dt * size);
     int near = 0;
-    *nearby = 0.0;
+    *nearby = (Nearby){0.0, INT64_MAX};
     for (int k = 0; k < STEPS; k++) total[k] = 0.0f;
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
@@ -140,10 +156,12 @@ static int sample_media(const Scene *scene, const Ray *ray, double place, double
 /* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
 static int parts_of(const Scene *scene, const float *tau, double reached, double size, double peak) {
     double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
+    for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
+    /* What is allowed only grows with depth. */
+    if (!(thickest > scene->step_thickness) && !(peak > scene->peak_thickness)) return 1;
     double allowed = scene->step_thickness * exp(depth / scene->step_growth);
     double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
     int parts = 1;
-    for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
     while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
     /* Coarse steps need not be cut where none can be thick. */
     if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness)) return parts;
@@ -165,13 +183,13 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         while (level > 0 && !(place < end[level])) level--;
         double step = size[level];
         int64_t at = STEPS * work->blocks;
-        double nearby;
+        Nearby nearby;
         int near = sample_media(scene, ray, place, step, work, &nearby);
         work->looked_at += near;
         const float *tau = work->tau + at;
         /* What the blocks to come may need at most, if each is kept. */
         int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
-        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, nearby * (ray->dt * step)) : 1;
+        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, nearby.peak * (ray->dt * step)) : 1;
         if (parts > 1) {
             double from = place;
             /* Density that begins here may begin in the step in front, behind its samples. */
@@ -200,6 +218,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
             work->blocks++;
         }
         place += STEPS * step;
+        if (level == 0 && nearby.empty > 0 && nearby.empty < INT64_MAX) place += (double)(STEPS * nearby.empty);
     }
 }
 
@@ -477,7 +496,7 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
-            double nearby = 0.0;
+            Nearby nearby = {0.0, 0};
             if (!(medium->emission_factor > 0.0)) continue;
             if (!block_near(scene, medium, work->lines + v, place, size, &nearby)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {

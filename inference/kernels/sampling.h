@@ -120,7 +120,7 @@ static inline int64_t cell_around(const Occupancy *cells, const float *position)
 }
 
 static inline int may_hold(const Occupancy *cells, const float *position) {
-    return cells->filled[cell_around(cells, position)];
+    return !cells->clearance[cell_around(cells, position)];
 }
 
 /* Depths of the four columns around points where their rays towards the sun meet slices, and the points among them.

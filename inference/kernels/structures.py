@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 6
+INTERFACE = 8
 CHANNELS = 3
 
 
@@ -55,7 +55,7 @@ class Grid(Shared):
 
 class Occupancy(Shared):
     _fields_ = [
-        ("filled", c_void_p),
+        ("clearance", c_void_p),
         ("peaks", c_void_p),
         ("size", c_int64 * 3),
         ("first", c_double * 3),

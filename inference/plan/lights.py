@@ -20,11 +20,11 @@ DIRECTIONS = 12
 
 
 def split_lights(
-    lights: Sequence[Light], settings: Settings, groups: int, surfaces: bool, planned: list[str], left_out: list[str]
+    lights: Sequence[Light], settings: Settings, surfaces: bool, planned: list[str], left_out: list[str]
 ) -> tuple[list[Sun], list[Environment]]:
     """Suns, those of the environments' peaks included, and the environments without them.
 
-    groups: of volumes. surfaces: whether there are any. Adds sentences to `planned` and `left_out`.
+    surfaces: whether there are any. Adds sentences to `planned` and `left_out`.
     """
     suns = [light for light in lights if isinstance(light, Sun)]
     bright = []
@@ -39,8 +39,6 @@ def split_lights(
         reason = f"the network {settings.model} knows suns alone"
     elif surfaces:
         reason = "surfaces shadow it"
-    elif groups > 1:
-        reason = "volumes shadow each other"
     environments = []
     for environment in bright:
         rest, peaks = environment.without_peaks()

@@ -16,7 +16,7 @@ from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .lights import LAMP_MODELS, Light, needed_lamps, split_lights
-from .memory import FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
+from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -53,7 +53,7 @@ class Plan:
 
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. suns: those that contribute,
     parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
-    network treats as one medium. multiple: (G,), whether multiple scattering is predicted in a group.
+    network treats as one medium. multiple: (G,), whether a network predicts in a group.
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
     (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
@@ -213,9 +213,9 @@ def make_plan(
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     groups, _ = overlapping([volume for volume, _ in rendered])
-    suns, environments = split_lights(lights, settings, len(groups), surfaces, planned, left_out)
+    suns, environments = split_lights(lights, settings, surfaces, planned, left_out)
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
-    predicts_lamps = settings.model in LAMP_MODELS
+    predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
@@ -224,13 +224,17 @@ def make_plan(
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
     for group in groups:
-        lit = bool(merged or environments or (lamps and predicts_lamps))
-        predicted, scattered = _plan_group([rendered[v] for v in group], lit, settings, planned, left_out)
+        members, lit = [rendered[v] for v in group], bool(merged or environments or (lamps and predicts_lamps))
+        predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
+        # The network for environments predicts their single scattering, too.
+        predicted |= bool(environments) and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
-    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES
+    memory += (
+        sum(len(group) > 1 for group in groups) * MERGED_BYTES + bool(environments) * len(groups) * ENVIRONMENT_BYTES
+    )
     memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
     if len(tiles) > 1:
@@ -293,10 +297,7 @@ def _plan_group(
     Adds sentences to `planned` and `left_out`.
     """
     names = " and ".join(volume.name for volume, _ in members)
-    scatters = any(
-        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
-        for volume, medium in members
-    )
+    scatters = _scatters(members, settings)
     predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)
     if scattered_emission:
@@ -310,6 +311,14 @@ def _plan_group(
         stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
         planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
+
+
+def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
+    """Whether a group of volumes scatters light."""
+    return any(
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        for volume, medium in members
+    )
 
 
 def _plan_tiles(

@@ -18,6 +18,7 @@ from ..scene.reader import read_scene
 from ..scene.unrendered import composited, unrendered
 from ..status.last_render import remember_finished
 from ..volumes.loading import VolumeLoading
+from ..volumes.read_ahead import ReadAhead
 from ..volumes.reader import VolumeReader
 from . import builtin_panels, viewport
 from .render_job import render_scene, stamp
@@ -43,6 +44,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
     # Set when Blender draws a viewport with this engine.
     _viewport = None
+    # Of the class, since each frame has an engine of its own: what reads the files of an animation's next frame.
+    _ahead = None
 
     def update_render_passes(self, scene, renderlayer):
         """Register the passes for the compositor."""
@@ -101,8 +104,13 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self.update_stats("", self._viewport.status)
 
     def __del__(self):
-        if self._viewport is not None:
-            self._viewport.close()
+        try:
+            shown = self._viewport
+        except ReferenceError:
+            # Blender has freed an engine that failed in F12, which has no viewport.
+            return
+        if shown is not None:
+            shown.close()
 
     def _render(self, depsgraph):
         view_layer = depsgraph.view_layer
@@ -121,6 +129,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         try:
             finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
         except Cancelled:
+            self.stop_reading_ahead()
             result.end()
             raise
         remember_finished(finished)
@@ -132,16 +141,35 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
     def _read(self, depsgraph):
         """The scene; a thread reads its volumes first, which Esc stops."""
-        reader = VolumeReader()
-        loading = VolumeLoading(reader, reader.wanted(depsgraph))
-        while not loading.done:
-            self.update_stats("", loading.message.capitalize())
-            loading.wait(POLL_INTERVAL)
-            if self.test_break():
-                loading.stop()
+        cls, reader, frames = type(self), VolumeReader(), depsgraph.scene
+        sources = reader.wanted(depsgraph)
+        # What was read ahead is held until this frame's volumes hold it.
+        ahead, cls._ahead = cls._ahead, None
+        if ahead is not None:
+            self._finish(ahead)
+        loading = VolumeLoading(reader, sources)
+        self._finish(loading)
         if loading.error is not None:
             raise loading.error
-        return read_scene(depsgraph, reader, self._check)
+        scene = read_scene(depsgraph, reader, self._check)
+        if self.is_animation and frames.frame_current + frames.frame_step <= frames.frame_end:
+            cls._ahead = ReadAhead(sources, frames.frame_step)
+        return scene
+
+    @classmethod
+    def stop_reading_ahead(cls):
+        """Drop what was read of an animation's next frame."""
+        ahead, cls._ahead = cls._ahead, None
+        if ahead is not None:
+            ahead.stop()
+
+    def _finish(self, worker):
+        """Wait for a thread, which Esc stops."""
+        while not worker.done:
+            self.update_stats("", worker.message.capitalize())
+            worker.wait(POLL_INTERVAL)
+            if self.test_break():
+                worker.stop()
 
     def _background(self, depsgraph, camera):
         """The Background of a camera's pixels; reports its warnings."""
@@ -197,5 +225,6 @@ def register():
 
 def unregister():
     viewport.unregister()
+    MRPNNRenderEngine.stop_reading_ahead()
     builtin_panels.unregister(MRPNNRenderEngine.bl_idname)
     bpy.utils.unregister_class(MRPNNRenderEngine)

@@ -9,8 +9,9 @@ from ...inference.scene.optimizations import ALL, OPTIMIZATIONS
 from .models import model_items
 from .preferences import machine
 
-# Version of the properties in files. 0: networks are numbered by their position in the list.
-VERSION = 1
+# Version of the properties in files. 0: networks are numbered by their position in the list. 1: there is a number of
+# directions of the World.
+VERSION = 2
 
 # Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
 RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -134,9 +135,32 @@ def migrate(scene) -> None:
     if settings.version >= VERSION:
         return
     # Version 0 numbered networks by position, and there was one.
-    if settings.is_property_set("model"):
+    if settings.version < 1 and settings.is_property_set("model"):
         settings.model = Settings.model
+    if stored_properties(scene).pop("world_directions", None) == 0:
+        _hide_world(scene)
     settings.version = VERSION
+
+
+def stored_properties(scene) -> dict:
+    """Values of `scene.mrpnn` as the file holds them, those of properties that are gone included; may be changed."""
+    if bpy.app.version >= (5, 0, 0):
+        return scene.mrpnn.bl_system_properties_get(do_create=True)
+    return scene.get("mrpnn", {})
+
+
+def _hide_world(scene) -> None:
+    """Keep the World from lighting volumes: with 0 directions it did not."""
+    world = scene.world
+    # Properties of Cycles, absent while Cycles is disabled.
+    visibility = getattr(world, "cycles_visibility", None)
+    if visibility is None or world.library is not None or not visibility.scatter:
+        return
+    visibility.scatter = False
+    print(
+        f'MRPNN: scene "{scene.name}" had 0 World Directions, which are gone; World "{world.name}" does not light '
+        "volumes since its Ray Visibility > Volume Scatter is now off"
+    )
 
 
 def _own_scenes():

@@ -152,6 +152,7 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     if not data.grids.load() or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
     path, folder = _own_file(shown.object), None
+    is_sequence = data.is_sequence and path is not None
     if path is None:
         # Volumes of modifiers and geometry nodes have no file: Blender writes one.
         folder = tempfile.mkdtemp(prefix="mrpnn-")
@@ -160,7 +161,8 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     # Names from Blender: only the other process parses files.
     probe = Probe([grid.name for grid in data.grids], fills_its_bounds=False)
     material.at(probe)
-    source = FileSource(_key(shown, probe.placed), where, material, shown.matrix, path, shown.name, probe)
+    key = _key(shown, probe.placed)
+    source = FileSource(key, where, material, shown.matrix, path, shown.name, probe, is_sequence)
     if folder is not None:
         weakref.finalize(source, shutil.rmtree, folder, ignore_errors=True)
         if not data.grids.save(path):

@@ -74,11 +74,14 @@ class MeshSource(VolumeSource):
 
 @dataclass
 class FileSource(VolumeSource):
-    """path: of the .vdb file. owner: the object's name. probe: has evaluated the shader where all grids are 0."""
+    """path: of the .vdb file. owner: the object's name. probe: has evaluated the shader where all grids are 0.
+    is_sequence: whether the file is one of a numbered sequence.
+    """
 
     path: str
     owner: str
     probe: Probe
+    is_sequence: bool = False
 
     def _read(self, started, check):
         material, probe, at_zero = self.material, self.probe, self.material.at(self.probe)

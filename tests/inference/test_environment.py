@@ -10,8 +10,11 @@ from inference import Camera, Environment, Medium, RenderCache, SceneError, Sett
 from inference.network import environment_features as features
 from inference.network.baselines import register_baselines
 from inference.network.environment_network import FOLDER, load_environment_network
+from inference.network.network import load_network
+from inference.network.predictor import VolumePredictor
 from inference.network.weights_file import WEIGHTS
 from inference.plan.lights import ENVIRONMENT_MODELS
+from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
 from inference.transport.blurred_environment import blurred
@@ -198,8 +201,16 @@ def test_colours_do_not_mix_and_the_environment_is_not_in_the_layer():
         np.testing.assert_allclose(coloured.rgb[..., c], grey.rgb[..., c], rtol=0.05, atol=0.01)
     assert np.all(coloured.rgb[coloured.alpha == 0.0] == 0.0)
     np.testing.assert_allclose(coloured.single + coloured.multiple, coloured.rgb, rtol=1e-4, atol=1e-6)
-    only = picture([Environment(light)], multiple=False)
-    np.testing.assert_allclose(only.single, only.rgb, atol=1e-6)
+
+
+def test_without_multiple_scattering_there_is_single_scattering():
+    dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8), 2.0)
+    whole, only, both = (
+        picture(lights, multiple=multiple) for lights, multiple in (([dome], 1), ([dome], 0), ([sun, dome], 0))
+    )
+    assert whole.single.mean() > 0.05 and not both.multiple.any()
+    np.testing.assert_allclose(only.rgb, whole.single, rtol=0.02, atol=0.01)
+    np.testing.assert_allclose(both.rgb, only.rgb + picture([sun], multiple=False).rgb, rtol=0.02, atol=0.01)
 
 
 def test_beside_a_sun_it_adds_up():
@@ -209,7 +220,7 @@ def test_beside_a_sun_it_adds_up():
 
 
 def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
-    """Beside surfaces or other volumes, and with networks that know suns alone."""
+    """Beside surfaces, and with networks that know suns alone."""
     register_baselines()
     dome = Environment(sky(), name="dome")
     layer = picture([dome], model="single-scattering")
@@ -217,3 +228,30 @@ def test_where_it_cannot_be_taken_as_a_whole_it_is_parallel_light():
     assert any("12 directions" in sentence for sentence in layer.report.planned)
     with pytest.raises(SceneError, match="without light"):
         picture([])
+
+
+def test_volumes_apart_are_lit_one_by_one():
+    far = np.eye(4)
+    far[0, 3] = 2.5
+    other = Volume(BLOB.density, far @ BLOB.world_from_index, "other")
+    medium, settings = Medium(15.0, 1.0, 0.5), Settings(depth_samples=4)
+    dome, even = Environment(sky()), Environment(np.full((1, 2, 3), 0.4))
+    whole = render([(BLOB, medium), (other, medium)], [dome], camera(), settings)
+    assert whole.report.counts["environments"] == 1 and whole.report.counts["suns"] == 0
+    np.testing.assert_allclose(whole.rgb, picture([dome]).rgb, rtol=0.05, atol=0.02)
+    # The white furnace holds for all of them.
+    layer = render([(BLOB, medium), (other, medium)], [even], camera(), settings)
+    np.testing.assert_allclose(layer.rgb + (1.0 - layer.alpha[..., None]) * 0.4, 0.4, rtol=0.005)
+
+
+def test_the_estimate_of_memory_includes_the_lattices():
+    medium, settings = Medium(15.0, 1.0, 0.5), Settings()
+    dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8))
+    with_dome, without = (make_plan([(BLOB, medium)], lights, camera(), settings) for lights in ([sun, dome], [sun]))
+    predictor = VolumePredictor(load_network("mrpnn"), BLOB, 0.5)
+    bounds = np.full(3, -0.5), np.full(3, 0.5)
+    network = load_environment_network("mrpnn")
+    prepared = predictor.prepare_environment(network, [dome], 15.0, bounds).prediction
+    held = sum(values.nbytes for values in vars(prepared).values() if isinstance(values, np.ndarray))
+    # While they are padded, both copies are held.
+    assert 4 * prepared.light.nbytes + held < with_dome.memory - without.memory

@@ -86,6 +86,35 @@ def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_pat
     assert "enum" not in said.out + said.err
 
 
+@pytest.mark.parametrize("directions", [0, 5])
+def test_files_with_world_directions_load(addon, scene, tmp_path, capfd, directions):
+    """They were a number of parallel lights; 0 left out the World, which its ray visibility does now."""
+    properties = addon.mrpnn_addon.settings.properties
+    scene.world.cycles_visibility.scatter = True
+    scene.mrpnn.depth_samples, scene.mrpnn.model = 12, "mrpnn-wide"
+    stored = properties.stored_properties(scene)
+    stored["world_directions"], stored["version"] = directions, 1
+    path = str(tmp_path / "old.blend")
+    bpy.app.handlers.save_pre.remove(properties._before_save)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+    finally:
+        bpy.app.handlers.save_pre.append(properties._before_save)
+    capfd.readouterr()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    scene = bpy.context.scene
+    settings = scene.mrpnn
+    assert (settings.version, settings.depth_samples, settings.model) == (properties.VERSION, 12, "mrpnn-wide")
+    assert scene.world.cycles_visibility.scatter == (directions > 0)
+    assert "world_directions" not in properties.stored_properties(scene)
+    assert ("0 World Directions" in capfd.readouterr().out) == (directions == 0)
+    # Chosen anew it stays.
+    scene.world.cycles_visibility.scatter = True
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert bpy.context.scene.world.cycles_visibility.scatter
+
+
 def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
     blender_scenes.add_sun(scene, "Second", rotation=(1.0, 0.0, 0.0))
     found = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())

@@ -71,7 +71,7 @@ def test_single_scattering_is_that_of_cycles(addon, scene, tmp_path, name):
     scene.render.resolution_x = scene.render.resolution_y = 16 * pixels
     described = read(addon)
     layer = render(described.volumes, described.lights, described.camera, Settings(multiple=False))
-    reference = blender_scenes.render_cycles(scene, tmp_path, samples=512 // pixels**2)[..., :3]
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=512 if pixels == 1 else 256)[..., :3]
     assert not described.warnings
     found, expected = (image.reshape(16, pixels, 16, pixels, 3).mean(axis=(1, 3)) for image in (layer.rgb, reference))
     assert found.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.02)

@@ -68,15 +68,15 @@ static float *check_columns(int64_t variant, const float *padded) {
 /* A ray through a homogeneous cube, towards whose first face the sun shines. */
 static void check_march(int64_t variant, const float *padded, const float *depths) {
     static float offsets[2 * (PADDED + 2)];
-    static uint8_t filled[64];
+    static uint8_t clearance[64];
     static float peaks[64];
     for (int n = 0; n < PADDED + 2; n++) offsets[2 * n] = offsets[2 * n + 1] = 2.0f;
-    for (int n = 0; n < 64; n++) filled[n] = 1, peaks[n] = 1.0f;
+    for (int n = 0; n < 64; n++) peaks[n] = 1.0f;
     SunColumns sun = {.depths = depths, .offsets = offsets, .slices = PADDED + 2, .size = {COLUMNS, COLUMNS},
                       .first = 1, .main = 0, .others = {1, 2}, .step = 1, .move = {1.0, 0.0, 0.0}, .length = 1.0,
                       .direction = {1.0, 0.0, 0.0}};
     Medium medium = {.density = {.values = padded, .size = {PADDED, PADDED, PADDED}, .shape = {N, N, N}},
-                     .occupancy = {.filled = filled, .peaks = peaks, .size = {4, 4, 4}, .first = {1.0, 1.0, 1.0}, .scale = 1.0 / 3.0},
+                     .occupancy = {.clearance = clearance, .peaks = peaks, .size = {4, 4, 4}, .first = {1.0, 1.0, 1.0}, .scale = 1.0 / 3.0},
                      .suns = &sun, .linear = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .sigma_t = 0.05};
     int64_t group_starts[2] = {0, 1}, members[1] = {0}, counts[1] = {400}, sample_counts[1];
     double nodes[4] = {0.0, 0.0, 0.5, 0.0}, weights[4] = {0.0, 0.0, 1.0, 0.0};

@@ -66,6 +66,31 @@ for other in [one for one in bpy.context.window_manager.windows if one.screen.is
     with bpy.context.temp_override(window=other): bpy.ops.wm.window_close()
 """
 
+# Blender keeps one flag for "scripts must not write", which each call of a method of a class saves and restores. A
+# render thread that begins while a panel is drawn restores it out of order, and it stays set for good: operators that
+# a timer calls fail. The same trick clears it: a method that may write returns while an operator runs on a thread.
+STUCK = "can't modify blend data in this state (drawing/rendering)"
+CLEARING = """
+import bpy, threading, time
+class Wait(bpy.types.Operator):
+    bl_idname, bl_label = "wm.wait", "Wait"
+    def execute(self, context):
+        time.sleep(0.5)
+        return {"FINISHED"}
+class Clearing(bpy.types.NodeTree):
+    bl_idname, bl_label, bl_icon = "Clearing", "Clearing", "NODETREE"
+    def update(self):
+        threading.Thread(target=bpy.ops.wm.wait).start()
+        time.sleep(0.2)
+bpy.utils.register_class(Wait)
+bpy.utils.register_class(Clearing)
+"""
+CLEAR = """
+tree = bpy.data.node_groups.new("Clearing", "Clearing")
+time.sleep(1.0)
+bpy.data.node_groups.remove(tree)
+"""
+
 
 class Window:
     """A running Blender: `do` runs Python in it and returns what that prints."""
@@ -96,15 +121,21 @@ class Window:
                 check=True,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
+        self.do(CLEARING)
 
     def stop(self):
         subprocess.run([TOOLS / "gui", "stop", self.suite], timeout=60)
 
     def do(self, code):
-        """Run Python in Blender's main thread; gives what it prints.
+        """Run Python in Blender's main thread; gives what it prints."""
+        answer = self._do(code)
+        if STUCK in answer:
+            self._do(CLEAR)
+            answer = self._do(code)
+        return answer
 
-        By the files of `gui do`, without its shell, which looks for the answer ten times a second.
-        """
+    def _do(self, code):
+        """By the files of `gui do`, without its shell, which looks for the answer ten times a second."""
         run, number = self.work / f"run-{self.suite}", time.time_ns()
         begun, sent, answer = (run / "ctl" / f"{number}.{ending}" for ending in ("part", "py", "out"))
         begun.write_text(code + "\n")

@@ -209,3 +209,46 @@ def test_volumes_instanced_on_points_share_what_was_read(addon, scene, tmp_path)
     # Instances of a hidden object show in Cycles too.
     scene.camera.location.z = 12.0
     assert blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., 3].max() > 0.5
+
+
+def test_an_animation_reads_the_next_frames_file_while_it_renders(addon, scene, tmp_path):
+    sequence(scene, tmp_path, (1, 2, 3))
+    lit(scene)
+    scene.render.engine = "MRPNN"
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.frame_start, scene.frame_end = 10, 11
+    in_use, seen = addon.mrpnn_addon.vdb.density_grid.density_grid_in_use, []
+
+    def after_a_frame(*_):
+        ahead = addon.mrpnn_addon.engine.engine.MRPNNRenderEngine._ahead
+        if ahead is not None:
+            ahead.wait(60)
+        seen.append([in_use(str(tmp_path / f"fog_{number:03}.vdb"), "density", "") is not None for number in (2, 3)])
+
+    bpy.app.handlers.render_write.append(after_a_frame)
+    try:
+        scene.render.filepath = str(tmp_path / "frame_##")
+        bpy.ops.render.render(animation=True)
+    finally:
+        bpy.app.handlers.render_write.remove(after_a_frame)
+    # After frame 10 its next file is there; after the last frame nothing is read that no frame will show.
+    assert seen[0] == [True, False] and not seen[1][1]
+    assert {path.name for path in tmp_path.glob("frame_*")} == {"frame_10.png", "frame_11.png"}
+
+
+def test_reading_ahead_leaves_missing_and_damaged_files_to_their_frames(addon, scene, tmp_path):
+    sequence(scene, tmp_path, (1, 2))
+    lit(scene)
+    scene.frame_set(10)
+    read_ahead = addon.mrpnn_addon.volumes.read_ahead
+    sources = addon.mrpnn_addon.volumes.reader.VolumeReader().wanted(blender_scenes.depsgraph())
+    (path,) = [source.path for source in sources]
+    assert read_ahead.following_file(path, 1) == str(tmp_path / "fog_002.vdb")
+    assert read_ahead.following_file(path, 2) is None
+    (tmp_path / "fog_002.vdb").write_bytes(b"no volume")
+    ahead = read_ahead.ReadAhead(sources, 1)
+    ahead.wait(60)
+    assert ahead.done and ahead.error is None and not ahead.held
+    scene.frame_set(11)
+    with pytest.raises(SceneError, match="file of its sequence cannot be read"):
+        read(addon)
