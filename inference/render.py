@@ -18,7 +18,7 @@ from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
-from .marching.lamp_march import place_lamp
+from .marching.lamp_march import enclosed_warnings, place_lamp
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
@@ -221,6 +221,9 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     with report.stage("shadows"):
         context.progress.message("shadows of lamps")
         lamps = [place_lamp(lamp, grids, surfaces, cancel) for lamp in plan.lamps if grids]
+        if plan.predicts_lamps:
+            for lamp in lamps:
+                report.warnings += enclosed_warnings(lamp, plan.volumes)
     see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]

@@ -108,6 +108,21 @@ class LampOpticalDepth:
             depths[number] = depths[number - 1] + (total * np.float32(0.5 * (ends[1] - ends[0]))).reshape(count)
         return _Pyramid(axis, sign, others, starts, first, spacing, depths)
 
+    def enclosing(self) -> float:
+        """Mean optical depth from a lamp in all directions, for an extinction of 1; 0 unless it is inside the grid."""
+        if len(self.pyramids) < 6:
+            return 0.0
+        total, count = 0.0, 0
+        for pyramid in self.pyramids:
+            u, v = (first + space * np.arange(n) for first, space, n in zip(
+                pyramid.first, pyramid.spacing, pyramid.depths.shape[1:]))  # fmt: skip
+            way = np.zeros((3, len(u), len(v)))
+            way[pyramid.axis] = pyramid.sign
+            way[pyramid.others[0]], way[pyramid.others[1]] = u[:, None], v
+            length = np.linalg.norm(np.tensordot(self.world_from_index, way, 1), axis=0)
+            total, count = total + float((pyramid.depths[-1] * length).sum()), count + length.size
+        return total / count
+
     def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
         """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid."""
         away = index - self.lamp[:, None].astype(np.float32)

@@ -18,7 +18,7 @@ from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import MAX_COLUMNS, LampOpticalDepth
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.description import Surface
+from ..scene.description import Medium, Surface, Volume
 from ..scene.lamps import Emitter, Lamp
 from ..transport.scattered_fluence import ScatteredFluence
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
@@ -36,6 +36,8 @@ from .ray_march import (
 )
 from .ray_steps import STEPS, Cutting, RayBatch
 
+# Mean optical depth around a lamp inside a volume from which on multiple scattering is no longer accurate; measured.
+ENCLOSED = 3.0
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
 # Angle in radians, as the lamp sees a step, from which on it takes MANY nodes instead of FEW.
@@ -76,6 +78,14 @@ class LampInMedia:
         """Fluence float64 (N,) at world points (N, 3), for power 1, without what lies in between."""
         return np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
 
+    def reference(self, points: np.ndarray) -> np.ndarray:
+        """Fluence float64 (N,) that networks take as a lamp's light at points (N, 3): not 0 where it shines elsewhere.
+
+        What it is above the lamp's fluence counts as shadow.
+        """
+        brightest = np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
+        return np.maximum(self.fluence(points), brightest)
+
 
 def place_lamp(
     lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), cancel: CancelToken = NEVER
@@ -104,6 +114,19 @@ def place_lamp(
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
     return LampInMedia(lamp, emitters, depths, coarse, maps, digest.digest())
+
+
+def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:
+    """Names volumes so dense around a lamp that its multiple scattering there is far from what networks know."""
+    found = []
+    for v, (volume, medium) in enumerate(volumes):
+        depth = lamp.depths[0][v].enclosing() * float(medium.sigma_t.max())
+        if depth > ENCLOSED and medium.albedo.any():
+            found.append(
+                f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
+                "average; its multiple scattering may be several times too bright there"
+            )
+    return found
 
 
 def softened(fluence: np.ndarray, radius: float) -> np.ndarray:
@@ -216,7 +239,8 @@ class _LitSteps:
         steps = self.steps
         fluence = [emitter.fluence(steps.middle) for emitter in self.lamp.emitters]
         total = np.maximum(np.sum(fluence, axis=0), 1e-30)
-        visible = sum(part * lit for part, lit in zip(fluence, self.visible)) / total
+        reference = np.maximum(self.lamp.reference(steps.middle), 1e-30)
+        visible = sum(part * lit for part, lit in zip(fluence, self.visible)) / reference
         depths = [group_sums(each, groups) for each in self.depths]
         if len(depths) == 1:
             depth = depths[0]
@@ -228,7 +252,7 @@ class _LitSteps:
                     share.reshape(-1)[ends] = part / total
                 passed += share * np.exp(-one.astype(np.float64))
             depth = np.minimum(-np.log(np.maximum(passed, 1e-30)), DARK).astype(np.float32)
-        received = steps.scattered(softened(total, radius), np.float32)
+        received = steps.scattered(softened(reference, radius), np.float32)
         return depth, received, steps.scattered(visible, np.float32)
 
 
@@ -306,7 +330,7 @@ def _features(
         start, end = depth[:, where.block, where.step], depth[:, where.block, where.step + 1]
         dark = -np.log(np.maximum(visible[where.block, where.step], 1e-30))
         found[:, :, k, 0] = np.minimum((start + where.inside * (end - start) + dark).T, MAX_TAU_SUN)
-        found[:, :, k, 2:] /= np.maximum(softened(lamp.fluence(points), radius), 1e-30)[:, None, None]
+        found[:, :, k, 2:] /= np.maximum(softened(lamp.reference(points), radius), 1e-30)[:, None, None]
     return RayFeatures(found)
 
 

@@ -324,7 +324,7 @@ class PreparedLampPredictor:
         """As PreparedPredictor; the ray features are those of `march_lamps`."""
         away = self.lamp.centre - positions
         away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
-        irradiance = softened(self.lamp.fluence(positions), self.radius)
+        irradiance = softened(self.lamp.reference(positions), self.radius)
         radiance = self.prediction.predict(
             self.cube.positions(positions),
             self.cube.directions(directions),

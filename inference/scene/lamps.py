@@ -60,8 +60,13 @@ class SphereEmitter:
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
         away = points - self.centre
+        return self.brightest(points) * self._within_cone(away, np.maximum((away**2).sum(axis=1), 1e-60))
+
+    def brightest(self, points: np.ndarray) -> np.ndarray:
+        """Fluence float64 (N,) at world points (N, 3) if the emitter faced each of them."""
+        away = points - self.centre
         square = np.maximum((away**2).sum(axis=1), CLOSEST * np.abs(self.centre).max(initial=1e-3) ** 2)
-        intensity = self.share / (4.0 * np.pi) * self._within_cone(away, square)
+        intensity = self.share / (4.0 * np.pi)
         if self.soft_falloff:
             # 2 pi L (1 - cos a) for the disk, with tan a = radius / distance.
             slant = square + self.radius**2
@@ -117,6 +122,12 @@ class QuadEmitter:
         near = np.flatnonzero((rise > 0.0) & (square < FAR * self.area))
         angle[near] = _solid_angle(self.corners - points[near, None])
         return self.radiance * angle * self._spread_factor(points)
+
+    def brightest(self, points: np.ndarray) -> np.ndarray:
+        """Fluence float64 (N,) at world points (N, 3) if the emitter faced each of them, about."""
+        square = ((points - self.position) ** 2).sum(axis=1)
+        focus = 1.0 if self.spread >= FULL_SPREAD else float(_spread_factor(np.ones(1), self.spread)[0])
+        return self.radiance * focus * self.area / (square + self.extent**2)
 
     def _spread_factor(self, points: np.ndarray) -> np.ndarray | float:
         """Mean radiance (N,) towards points over that of a light without a limited spread."""

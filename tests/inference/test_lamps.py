@@ -315,3 +315,13 @@ def test_surfaces_shadow_lamps():
     left, right = shadowed[:, :11], shadowed[:, 13:]
     assert left.max() < 0.02 * lit.max()
     assert right == pytest.approx(lit[:, 13:], rel=1e-5)
+
+
+def test_a_lamp_deep_inside_smoke_is_named():
+    lamp = PointLight((0.0, 0.0, 0.0), 1.0, name="bulb")
+    settings = Settings(depth_samples=1)
+    for sigma, named in ((2.0, False), (60.0, True)):
+        warnings = picture([lamp], sigma, settings=settings).report.warnings
+        assert any("bulb: it lies deep inside cloud" in warning for warning in warnings) == named
+    outside = picture([PointLight((0.9, 0.6, 0.5), 1.0, name="bulb")], 60.0, settings=settings)
+    assert not any("bulb" in warning for warning in outside.report.warnings)
