@@ -59,7 +59,7 @@ class SphereEmitter:
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
-        away = points - self.centre
+        away = points - self.position
         return self.brightest(points) * self._within_cone(away, np.maximum((away**2).sum(axis=1), 1e-60))
 
     def brightest(self, points: np.ndarray) -> np.ndarray:
