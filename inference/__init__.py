@@ -4,6 +4,8 @@
 layer = render([(volume, medium)], [sun], camera, Settings())
 """
 
+from .baking.bake import bake
+from .baking.lit_volume import LitVolume
 from .image.layer import Layer
 from .network.network import available_models
 from .network.predictor import predict_multiple
@@ -32,6 +34,7 @@ __all__ = [
     "Cancelled",
     "Environment",
     "Layer",
+    "LitVolume",
     "Medium",
     "PointLight",
     "RenderCache",
@@ -44,6 +47,7 @@ __all__ = [
     "Surface",
     "Volume",
     "available_models",
+    "bake",
     "predict_multiple",
     "render",
     "render_tiles",

@@ -23,6 +23,7 @@ from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
+from .plan.lights import SURFACES_SHADOW
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache
@@ -81,10 +82,10 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings, bool(surfaces))
+            plan = make_plan(volumes, lights, camera, settings, SURFACES_SHADOW if surfaces else "")
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
-            kernels = _load_kernels(settings, report)
+            kernels = load_compiled(settings, report)
             context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
@@ -182,7 +183,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     return ChannelPass(channels, suns, first, media, march, lamps)
 
 
-def _load_kernels(settings: Settings, report: Report) -> Kernels | None:
+def load_compiled(settings: Settings, report: Report) -> Kernels | None:
     """The compiled kernels, or None where they are not wanted, or missing, which causes a warning."""
     kernels = None
     if wanted(settings.compiled):

@@ -12,6 +12,7 @@ Packages import only those above them in this list; `tests/package/test_import_o
     volumes     volume objects, meshes and fluid domains as density grids
     scene       the evaluated scene as `inference.render` takes it
     output      layers as images, render passes, OpenEXR files and compositing nodes
+    baking      baked light for Cycles and EEVEE
     status      forecasts, checks, and the last results, for panels
     engine      the render engine, its viewport, and render jobs
     cycles      path-traced references by Cycles

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: render, compare, report.
+"""The command line: render, bake, compare, report.
 
 blender -b scene.blend --command mrpnn render --output //cloud_####.exr --frames 1-10
 blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render --output cloud.exr
@@ -17,6 +17,7 @@ from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
+from .bake import FOLDER
 from .console import Console
 
 COMMAND = "mrpnn"
@@ -37,7 +38,9 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog=f"blender -b FILE.blend --command {COMMAND}")
-    actions = parser.add_subparsers(dest="action", required=True, metavar="render|compare|report", parser_class=_Parser)
+    actions = parser.add_subparsers(
+        dest="action", required=True, metavar="render|bake|compare|report", parser_class=_Parser
+    )
 
     render = actions.add_parser("render", help="render the scene's volumes to files")
     render.add_argument(
@@ -49,6 +52,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10,15; the file's current one by default")
     render.add_argument("--skip-existing", action="store_true", help="skip frames whose file exists")
+
+    bake = actions.add_parser("bake", help="bake predicted scattering into light for Cycles and EEVEE")
+    bake.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10; the file's current one by default")
+    bake.add_argument("--folder", default=FOLDER, help="of the .vdb files; // is the .blend file's folder")
+    bake.add_argument("--save", metavar="FILE", help=".blend file to write that shows the light")
+    bake.add_argument("--no-directions", action="store_true", help="the light as the camera sees it, only")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
     compare.add_argument(
@@ -68,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
 
     report = actions.add_parser("report", help="describe what a render would do, without rendering")
-    for action in (render, report):
+    for action in (render, bake, report):
         action.add_argument(
             "--strict",
             action="store_true",
@@ -77,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     for action in (compare, report):
         action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
 
-    for action in (render, compare, report):
+    for action in (render, bake, compare, report):
         action.add_argument("--json", metavar="FILE", help="file for all results")
         action.add_argument(
             "--progress", choices=("text", "json"), default="text", help="json: one object per line on standard output"

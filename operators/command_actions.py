@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The actions of the command line: render frames, compare one with Cycles, report on a scene."""
+"""The actions of the command line: render frames, bake their light, compare one with Cycles, report on a scene."""
 
 import os
 from contextlib import contextmanager
@@ -7,13 +7,17 @@ from dataclasses import replace
 
 import bpy
 
+from ..inference.plan.lights import SURFACES_SHADOW
 from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
+from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
+from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.scene.reader import read_scene, require_all, require_volumes
+from .bake import bake_warnings, light_folder
 
 ENDINGS = (".exr", ".png")
 
@@ -61,6 +65,45 @@ def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dic
     return {**facts, "report": finished.layer.report.to_dict()}
 
 
+def bake(options, console, found: dict) -> None:
+    """Bake the light of each frame, and write a .blend file that shows it."""
+    scene = bpy.context.scene
+    if options.save and not options.save.lower().endswith(".blend"):
+        raise SceneError(f"--save must end in .blend, not {options.save!r}")
+    frames = parse_frames(options.frames) if options.frames else [scene.frame_current]
+    if sorted(frames) != list(range(min(frames), max(frames) + 1)):
+        raise SceneError(f"baked frames must follow each other without gaps, not {options.frames}")
+    if frames[0] < 0:
+        raise SceneError("files of baked light cannot have negative frames; shift the animation")
+    target, baked = BakeTarget(light_folder(options.folder)), []
+    found["frames"] = []
+    with _overridden(options) as settings:
+        settings = replace(settings, directional=not options.no_directions)
+        for frame in sorted(frames):
+            scene.frame_set(frame)
+            description = read_scene(bpy.context.evaluated_depsgraph_get())
+            if options.strict:
+                require_all(description)
+            one = bake_scene(description, settings, target, console.progress(frame))
+            baked.append(one)
+            for warning in dict.fromkeys(one.warnings + bake_warnings(description)):
+                console.event("warning", warning, frame=frame, message=warning)
+            files = {light.name: light.path for light in one.volumes}
+            facts = {"frame": frame, "files": files, "seconds": one.seconds, "warnings": one.warnings}
+            lines = [f"baked frame {frame} in {one.seconds:.1f} s", *(f"Saved: '{path}'" for path in files.values())]
+            console.event("frame", "\n".join(lines), **facts)
+            found["frames"].append(facts)
+    if options.save:
+        if len(baked) == 1:
+            show_light(scene, baked[0])
+        else:
+            show_sequence(scene, baked)
+        path = os.path.abspath(bpy.path.abspath(options.save))
+        bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+        found["save"] = path
+        console.event("saved", f"Saved: '{path}'", file=path)
+
+
 def compare(options, console, found: dict) -> None:
     """Compare one frame with Cycles and write the report."""
     scene = bpy.context.scene
@@ -101,7 +144,13 @@ def report(options, console, found: dict) -> None:
         require_volumes(description)
         if options.strict:
             require_all(description)
-        plan = make_plan(description.volumes, description.lights, description.camera, settings)
+        plan = make_plan(
+            description.volumes,
+            description.lights,
+            description.camera,
+            settings,
+            SURFACES_SHADOW if description.surfaces else "",
+        )
     width, height = description.camera.resolution
     found["plan"] = {
         "frame": description.frame,

@@ -6,6 +6,7 @@ import bpy
 from . import (
     camera_panel,
     composite_panel,
+    light_bake_panel,
     light_panel,
     material_panel,
     object_panel,
@@ -23,6 +24,7 @@ CLASSES = (
     *preferences_panel.classes,
     _parent,
     *composite_panel.classes,
+    *light_bake_panel.classes,
     *_children,
     *(panel for module in MODULES for panel in module.classes),
 )

@@ -19,7 +19,7 @@ import torch
 
 from inference.network import environment_features as features
 from inference.transport.blurred_environment import blurred, read_image
-from inference.transport.environment_light import ordinate_radiance
+from inference.transport.environment_light import direction_radiance
 from training.files import complete_file
 from training.networks.environment import EnvironmentNet
 from training.tracer.exits import decode_directions
@@ -50,14 +50,15 @@ def read_file(path: pathlib.Path, seed: int) -> dict:
     depths, omega = d["depths"].astype(np.float32), d["omega"]
     sigma_hat, g = d["sigma_hat"], d["anisotropy"]
     opened = features.OpenMeans(depths, features.lobe_weights(omega), sigma_hat)
-    x = features.inputs(d["density"].astype(np.float32), d["along"], opened, omega, sigma_hat, g)
+    light, absorbed = (np.moveaxis(d[name].astype(np.float32), 1, -1) for name in ("light", "absorbed"))
+    seldom, even = features.seldom_scattered(light, absorbed, omega)
+    x = features.inputs(d["density"].astype(np.float32), d["along"], opened, even, omega, sigma_hat, g)
     stacked = np.moveaxis(images, 0, -1)
     ahead = np.empty((len(x), len(features.BLUR_POWERS) + len(features.BLURS), len(images)), np.float32)
     for value in np.unique(g):
         own = np.flatnonzero(g == value)
         ahead[own] = read_image(blurred(stacked, features.blurs(float(value))), omega[own])
-    light = np.moveaxis(d["light"].astype(np.float32), 1, -1)
-    candidates = features.candidates(ahead, opened.radiance(ordinate_radiance(stacked)), light, omega, g)
+    candidates = features.candidates(ahead, opened.radiance(direction_radiance(stacked)), light, seldom, omega, g)
     random = np.random.default_rng([seed, 7])
     albedo = np.ones((len(x), ALBEDOS), np.float32)
     albedo[:, 1] = 1.0 - 10.0 ** random.uniform(-3.0, -0.7, len(x))

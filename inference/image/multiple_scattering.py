@@ -60,11 +60,11 @@ def prepare_prediction(
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
+    if not context.settings.multiple:
+        return []
     plan, indices = scene.plan, channel_pass.channels.indices
     sources: list[Source] = []
     prepared: PreparedPredictor | PreparedLampPredictor
-    if not context.settings.multiple:
-        return sources
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):

@@ -17,7 +17,7 @@ from ..occluders.shadow_map import ShadowMap
 from ..scene.sparse_grid import EDGE
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
-from .depth_samples import COARSE_COUNT, MIN_ALPHA, gauss_legendre, possible_counts
+from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, MarchOptions, RaySegment, optical_depth_behind
 from .ray_steps import (
@@ -123,7 +123,7 @@ class CompiledMarch:
         options, most = self._options, self._options.depth_samples
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
-            nodes[count, :count], weights[count, :count] = gauss_legendre(count)
+            nodes[count, :count], weights[count, :count] = options.quadrature(count)
         members = np.concatenate([np.array(group, np.int64) for group in self._groups])
         starts = np.cumsum([0, *map(len, self._groups)]).astype(np.int64)
         return structures.Scene(

@@ -7,6 +7,7 @@ lines.
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ MIN_ALPHA = 1e-4
 COARSE_COUNT = 16
 # Remaining fraction of the noise of samples along a ray whose jitter is a lattice; measured.
 LATTICE_NOISE = 0.5
+
+#: Nodes in [0, 1) of a ray's opacity and their weights, which sum to 1: float64 (n,) each, for n samples.
+Quadrature = Callable[[int], tuple[np.ndarray, np.ndarray]]
 
 
 @functools.lru_cache(maxsize=256)
@@ -44,7 +48,14 @@ def possible_counts(most: int) -> list[int]:
     return [*range(1, min(most, COARSE_COUNT + 1)), *range(2 * COARSE_COUNT, most, COARSE_COUNT), most]
 
 
-def sample_opacities(alpha: np.ndarray, most: int, adaptive: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def entry_point(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `gauss_legendre`, for samples where rays enter density."""
+    return np.zeros(count), np.full(count, 1.0 / count)
+
+
+def sample_opacities(
+    alpha: np.ndarray, most: int, adaptive: bool = True, quadrature: Quadrature = gauss_legendre
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions of depth samples: ray int (M,), opacity between the ray's start and the sample (M,), and weight (M,).
 
     alpha: (R,), opacity of each ray, to which the weights of its samples sum. most, adaptive: as for `sample_counts`.
@@ -54,7 +65,7 @@ def sample_opacities(alpha: np.ndarray, most: int, adaptive: bool = True) -> tup
     number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
     nodes, weights = np.zeros((2, most + 1, most))
     for count in np.unique(counts[counts > 0]):
-        nodes[count, :count], weights[count, :count] = gauss_legendre(count)
+        nodes[count, :count], weights[count, :count] = quadrature(count)
     count = counts[ray]
     return ray, nodes[count, number] * alpha[ray], weights[count, number] * alpha[ray]
 

@@ -92,11 +92,24 @@ class EquivalentDirections:
 
         window: of the camera's image. pixel: int (N,) of the window. directions: unit (N, 3) in the world.
         """
-        if self.lights is None:
-            return directions
         x0, y0, x1, _ = window
         row, column = np.divmod(pixel, x1 - x0)
-        mean = self.lights.phase(column + x0 + 0.5, row + y0 + 0.5)[0][:, 0, 0]
+        return self._at(column + x0 + 0.5, row + y0 + 0.5, directions)
+
+    @classmethod
+    def of(cls, directions: np.ndarray, sun: Sun, anisotropy: float) -> np.ndarray:
+        """As calling it, for rays of no camera: unit (N, 3) in the world."""
+        width, height = 2 * MAX_KNOTS, MAX_KNOTS
+        everywhere = Camera(np.eye(4), "equirectangular", resolution=(width, height))
+        x = (0.5 + np.arctan2(directions[:, 0], -directions[:, 2]) / (2.0 * np.pi)) * width
+        y = (0.5 - np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)) / np.pi) * height
+        return cls(everywhere, sun, anisotropy)._at(x, y, directions)
+
+    def _at(self, x: np.ndarray, y: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """At points (N,) of the image."""
+        if self.lights is None:
+            return directions
+        mean = self.lights.phase(x, y)[0][:, 0, 0]
         # Invert the Henyey-Greenstein phase function for the cosine.
         g = self.g
         cosine = np.clip((1.0 + g**2 - ((1.0 - g**2) / (4.0 * np.pi * mean)) ** (2.0 / 3.0)) / (2.0 * g), -1.0, 1.0)

@@ -16,7 +16,7 @@ from ..numerics.small_matmul import product
 from ..occluders.shadow_map import ShadowMap
 from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
-from .depth_samples import sample_opacities
+from .depth_samples import Quadrature, gauss_legendre, sample_opacities
 from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_steps import STEPS, Cutting, RayBatch, RayLines, cut_into_blocks, sums_within
 
@@ -37,7 +37,7 @@ class MarchOptions:
     depth_samples: of an opaque ray. fluence: ScatteredFluence per group of volumes, None for a group without
     prediction; None altogether if no ray features are wanted. shadow_maps: of each sun, or None if no surface shadows
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
-    those in use, as in Settings.
+    those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity.
     """
 
     depth_samples: int
@@ -45,6 +45,7 @@ class MarchOptions:
     shadow_maps: list[ShadowMap] | None = None
     groups: list[list[int]] | None = None
     optimizations: frozenset[str] = ALL
+    quadrature: Quadrature = gauss_legendre
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,10 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     sun_depths = _sun_depths(media, medium, total > 0.0)
     visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
     single = _single(medium, sun_depths, transmitted, visibility)
-    block, step, inside, weight = _sample_depths(
-        medium, alpha, options.depth_samples, "faint_rays" in options.optimizations
+    opacities = sample_opacities(
+        alpha, options.depth_samples, "faint_rays" in options.optimizations, options.quadrature
     )
+    block, step, inside, weight = _sample_depths(medium, *opacities)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     features = None
@@ -182,14 +184,10 @@ def block_sums(values: np.ndarray) -> np.ndarray:
 
 
 def _sample_depths(
-    medium: MarchedMedium, alpha: np.ndarray, most: int, adaptive: bool
+    medium: MarchedMedium, ray: np.ndarray, opacity: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Depth samples at the Gauss-Legendre nodes of the rays' opacity.
-
-    Returns block, step, position in the step and weight, (M,) each.
-    """
+    """Block, step, position in the step and weight, (M,) each, of the samples of `sample_opacities`."""
     blocks = medium.blocks
-    ray, opacity, weight = sample_opacities(alpha, most, adaptive)
     # One search in all rays at once: the opacities of ray n lie in [2n, 2n + 1].
     starts = 2.0 * blocks.ray - np.expm1(-medium.before)
     block = np.searchsorted(starts, opacity + 2.0 * ray, side="right") - 1

@@ -12,8 +12,8 @@ import numpy as np
 from ..features.descriptors import FieldLookup, distinct_rows
 from ..scene.errors import SceneError
 from ..transport.blurred_environment import read_image
-from ..transport.environment_light import read_lattice
-from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions
+from ..transport.environment_light import ALBEDOS, read_lattice
+from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import open_session
 from .weights_file import read_weights
 
@@ -60,8 +60,8 @@ def load_environment_network(model: str, provider: str = "CPU") -> EnvironmentNe
 class PreparedEnvironment:
     """What predicts the light of an environment in one volume, for one optical thickness. Immutable.
 
-    lookup: of the density at the stencil. low: number of its low-frequency points. depths: of `ordinate_depths`. light:
-    float32 (66, 66, 66, 4 C), fluence and flux over 4 pi. ordinates: (26, C). blurred: float32 (H, 2H, B, C).
+    lookup: of the density at the stencil. low: number of its low-frequency points. depths: of `direction_depths`.
+    light, absorbed: of `solve_environment`. radiance: (50, C), of `direction_radiance`. blurred: float32 (H, 2H, B, C).
     sigma_hat: extinction per unit density times the cube's edge. thickness: the same at the largest density.
     anisotropy: G.
     """
@@ -71,7 +71,8 @@ class PreparedEnvironment:
     low: int
     depths: np.ndarray
     light: np.ndarray
-    ordinates: np.ndarray
+    absorbed: np.ndarray
+    radiance: np.ndarray
     blurred: np.ndarray
     sigma_hat: float
     thickness: float
@@ -86,14 +87,17 @@ class PreparedEnvironment:
         along: (N, 2), optical depth ahead of each point and behind it on its ray. jitter: as for `FieldLookup`.
         """
         first, view = distinct_rows(omega)
-        count, channels = len(positions), self.ordinates.shape[1]
+        count, channels = len(positions), self.radiance.shape[1]
         density = self.lookup(positions, omega[first], view, jitter)[:, : self.low, 0]
         depths = read_lattice(self.depths, positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
-        x = inputs(density, along, opened, omega, self.thickness, self.anisotropy)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)
-        light = read_lattice(self.light, probes.reshape(-1, 3)).reshape(count, probes.shape[1], 4, channels)
+        flat = probes.reshape(-1, 3)
+        light = read_lattice(self.light, flat).reshape(count, probes.shape[1], 4, channels)
+        absorbed = read_lattice(self.absorbed, flat).reshape(count, probes.shape[1], 4, len(ALBEDOS), channels + 1)
+        seldom, even = seldom_scattered(light, absorbed.swapaxes(2, 3), omega)
+        x = inputs(density, along, opened, even, omega, self.thickness, self.anisotropy)
         ahead = read_image(self.blurred, omega[first])[view]
-        radiances = candidates(ahead, opened.radiance(self.ordinates), light, omega, self.anisotropy)
+        radiances = candidates(ahead, opened.radiance(self.radiance), light, seldom, omega, self.anisotropy)
         found = self.network.run(x, radiances, albedos)
         return np.maximum(found, np.float32(0.0)).transpose(1, 0, 2)

@@ -350,7 +350,7 @@ class EnvironmentPredictor:
     @property
     def channels(self) -> int:
         """Channels of the light: 1 if it is grey, else 3."""
-        return self.prediction.ordinates.shape[1]
+        return self.prediction.radiance.shape[1]
 
     def predict(
         self,

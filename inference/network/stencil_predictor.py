@@ -26,7 +26,12 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import environment_lattice, ordinate_depths, ordinate_radiance
+from ..transport.environment_light import (
+    direction_depths,
+    direction_radiance,
+    ordinate_radiance,
+    solve_environment,
+)
 from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
 from .environment_features import blurs
@@ -139,7 +144,7 @@ class RayPredictor(StencilPredictor):
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: np.ndarray | None = None
-        self._environment: tuple[tuple[float, bytes], np.ndarray] | None = None
+        self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
         """What predicts under these conditions. Raises Cancelled."""
@@ -167,13 +172,14 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
             if self._depths is None:
-                self._depths = ordinate_depths(self.coarse, tasks.cancel, self.kernels)
+                self._depths = direction_depths(self.coarse, tasks.cancel, self.kernels)
             if self._environment is None or self._environment[0] != key:
                 self._environment = None
-                solver = DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, kernels=self.kernels)
-                solved = [solver.environment(radiance / (4.0 * np.pi), tasks.cancel) for radiance in ordinates.T]
-                self._environment = key, environment_lattice(np.stack(solved, axis=1))
-            depths, light = self._depths, self._environment[1]
+                solved = solve_environment(
+                    self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel, self.kernels
+                )
+                self._environment = key, solved
+            depths, (light, absorbed) = self._depths, self._environment[1]
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         return PreparedEnvironment(
             network,
@@ -181,7 +187,8 @@ class RayPredictor(StencilPredictor):
             len(self.network.points.low),
             depths,
             light,
-            ordinates.astype(np.float32),
+            absorbed,
+            direction_radiance(image).astype(np.float32),
             blurred(image, blurs(self.anisotropy)),
             conditions.sigma_hat,
             thickness,

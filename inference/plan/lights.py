@@ -15,16 +15,19 @@ Light = Sun | Lamp | Environment
 ENVIRONMENT_MODELS = frozenset({"mrpnn"})
 #: Networks that know lamps: those that read the light along camera rays.
 LAMP_MODELS = frozenset({"mrpnn"})
+#: Why environments are computed as suns where a scene has surfaces.
+SURFACES_SHADOW = "surfaces shadow it"
 # Parallel lights that represent an environment where it is not computed as a whole.
 DIRECTIONS = 12
 
 
 def split_lights(
-    lights: Sequence[Light], settings: Settings, surfaces: bool, planned: list[str], left_out: list[str]
+    lights: Sequence[Light], settings: Settings, parallel: str, planned: list[str], left_out: list[str]
 ) -> tuple[list[Sun], list[Environment]]:
     """Suns, those of the environments' peaks included, and the environments without them.
 
-    surfaces: whether there are any. Adds sentences to `planned` and `left_out`.
+    parallel: why environments are computed as suns, "" where they need not be. Adds sentences to `planned` and
+    `left_out`.
     """
     suns = [light for light in lights if isinstance(light, Sun)]
     bright = []
@@ -34,20 +37,17 @@ def split_lights(
                 bright.append(light)
             else:
                 left_out.append(f"{light.name}: it is black")
-    reason = ""
     if settings.model not in ENVIRONMENT_MODELS:
-        reason = f"the network {settings.model} knows suns alone"
-    elif surfaces:
-        reason = "surfaces shadow it"
+        parallel = f"the network {settings.model} knows suns alone"
     environments = []
     for environment in bright:
         rest, peaks = environment.without_peaks()
         if peaks:
             planned.append(f"{environment.name}: {len(peaks)} of its peaks as suns")
         suns += peaks
-        if reason:
+        if parallel:
             found = directional_lights(rest, DIRECTIONS)
-            planned.append(f"{environment.name}: as parallel light from {len(found)} directions, since {reason}")
+            planned.append(f"{environment.name}: as parallel light from {len(found)} directions, since {parallel}")
             suns += found
         else:
             environments.append(rest)

@@ -191,9 +191,9 @@ def make_plan(
     lights: Sequence[Light],
     camera: Camera,
     settings: Settings,
-    surfaces: bool = False,
+    parallel: str = "",
 ) -> Plan:
-    """Decide what to render; surfaces: whether there are any.
+    """Decide what to render; parallel: why environments are computed as suns, "" where they need not be.
 
     Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
     """
@@ -213,7 +213,7 @@ def make_plan(
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     groups, _ = overlapping([volume for volume, _ in rendered])
-    suns, environments = split_lights(lights, settings, surfaces, planned, left_out)
+    suns, environments = split_lights(lights, settings, parallel, planned, left_out)
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]

@@ -45,5 +45,14 @@ OPTIMIZATIONS = {
     "shared_pixels": Optimization(
         "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbours agree", 0.02
     ),
+    "unseen_voxels": Optimization(
+        "Skip Unseen Voxels", "Baked light is 0 where no ray reaches within an optical depth of 20", ROUNDING
+    ),
+    "smooth_light": Optimization(
+        "Interpolate Smooth Light", "Baked light is interpolated between voxels where these agree", 0.02
+    ),
+    "small_voxels": Optimization(
+        "Join Small Voxels", "Light is baked in voxels half as large as a pixel where the volume's are smaller", 0.02
+    ),
 }
 ALL = frozenset(OPTIMIZATIONS)

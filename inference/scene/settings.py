@@ -20,6 +20,7 @@ class Settings:
     provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
     compiled: whether compiled kernels do the work that they can do, rather than numpy, which takes many times as long;
         the environment variable MRPNN_COMPILED=0 overrules it.
+    directional: whether baked light is right from other directions than the camera's too.
     leave_out: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
@@ -33,6 +34,7 @@ class Settings:
     multiple: bool = True
     provider: str = "CPU"
     compiled: bool = True
+    directional: bool = True
     leave_out: frozenset[str] = ALL
 
     def __post_init__(self) -> None:

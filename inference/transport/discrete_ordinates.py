@@ -2,16 +2,17 @@
 """Multiple scattering on coarse cells by discrete ordinates: what light does far from where it enters.
 
 Radiance travels between neighbouring cells of the working cube along 26 directions, with the weights of Lebedev's
-quadrature of that order, for albedo 1. The forward peak of the phase function counts as unscattered (delta scaling,
-Wiscombe 1977), so that few directions suffice for any anisotropy G:
+quadrature of that order, for albedo 1 unless another is given. The forward peak of the phase function counts as
+unscattered (delta scaling, Wiscombe 1977), so that few directions suffice for any anisotropy G and albedo w:
 
-    sigma' = sigma_hat (1 - G^2),    G' = G / (1 + G).
+    sigma' = sigma_hat (1 - w G^2),    w' = w (1 - G^2) / (1 - w G^2),    G' = G / (1 + G).
 
 A sweep along all directions gives the fluence phi and the flux F of the light scattered from the sun's beam and from
-the previous phi and F; its sources are (phi + 3 G' F . u) / (4 pi), and for the beam the Henyey-Greenstein phase
+the previous phi and F; its sources are w' (phi + 3 G' F . u) / (4 pi), and for the beam the Henyey-Greenstein phase
 function of G'. The part of the fluence that a sweep still lacks follows from a diffusion equation,
 
-    -div(D grad psi) = sigma' (phi_new - phi_old),    D = 1 / (3 sigma_hat (1 - G)) + numerical diffusion of the cells,
+    -div(D grad psi) + sigma_hat (1 - w) psi = w' sigma' (phi_new - phi_old),
+    D = 1 / (3 sigma_hat (1 - w G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
 through the faces of the cube. That of a sun or a lamp does not enter there, because its beam is known; that of an
@@ -84,7 +85,7 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None. kernels: compiled ones, or None.
+    surfaces, or None. kernels: compiled ones, or None. albedo: in (0, 1].
     """
 
     def __init__(
@@ -94,16 +95,20 @@ class DiscreteOrdinates:
         anisotropy: float,
         triangles: np.ndarray | None = None,
         kernels: Kernels | None = None,
+        albedo: float = 1.0,
     ):
         n = len(density)
         self.kernels = kernels
-        self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - anisotropy**2))
+        self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
         self.anisotropy = reduced_anisotropy(anisotropy)
+        #: w', and whether that of the medium is 1.
+        self.albedo = np.float32(albedo * (1.0 - anisotropy**2) / (1.0 - albedo * anisotropy**2))
+        self.conservative = albedo == 1.0
         self.extinction = self.sigma * density
-        reduced = np.float32(sigma_hat * (1.0 - anisotropy)) * density
+        reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels)
+            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels, albedo)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
@@ -115,6 +120,8 @@ class DiscreteOrdinates:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
+        if not self.conservative:
+            self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
         self.leaving, self.within = self._source_shares()
 
     def _source_shares(self) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +178,7 @@ class DiscreteOrdinates:
             for one in follow:
                 cancel.check()
                 one()
-            change = self.extinction * (swept[0] - field[0])
+            change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
@@ -212,7 +219,7 @@ class DiscreteOrdinates:
                 cancel.check()
                 field[4] = of_beam
                 along()
-            change = self.extinction * (swept[0] - field[0])
+            change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
@@ -237,7 +244,7 @@ class DiscreteOrdinates:
         if self.coarser is not None:
             field[:4] = [self._finer(values) for values in self.coarser.environment(radiance, cancel)]
             sweeps = FINE_SWEEPS
-        else:
+        elif self.conservative:
             # Exact for even light, which no albedo of 1 changes.
             field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
         for number in range(sweeps):
@@ -245,7 +252,7 @@ class DiscreteOrdinates:
             for one in follow:
                 cancel.check()
                 one()
-            change = self.extinction * (swept[0] - field[0])
+            change = self.albedo * self.extinction * (swept[0] - field[0])
             if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
@@ -331,7 +338,8 @@ class DiscreteOrdinates:
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
         unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
-        scattered = unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        scattered = self.albedo * unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        phase = self.albedo * phase
         gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
         return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 

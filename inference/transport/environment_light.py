@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light of an environment in the working cube: how it enters, and what attenuates it on the way.
 
-An environment enters the coarse transport from its 26 directions, the ordinates. Each of them stands for the part of
-the sphere around it; the parts overlap smoothly, so that even light stays even and no energy is lost.
+An environment enters the coarse transport from its 26 directions, the ordinates, and what of it is open to a point is
+known in 50. Each of them stands for the part of the sphere around it; the parts overlap smoothly, so that even light
+stays even and no energy is lost.
 """
 
 import functools
@@ -10,16 +11,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
-from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES
+from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64
-# Sharpness of the ordinates' parts of the sphere, as of exp(k (cos - 1)), and the rounds that balance them.
-SHARPNESS, ROUNDS = 12.0, 30
+# Sharpness of the parts of the sphere, as of exp(k (cos - 1)), times their number; and the rounds that balance them.
+SHARPNESS, ROUNDS = 12.0 / 26.0, 30
+#: Albedos below 1 for which the transport is solved too: light that has scattered seldom.
+ALBEDOS = (0.98, 0.8)
 # Images with fewer rows than this are divided before they are turned, and such with more reduced.
 TURNED_ROWS = 192
 
@@ -72,45 +76,104 @@ def _turned(environment: Environment, rotation: np.ndarray) -> np.ndarray:
     return found.reshape(ROWS, 2 * ROWS, 3)
 
 
-@functools.lru_cache(maxsize=4)
-def _parts(rows: int) -> np.ndarray:
-    """float64 (26, pixels): weights of an image's pixels in the radiance of each ordinate.
+def _directions() -> tuple[np.ndarray, np.ndarray]:
+    """Lebedev's quadrature of 50 points (Lebedev and Laikov 1999): unit vectors (50, 3) and weights (50,)."""
+    rises = np.array(list(np.ndindex(7, 7, 7))) - 3
+    sizes = np.sort(np.abs(rises), axis=1)
+    found, weights = [], []
+    for kind, weight in (
+        ((0, 0, 1), 4.0 / 315.0),
+        ((0, 1, 1), 64.0 / 2835.0),
+        ((1, 1, 1), 27.0 / 1280.0),
+        ((1, 1, 3), 14641.0 / 725760.0),
+    ):
+        points = rises[(sizes == kind).all(axis=1)]
+        found.append(points / np.linalg.norm(points, axis=1, keepdims=True))
+        weights.append(np.full(len(points), weight))
+    return np.concatenate(found), np.concatenate(weights)
 
-    Sums are 1 for each ordinate, and for each pixel, weighted as the ordinates are, its share of the sphere.
+
+#: Directions (50, 3) in which it is known what is open to a point, and their shares (50,) of the sphere.
+DIRECTIONS, DIRECTION_WEIGHTS = _directions()
+
+
+@functools.lru_cache(maxsize=4)
+def _parts(rows: int, number: int) -> np.ndarray:
+    """float64 (number, pixels): weights of an image's pixels in the radiance of each of 26 ordinates or 50 directions.
+
+    Sums are 1 for each of them, and for each pixel, weighted as they are, its share of the sphere.
     """
+    towards, weights = (ORDINATES, ORDINATE_WEIGHTS) if number == len(ORDINATES) else (DIRECTIONS, DIRECTION_WEIGHTS)
     directions = pixel_directions(rows).reshape(-1, 3)
     share = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
-    parts = np.exp(SHARPNESS * (ORDINATES @ directions.T - 1.0)) * share
+    parts = np.exp(SHARPNESS * number * (towards @ directions.T - 1.0)) * share
     for _ in range(ROUNDS):
-        parts *= share / (ORDINATE_WEIGHTS @ parts)
+        parts *= share / (weights @ parts)
         parts /= parts.sum(axis=1, keepdims=True)
     return parts
 
 
 def ordinate_radiance(image: np.ndarray) -> np.ndarray:
     """Radiance float64 (26, C) that arrives from the ordinates, of an image (H, 2H, C) in the cube's frame."""
+    return _radiance(image, len(ORDINATES))
+
+
+def direction_radiance(image: np.ndarray) -> np.ndarray:
+    """Radiance float64 (50, C) that arrives from DIRECTIONS, of an image (H, 2H, C) in the cube's frame."""
+    return _radiance(image, len(DIRECTIONS))
+
+
+def _radiance(image: np.ndarray, number: int) -> np.ndarray:
     rows = len(image)
-    return _parts(rows) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
+    return _parts(rows, number) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
 
 
-def ordinate_depths(coarse: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None) -> np.ndarray:
-    """Optical depth float16 (n + 2, n + 2, n + 2, 26) from each cell out towards the ordinates, for sigma_hat = 1.
+def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None) -> np.ndarray:
+    """Optical depth float16 (n + 2, n + 2, n + 2, 50) from each cell out towards DIRECTIONS, for sigma_hat = 1.
 
     coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once.
     kernels: compiled ones, or None. Raises Cancelled.
     """
     n = len(coarse)
-    depths = np.empty((n, n, n, len(ORDINATES)), np.float16)
-    for k, towards in enumerate(ORDINATES):
+    depths = np.empty((n, n, n, len(DIRECTIONS)), np.float16)
+    for k, towards in enumerate(DIRECTIONS):
         cancel.check()
         depths[..., k] = sun_optical_depth(coarse, towards, 1.0 / n, kernels)
     return np.pad(depths, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
-def environment_lattice(light: np.ndarray) -> np.ndarray:
-    """Fluence and flux float32 (66, 66, 66, 4 C) of C channels, the outermost cells repeated once.
+def solve_environment(
+    coarse: np.ndarray,
+    sigma_hat: float,
+    anisotropy: float,
+    radiance: np.ndarray,
+    cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lattices of the fluence and flux over 4 pi of an environment's light, as `environment_lattice`.
 
-    light: float32 (4, C, x, y, z), of `DiscreteOrdinates.environment`.
+    First of its C channels. Then, on cells twice as large, of a medium of each of ALBEDOS, with the C channels and even
+    light of radiance 1: (34, 34, 34, 4 ALBEDOS (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z).
+    sigma_hat: extinction per unit density times the cube's edge. radiance: (26, C), from the ordinates. kernels:
+    compiled ones, or None. Raises Cancelled.
+    """
+    light = np.asarray(radiance).T / (4.0 * np.pi)
+    even = np.full((1, len(ORDINATES)), 1.0 / (4.0 * np.pi))
+    solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy, kernels=kernels)
+    found = np.stack([solver.environment(channel, cancel) for channel in light], axis=1)
+    coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
+    halve(np.ascontiguousarray(coarse), coarser, kernels)
+    absorbed = []
+    for albedo in ALBEDOS:
+        solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, kernels=kernels, albedo=albedo)
+        absorbed += [solver.environment(channel, cancel) for channel in np.concatenate([light, even])]
+    return environment_lattice(found), environment_lattice(np.stack(absorbed, axis=1))
+
+
+def environment_lattice(light: np.ndarray) -> np.ndarray:
+    """Fluence and flux float32 (n + 2, n + 2, n + 2, 4 C) of C channels, the outermost cells repeated once.
+
+    light: float32 (4, C, n, n, n), of `DiscreteOrdinates.environment`.
     """
     n = light.shape[-1]
     cells = np.moveaxis(light, (0, 1), (3, 4)).reshape(n, n, n, -1)

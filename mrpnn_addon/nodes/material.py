@@ -13,6 +13,8 @@ from .phase_functions import phase_function
 from .snapshot import snapshot
 from .sockets import Unsupported, active_output, input_of, source_of
 
+#: Custom property of objects that show baked light.
+LIGHT_MARK = "mrpnn_light"
 SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
 
 
@@ -117,10 +119,10 @@ def is_animated(material) -> bool:
 
 def shows_volume(shown) -> bool:
     """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
-    surface.
+    surface. Baked light is none: it belongs to a volume.
     """
     if shown.type == "VOLUME":
-        return True
+        return LIGHT_MARK not in shown
     if shown.type not in SURFACES:
         return False
     outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]

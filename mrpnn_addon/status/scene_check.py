@@ -3,8 +3,10 @@
 
 from dataclasses import dataclass, field
 
+from ...inference.plan.lights import SURFACES_SHADOW
 from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
+from ..baking.baked_scene import stale_light
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.changes import scene_state
 from ..scene.reader import read_scene, require_volumes
@@ -42,11 +44,11 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
         warnings = check_runtime()
         scene = read_scene(depsgraph, reader)
         require_volumes(scene)
-        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings)
+        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings, SURFACES_SHADOW if scene.surfaces else "")
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(
             state,
-            warnings=[*scene.warnings, *warnings],
+            warnings=[*scene.warnings, *warnings, *stale_light(depsgraph.scene.original, scene)],
             planned=plan.planned,
             left_out=plan.left_out,
             memory=plan.memory,

@@ -19,7 +19,15 @@ from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
 from inference.transport.blurred_environment import blurred
 from inference.transport.discrete_ordinates import CELLS, ORDINATE_WEIGHTS, DiscreteOrdinates
-from inference.transport.environment_light import ROWS, image_in_frame, ordinate_radiance
+from inference.transport.environment_light import (
+    ALBEDOS,
+    DIRECTION_WEIGHTS,
+    DIRECTIONS,
+    ROWS,
+    direction_radiance,
+    image_in_frame,
+    ordinate_radiance,
+)
 
 
 def sky(rows=16, seed=0):
@@ -142,20 +150,56 @@ def test_coarse_transport_is_linear_and_keeps_even_light():
     np.testing.assert_allclose(both, first + 2.0 * second, atol=0.02 * both[0].mean())
 
 
+def test_directions_integrate_polynomials():
+    """Lebedev's rule of 50 points is exact to degree 11; what arrives from them has all the light."""
+    assert DIRECTION_WEIGHTS.sum() == pytest.approx(1.0) and DIRECTIONS.shape == (50, 3)
+    np.testing.assert_allclose(np.linalg.norm(DIRECTIONS, axis=1), 1.0)
+    axis = _unit(np.random.default_rng(3))
+    for degree in range(12):
+        wanted = 0.0 if degree % 2 else 1.0 / (degree + 1.0)
+        assert DIRECTION_WEIGHTS @ (DIRECTIONS @ axis) ** degree == pytest.approx(wanted, abs=1e-12)
+    radiance = direction_radiance(sky().astype(np.float64))
+    np.testing.assert_allclose(DIRECTION_WEIGHTS @ radiance, Environment(sky()).fluence() / (4 * math.pi), rtol=1e-6)
+
+
+@pytest.mark.parametrize("anisotropy", [0.0, 0.857])
+@pytest.mark.parametrize("albedo", [0.8, 0.98])
+def test_coarse_transport_in_absorbing_media(albedo, anisotropy):
+    """Converged, even light in the middle of an absorbing medium decays as diffusion theory says."""
+    n, sigma = 32, 40.0
+    solver = DiscreteOrdinates(np.ones((n, n, n), np.float32), sigma, anisotropy, albedo=albedo)
+    fluence, *flux = solver.environment(np.full(26, 1.0 / (4.0 * math.pi)))
+    assert -1e-3 < fluence.min() and fluence.max() < 1.0
+    # Absorbed light is what enters: the divergence of the flux.
+    inside = slice(8, 24)
+    loss = sum(np.gradient(part, 1.0 / n, axis=axis) for axis, part in enumerate(flux))[inside, inside, inside]
+    absorbed = -sigma * (1.0 - albedo) * fluence[inside, inside, inside]
+    assert np.abs(loss - absorbed).mean() < 0.1 * np.abs(absorbed).mean() + 0.02
+    thinner = DiscreteOrdinates(np.ones((n, n, n), np.float32), sigma, anisotropy, albedo=0.5 + 0.5 * albedo)
+    assert np.all(thinner.environment(np.full(26, 1.0 / (4.0 * math.pi)))[0] >= fluence - 1e-3)
+
+
 def test_every_candidate_is_the_radiance_of_even_light():
     random = np.random.default_rng(1)
     count = 50
     omega = random.normal(size=(count, 3))
     omega /= np.linalg.norm(omega, axis=1, keepdims=True)
-    depths = random.random((count, 26)).astype(np.float32) * np.geomspace(1e-3, 1e4, count)[:, None].astype(np.float32)
+    depths = random.random((count, 50)).astype(np.float32) * np.geomspace(1e-3, 1e4, count)[:, None].astype(np.float32)
     opened = features.OpenMeans(depths, features.lobe_weights(omega), 1.0)
     light = np.zeros((count, features.PROBES, 4, 2), np.float32)
     light[:, :, 0] = [3.0, 5.0]
     ahead = np.broadcast_to(np.float32([3.0, 5.0]), (count, len(features.blurs(0.5)), 2))
-    found = features.candidates(ahead, opened.radiance(np.tile([3.0, 5.0], (26, 1))), light, omega, 0.5)
+    # Light in absorbing media, next to none in some, and a little less than none by the solution's error.
+    absorbed = np.zeros((count, features.PROBES, len(ALBEDOS), 4, 3), np.float32)
+    left = np.geomspace(1.0, 1e-6, count) - 1e-4
+    absorbed[:, :, :, 0] = left[:, None, None, None] * np.float32([3.0, 5.0, 1.0])
+    absorbed[:, :, :, 1:] = 0.3 * absorbed[:, :, :, :1]
+    seldom, even = features.seldom_scattered(light, absorbed, omega)
+    assert seldom.shape[:2] == even.shape == (count, len(ALBEDOS) * len(features.SELDOM))
+    found = features.candidates(ahead, opened.radiance(np.tile([3.0, 5.0], (50, 1))), light, seldom, omega, 0.5)
     assert found.shape == (count, features.CANDIDATES, 2)
     np.testing.assert_allclose(found, np.broadcast_to([3.0, 5.0], found.shape), rtol=1e-4)
-    inputs = features.inputs(np.zeros((count, 40), np.float32), np.zeros((count, 2)), opened, omega, 10.0, 0.5)
+    inputs = features.inputs(np.zeros((count, 40), np.float32), np.zeros((count, 2)), opened, even, omega, 10.0, 0.5)
     assert inputs.shape == (count, features.COLUMNS) and np.isfinite(inputs).all()
 
 

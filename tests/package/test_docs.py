@@ -39,7 +39,7 @@ def test_every_setting_has_a_row(addon):
 
 
 def test_every_button_and_panel_is_named(addon):
-    pages = page("README.md") + page("docs/settings.md") + page("docs/install.md")
+    pages = "".join(map(page, ("README.md", "docs/settings.md", "docs/install.md", "docs/baked-light.md")))
     buttons = [tool.bl_label for tool in addon.operators.CLASSES]
     panels = [
         panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"

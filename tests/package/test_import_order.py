@@ -38,6 +38,7 @@ ROOMS = {
         "render_cache",
         "image",
         "render",
+        "baking",
         "evaluation",
     ),
     "mrpnn_addon": (
@@ -50,6 +51,7 @@ ROOMS = {
         "volumes",
         "scene",
         "output",
+        "baking",
         "status",
         "engine",
         "cycles",

@@ -380,3 +380,23 @@ def test_simulated_smoke_matches_its_domain(smoke, frame):
 def test_smoke_is_not_kept_from_the_previous_frame(smoke):
     first, second = (np.load(smoke / f"smoke{frame}.npz")["alpha"] for frame in (6, 10))
     assert np.abs(first - second).max() > 0.1
+
+
+def test_the_command_bakes_light_that_a_saved_file_shows(program):
+    folder = program.folder
+    run = program("-b", folder / "scene.blend", "--command", "mrpnn", "bake", "--save", folder / "lit.blend")
+    assert run.returncode == 0, run.stdout + run.stderr
+    check = folder / "check.py"
+    check.write_text(
+        textwrap.dedent("""
+        import bpy
+        [light] = [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
+        assert light.data.grids.load(), light.data.grids.error_message
+        assert {grid.name for grid in light.data.grids} >= {"light", "light_linear"}
+        assert bpy.context.scene.cycles.volume_bounces == 0
+        assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+        print("removed")
+        """)
+    )
+    run = program("-b", folder / "lit.blend", "--python-exit-code", "1", "--python", check)
+    assert run.returncode == 0 and "removed" in run.stdout, run.stdout + run.stderr

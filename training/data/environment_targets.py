@@ -13,9 +13,10 @@ any albedo; what is read of the coarse transport is kept for the ENVIRONMENTS en
 | position, omega | float32 (rows, 3) | point and ray direction, in the working cube |
 | sigma_hat, anisotropy | float32 (rows,) | extinction per cube edge, mean cosine |
 | density | float16 (rows, 40) | density feature mu at the sparse stencil's low-frequency points |
-| depths | float16 (rows, 26) | optical depth towards the ordinates for sigma_hat = 1 |
+| depths | float16 (rows, 50) | optical depth towards DIRECTIONS for sigma_hat = 1 |
 | along | float32 (rows, 2) | optical depth ahead of the point on its ray, and behind it |
 | light | float16 (rows, ENVIRONMENTS, PROBES, 4) | fluence over 4 pi and flux over 4 pi at the probes |
+| absorbed | float16 (rows, ENVIRONMENTS + 1, PROBES, ALBEDOS, 4) | the same in absorbing media, even light last |
 | environments | float16 (ENVIRONMENTS, 64, 128) | radiance of the environments, of mean 1 |
 """
 
@@ -28,9 +29,16 @@ import numpy as np
 from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import LOW_POINTS, SPARSE
 from inference.grids.working_cube import fit_cube, level0_density
+from inference.kernels.library import Kernels, Unavailable, load_kernels
 from inference.network.environment_features import probe_positions
-from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
-from inference.transport.environment_light import environment_lattice, ordinate_depths, ordinate_radiance, read_lattice
+from inference.transport.discrete_ordinates import LEVEL
+from inference.transport.environment_light import (
+    ALBEDOS,
+    direction_depths,
+    ordinate_radiance,
+    read_lattice,
+    solve_environment,
+)
 from training.data.descriptors import Levels, describe_points
 from training.data.environments import random_environment
 from training.data.seeded_volume import seeded_volume
@@ -45,6 +53,32 @@ from training.tracer.scene import Vertices
 SIGMA_HAT_RANGE = (2.0, 1500.0)
 #: Environments and media per volume, points of all media, and paths per point.
 ENVIRONMENTS, MEDIA, POINTS, PATHS = 6, 5, 1536, 96
+
+
+def transport_rows(coarse, positions, omega, sigma_hat, anisotropy, radiance, kernels=None):
+    """The arrays depths, light and absorbed of points in the cube's frame.
+
+    coarse: level of the density pyramid. radiance: (26, ENVIRONMENTS). kernels: compiled ones, or None.
+    """
+    depths = read_lattice(direction_depths(coarse, kernels=kernels), positions)
+    probes, count = probe_positions(positions, omega, depths, sigma_hat), radiance.shape[1]
+    light = np.empty((len(positions), count, probes.shape[1], 4), np.float16)
+    absorbed = np.empty((len(positions), count + 1, probes.shape[1], len(ALBEDOS), 4), np.float16)
+    for thickness, g in np.unique(np.stack([sigma_hat, anisotropy], axis=1), axis=0):
+        own = np.flatnonzero((sigma_hat == thickness) & (anisotropy == g))
+        lattices = solve_environment(coarse, thickness, g, radiance, kernels=kernels)
+        shape = *probes[own].shape[:2], 4
+        scattered, seldom = (read_lattice(lattice, probes[own].reshape(-1, 3)) for lattice in lattices)
+        light[own] = np.moveaxis(scattered.reshape(*shape, count), 3, 1)
+        absorbed[own] = np.moveaxis(seldom.reshape(*shape, len(ALBEDOS), count + 1), (4, 3), (1, 3))
+    return depths, light, absorbed
+
+
+def _kernels() -> Kernels | None:
+    try:
+        return load_kernels()
+    except Unavailable:
+        return None
 
 
 def make_rows(seed: int) -> dict:
@@ -70,17 +104,7 @@ def make_rows(seed: int) -> dict:
 
     x, w, sigma_hat = cube.positions(positions), cube.directions(omega), sigma * cube.edge
     pyramid = density_pyramid(level0_density(volume, cube))
-    coarse = pyramid[LEVEL]
-    depths = read_lattice(ordinate_depths(coarse), x)
-    probes = probe_positions(x, w, depths, sigma_hat)
-    light = np.empty((len(x), ENVIRONMENTS, probes.shape[1], 4), np.float16)
-    for number in np.unique(medium):
-        own = np.flatnonzero(medium == number)
-        solver = DiscreteOrdinates(coarse, media[number, 0] * cube.edge, media[number, 1])
-        for e in range(ENVIRONMENTS):
-            lattice = environment_lattice(solver.environment(radiance[:, e] / (4.0 * np.pi))[:, None])
-            light[own, e] = read_lattice(lattice, probes[own].reshape(-1, 3)).reshape(len(own), -1, 4)
-
+    depths, light, absorbed = transport_rows(pyramid[LEVEL], x, w, sigma_hat, anisotropy, radiance, _kernels())
     stencil = load_stencil()
     padded = padded_levels(pyramid, stencil)
     up = np.array([0.0, 0.0, 1.0])
@@ -97,6 +121,7 @@ def make_rows(seed: int) -> dict:
         "depths": depths.astype(np.float16),
         "along": np.stack([ahead, behind], axis=1).astype(np.float32),
         "light": light,
+        "absorbed": absorbed,
         "environments": environments.astype(np.float16),
     }
 

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cycles with baked light against independent references, and beside the baked camera against layers.
+
+    python -m benchmarks.cycles.baked_light [VIEW ...]
+
+Writes docs/baked-light.csv, a row per view as soon as it is measured; views that it holds are not measured again.
+Needs bpy.
+"""
+
+import csv
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from inference import Settings, render
+from inference.evaluation.error import relative_bias, relative_rmse
+from inference.scene.optimizations import ALL
+
+from ..fidelity.views import MASK_ALPHA, View, independent_views, look_at
+from ..support.provenance import commit, weights_checksum
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "baked-light.csv"
+SAMPLES, ORBIT = 64, 40.0
+COLUMNS = (
+    "view",
+    "layer",
+    "baked",
+    "baked_bias",
+    "difference",
+    "orbit",
+    "orbit_bias",
+    "bake_cpu",
+    "cycles_cpu",
+    "weights",
+    "commit",
+)
+
+
+def stage(view: View, folder: Path):
+    """A Blender scene of one view: a Volume object, a sun and a camera. Gives the scene."""
+    import bpy
+    from mrpnn.mrpnn_addon.vdb.density_grid import VOXEL_CENTRE
+
+    from tests.support import blender_scenes as scenes
+
+    scene = scenes.empty_scene()
+    scene.render.resolution_x = scene.render.resolution_y = view.spec.size
+    density = view.density()
+    cells = density.shape[0]
+    # Where Blender draws voxels, the cube's cells.
+    frame = scenes.centred(cells, 1.0)
+    frame[:3, 3] -= VOXEL_CENTRE / cells
+    path = scenes.write_vdb(folder, density, frame)
+    spec = view.spec
+    scenes.add_volume(
+        scene,
+        path,
+        Density=spec.sigma_hat,
+        Color=(*spec.albedo, 1.0),
+        Anisotropy=spec.anisotropy,
+        Absorption_Color=(0.0,) * 4,
+    )
+    sun = scenes.add_sun(scene, strength=1.0)
+    sun.data.angle = 0.0
+    sun.matrix_world = _matrix(look_at(view.sun, view.up))
+    lens = bpy.data.cameras.new("Camera")
+    lens.angle, lens.clip_start = np.radians(view.fov), 0.01
+    scene.camera = scenes.add_object(scene, "Camera", lens)
+    scene.camera.matrix_world = _matrix(look_at(view.position, view.up))
+    return scene
+
+
+def measure(view: View) -> dict:
+    """The figures of one view."""
+    import bpy
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    from tests.support import blender_scenes as scenes
+
+    with tempfile.TemporaryDirectory() as folder:
+        scene = stage(view, Path(folder))
+        exact = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+        layer = _layer(read_scene(scenes.depsgraph()), exact)
+        start = time.process_time()
+        bpy.ops.mrpnn.bake_light(folder=folder)
+        baked = time.process_time()
+        image = _cycles(scene, Path(folder))
+        done = time.process_time()
+        halves = view.halves()
+        mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
+        a, b = halves[..., :3] * mask[..., None]
+        shown, own = (pixels * mask[..., None] for pixels in (image, layer.rgb))
+        scene.camera.matrix_world = _matrix(look_at(_turned(view), view.up))
+        beside = _layer(read_scene(scenes.depsgraph()), exact)
+        orbit, bias = _difference(_cycles(scene, Path(folder)), beside)
+        return {
+            "view": view.name,
+            "layer": relative_rmse(own, a, b, mask).value,
+            "baked": relative_rmse(shown, a, b, mask).value,
+            "baked_bias": relative_bias(shown, a, b, mask).value,
+            "difference": _difference(image, layer)[0],
+            "orbit": orbit,
+            "orbit_bias": bias,
+            "bake_cpu": baked - start,
+            "cycles_cpu": done - baked,
+            "weights": weights_checksum("mrpnn"),
+            "commit": commit(),
+        }
+
+
+def _layer(description, settings: Settings):
+    return render(description.volumes, description.suns, description.camera, settings)
+
+
+def _cycles(scene, folder: Path) -> np.ndarray:
+    from tests.support import blender_scenes as scenes
+
+    scenes.set_up_cycles(scene, SAMPLES, 0)
+    scene.cycles.volume_step_rate = 1.0
+    # The value at pixel centres, as layers and references have it.
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    return scenes.rendered(scene, folder)[..., :3]
+
+
+def _difference(image: np.ndarray, layer) -> tuple[float, float]:
+    """Relative root mean square and mean of the difference, where the layer shows the volume."""
+    shown = layer.alpha > MASK_ALPHA
+    change = (image - layer.rgb)[shown]
+    return float(np.sqrt(np.mean(change**2)) / layer.rgb[shown].mean()), float(change.mean() / layer.rgb[shown].mean())
+
+
+def _turned(view: View) -> np.ndarray:
+    """The camera's position, turned about the vertical axis through the volume."""
+    angle, axis = np.radians(ORBIT), np.asarray(view.up, float)
+    p = np.asarray(view.position, float)
+    return p * np.cos(angle) + np.cross(axis, p) * np.sin(angle) + axis * (axis @ p) * (1.0 - np.cos(angle))
+
+
+def _matrix(values: np.ndarray):
+    from mathutils import Matrix
+
+    return Matrix(values.tolist())
+
+
+def main(names: list[str]) -> None:
+    from ..support.extension import extension
+
+    extension()
+    rows = list(csv.DictReader(PAGE.open())) if PAGE.exists() else []
+    known = {row["view"] for row in rows}
+    for view in independent_views():
+        if view.name in known or names and view.name not in names:
+            continue
+        rows.append(measure(view))
+        with PAGE.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(rows)
+        print({k: round(v, 4) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

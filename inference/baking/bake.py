@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scene in, baked light out: multiple scattering as emission of the volumes, for renderers of single scattering."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..image.context import PreparedScene, RenderContext
+from ..plan.lights import Light
+from ..plan.plan import Channels, in_range, make_plan
+from ..render import load_compiled, prepare_scene
+from ..render_cache import RenderCache
+from ..runtime.cancellation import CancelToken
+from ..runtime.progress import Progress
+from ..runtime.report import Report, process_peak_memory
+from ..runtime.tasks import Tasks
+from ..scene.camera import Camera
+from ..scene.description import Medium, Surface, Volume
+from ..scene.settings import Settings
+from .directions import fit_directions, make_lobe
+from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
+from .lit_volume import BakedView, LitVolume
+from .point_radiance import PointRadiance
+from .smooth_light import importance_of, radiance_in_voxels
+
+# For plans of images, of which a bake makes none.
+_NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
+# Points that are evaluated together: ray features of all suns are held at once.
+POINTS_PER_BATCH = 1 << 16
+
+
+def bake(
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    cache: RenderCache | None = None,
+    surfaces: Sequence[Surface] = (),
+) -> list[LitVolume]:
+    """Bake the light that volumes scatter more than once into emission, one LitVolume per volume.
+
+    A renderer that shows the volumes with single scattering and adds this emission, attenuated by them, shows what
+    `render` does. Overlapping volumes share the light; each has the emission of its own scattering.
+
+    volumes, lights, progress, cancelled, cache, surfaces: as for `render`; surfaces keep light from the volumes and
+    absorb what these scatter, but hide no voxel. camera: from which light is baked exactly; other directions are right
+    through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the mean over
+    all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`, `compiled`,
+    `directional` and `leave_out`.
+
+    Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
+    """
+    settings, report = settings or Settings(), Report()
+    scaled = [in_range(volume, medium) for volume, medium in volumes]
+    with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
+        with report.stage("total"):
+            plan = make_plan(scaled, lights, _NO_IMAGE, settings, "only suns are baked")
+            if cache is None or "unchanged" not in settings.leave_out:
+                cache = RenderCache()
+            kernels = load_compiled(settings, report)
+            context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
+            # No camera ray ends at a surface.
+            shading = [replace(surface, covers=False) for surface in surfaces]
+            scene = prepare_scene(context, plan, _NO_IMAGE, shading)
+            lit = _Bake(context, scene, camera).run() if scene.plan.volumes else {}
+    context.progress.finish()
+    report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
+    report.threads, report.peak_memory = tasks.threads, process_peak_memory()
+    report.warnings = list(dict.fromkeys(report.warnings))
+    baked, found = 0, []
+    for (volume, _), (original, _) in zip(scaled, volumes):
+        # The plan leaves out volumes without light of their own.
+        if baked < len(plan.volumes) and plan.volumes[baked][0] is volume:
+            found.append(lit[baked])
+            baked += 1
+        else:
+            nothing = np.zeros((1, 1, 1, 3), np.float32)
+            found.append(LitVolume(nothing, original.world_from_index, None, original.name, report))
+    return found
+
+
+def baked_view(camera: Camera | None) -> BakedView:
+    """The rays along which light is baked for a camera, or for none."""
+    if camera is None:
+        return BakedView()
+    if camera.projection == "orthographic":
+        axis = camera.world_matrix[:3, 2]
+        return BakedView(direction=-axis / np.linalg.norm(axis))
+    return BakedView(position=camera.world_matrix[:3, 3].copy())
+
+
+class _Bake:
+    """One bake of a prepared scene."""
+
+    def __init__(self, context: RenderContext, scene: PreparedScene, camera: Camera | None):
+        self.context, self.scene, self.camera = context, scene, camera
+        self.view, self._switches = baked_view(camera), context.settings.leave_out
+        self.lattices = [self._lattice(v) for v in range(len(scene.plan.volumes))]
+        self.visibilities = [self._visibility(v) for v in range(len(scene.plan.volumes))]
+        self._expect()
+
+    def run(self) -> dict[int, LitVolume]:
+        """The LitVolume of each of the plan's volumes, by number."""
+        shapes = [lattice.density.shape for lattice in self.lattices]
+        radiance = [np.zeros((*shape, 3), np.float32) for shape in shapes]
+        sources: list[tuple[int, PointRadiance]] = []
+        for channels in self.scene.plan.channels:
+            for g, _ in self.scene.predicted(channels):
+                source = PointRadiance(self.context, self.scene, g, channels)
+                sources.append((g, source))
+                for v in self.scene.plan.groups[g]:
+                    radiance[v] += self._radiance(v, channels, source)
+        steady = [np.zeros_like(values) for values in radiance]
+        for g, scatters in enumerate(self.scene.plan.scattered_emission):
+            for v in self.scene.plan.groups[g] if scatters else ():
+                steady[v] = self._scattered_emission(g, v)
+        groups = self.scene.plan.groups
+        return {
+            v: self._lit(v, radiance[v], steady[v], [source for g, source in sources if v in groups[g]])
+            for v in range(len(radiance))
+        }
+
+    def _lattice(self, v: int) -> BakeLattice:
+        volume, settings = self.scene.plan.volumes[v][0], self.context.settings
+        self.context.cancel.check()
+        return make_lattice(
+            volume, self.scene.grids[v], self.camera, settings.memory_limit, "small_voxels" in self._switches
+        )
+
+    def _visibility(self, v: int) -> Visibility:
+        sigma_t = self.scene.plan.volumes[v][1].sigma_t
+        thinnest = float(sigma_t[sigma_t > 0.0].min()) if np.any(sigma_t > 0.0) else 0.0
+        with self.context.report.stage("visibility"):
+            return Visibility(self.lattices[v], thinnest, self.context.cancel)
+
+    def _expect(self) -> None:
+        """Tell the progress what there is to do."""
+        progress, plan = self.context.progress, self.scene.plan
+        jobs = len(plan.suns) * len(plan.channels)
+        points = sum(float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices)))
+        if self.context.settings.directional:
+            points += 26.0 * 3000.0 * len(self.lattices)
+        needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
+        progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
+        progress.expect("lattices", jobs * len(plan.groups))
+        progress.expect("march", 60.0 * points * len(plan.channels) if needs_fluence else 0.0)
+        progress.expect("network", points * jobs)
+
+    def _wanted(self, v: int) -> np.ndarray:
+        """bool (nx, ny, nz): voxels whose light is baked."""
+        wanted = self.lattices[v].density > 0.0
+        if "unseen_voxels" in self._switches:
+            wanted &= self.visibilities[v].seen()
+        return wanted
+
+    def _radiance(self, v: int, channels: Channels, source: PointRadiance) -> np.ndarray:
+        """Multiple scattering (nx, ny, nz, 3) of one volume in some colour channels, for an albedo of 1."""
+        lattice, report = self.lattices[v], self.context.report
+        self.context.progress.message(f"multiple scattering in {self.scene.plan.volumes[v][0].name}")
+
+        def predict(voxels: np.ndarray) -> np.ndarray:
+            return self._predicted(source, lattice.positions(voxels))
+
+        wanted = self._wanted(v)
+        thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
+        importance = importance_of(thickness, self.visibilities[v].towards(self.view, lattice))
+        radiance, predicted = radiance_in_voxels(wanted, importance, predict, "smooth_light" in self._switches)
+        report.count("voxels with light", np.count_nonzero(wanted))
+        report.count("voxels predicted", predicted)
+        return radiance
+
+    def _predicted(self, source: PointRadiance, positions: np.ndarray) -> np.ndarray:
+        """Radiance (3, N) at world positions (N, 3), along the baked view, or its mean over all directions."""
+        parts = []
+        for start in range(0, len(positions), POINTS_PER_BATCH):
+            self.context.cancel.check()
+            some = positions[start : start + POINTS_PER_BATCH]
+            along = self.view.directions(some)
+            if along is not None:
+                parts.append(source(some, along))
+                continue
+            mean = np.zeros((3, len(some)), np.float32)
+            for direction, weight in zip(DIRECTIONS, WEIGHTS):
+                mean += np.float32(weight) * source(some, np.broadcast_to(direction, some.shape).copy())
+            parts.append(mean)
+        return np.concatenate(parts, axis=1)
+
+    def _scattered_emission(self, g: int, v: int) -> np.ndarray:
+        """What one volume scatters of the emission of its group, (nx, ny, nz, 3), for an albedo of 1."""
+        scene, context = self.scene, self.context
+        members = scene.plan.members(g)
+        with context.report.stage("emission"):
+            grids = [scene.grids[n] for n in scene.plan.groups[g]]
+            emission = context.cache.scattered_emission(members, grids, g, context.cancel)
+        warnings = emission.warnings(scene.plan.group_name(g))
+        context.report.warnings += [warning for warning in warnings if warning not in context.report.warnings]
+        wanted, lattice = self._wanted(v), self.lattices[v]
+        positions = lattice.positions(np.argwhere(wanted))
+        along, medium = self.view.directions(positions), scene.plan.volumes[v][1]
+        # The mean over all directions has no flux.
+        anisotropy = medium.anisotropy if along is not None else 0.0
+        radiance = np.zeros((*wanted.shape, 3), np.float32)
+        for c in range(3):
+            radiance[wanted, c] = emission.scattered(
+                c, positions, np.zeros_like(positions) if along is None else along, anisotropy
+            )
+        return radiance
+
+    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[PointRadiance]) -> LitVolume:
+        """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
+        volume, medium = self.scene.plan.volumes[v]
+        lattice, report = self.lattices[v], self.context.report
+        radiance = radiance + steady
+        directional = None
+        if self.context.settings.directional and sources:
+            self.context.progress.message(f"other directions of {volume.name}")
+
+            def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
+                return np.sum([source(positions, directions) for source in sources], axis=0).mean(axis=0)
+
+            lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
+            with report.stage("directions"):
+                directional = fit_directions(lattice, radiance, steady, self.visibilities[v], lobe, self.view, predict)
+        scattering = lattice.density[..., None] * (medium.sigma_t * medium.albedo).astype(np.float32)
+        return LitVolume(radiance * scattering, lattice.world_from_index, directional, volume.name, report)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The voxels in which light is baked: as fine as the picture needs, and only those that a ray can see."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grids.bounds import filled_bounds
+from ..grids.grid import Grid
+from ..grids.optical_depth_sweep import sun_optical_depth
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.camera import Camera
+from ..scene.description import Volume
+from ..scene.errors import SceneError
+from ..scene.sparse_grid import SparseGrid
+from .lit_volume import BakedView
+
+# Optical depth behind which nothing is seen.
+UNSEEN_DEPTH = 20.0
+# Cells along the longest edge of the grid on which visibility is computed.
+VISIBILITY_CELLS = 64
+# Baked voxels per pixel: two pixels on an edge of the volume keep their difference.
+VOXELS_PER_PIXEL = 2.0
+# Bytes per baked voxel: emission, what is predicted of it, density and masks.
+VOXEL_BYTES = 40
+
+#: Unit directions (26, 3) to the neighbours of a cell, and the weights (26,) of Lebedev's quadrature on them.
+STEPS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
+DIRECTIONS = STEPS / np.linalg.norm(STEPS, axis=1)[:, None]
+WEIGHTS = np.array([1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0])[np.abs(STEPS).sum(axis=1) - 1]
+
+
+@dataclass(frozen=True)
+class BakeLattice:
+    """Voxels of one volume in which light is baked.
+
+    density: float32 (nx, ny, nz). world_from_index: float64 (4, 4). coarsening: voxels of the volume along an edge of
+    one of these.
+    """
+
+    density: np.ndarray
+    world_from_index: np.ndarray
+    coarsening: int
+
+    def positions(self, voxels: np.ndarray) -> np.ndarray:
+        """World positions (N, 3) of the centres of voxels int (N, 3)."""
+        return voxels @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
+
+    @property
+    def voxel(self) -> float:
+        """Longest edge of a voxel in world units."""
+        return float(np.linalg.norm(self.world_from_index[:3, :3], axis=0).max())
+
+
+def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, memory_limit: int, coarsen: bool) -> BakeLattice:
+    """The voxels of a volume around what is not empty, or larger ones.
+
+    grid: of the volume. coarsen: whether voxels much smaller than a pixel of the camera are joined. Raises SceneError
+    where the memory limit does not suffice.
+    """
+    bounds = [found for found in map(filled_bounds, (volume.density, *volume.emission_channels())) if found is not None]
+    low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+    times = _coarsening(volume, grid, camera) if coarsen and camera is not None else 1
+    shape = -(-(high - low) // times)
+    needed = float(np.prod(shape.astype(float))) * VOXEL_BYTES
+    if needed > memory_limit:
+        raise SceneError(
+            f"{volume.name}: baking its light needs about {needed / 2**30:.1f} GiB and the limit is "
+            f"{memory_limit / 2**30:.1f} GiB; raise the limit, or resample the volume's grids"
+        )
+    frame = np.eye(4)
+    frame[:3, :3] = volume.world_from_index[:3, :3] * times
+    first = low + 0.5 * (times - 1)
+    frame[:3, 3] = volume.world_from_index[:3, :3] @ first + volume.world_from_index[:3, 3]
+    if isinstance(volume.density, SparseGrid):
+        density = volume.density.crop(low, high).dense()
+    else:
+        density = volume.density[tuple(map(slice, low, high))]
+    return BakeLattice(np.ascontiguousarray(_block_means(density, times)), frame, times)
+
+
+def _coarsening(volume: Volume, grid: Grid, camera: Camera) -> int:
+    """Number of the volume's voxels along an edge of a baked one that the camera's pixels do not resolve."""
+    longest = float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).max())
+    return max(int(_pixel_size(camera, grid.corners()) / (VOXELS_PER_PIXEL * longest)), 1)
+
+
+def _pixel_size(camera: Camera, corners: np.ndarray) -> float:
+    """Smallest size in the world of a pixel of the camera, on a convex hull of corners (N, 3)."""
+    width, height = camera.resolution
+    if camera.projection == "orthographic":
+        return camera.ortho_scale / width
+    # No point of the hull is nearer than its nearest corner less its diameter.
+    diameter = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
+    middle = 0.5 * (corners.max(axis=0) + corners.min(axis=0))
+    distance = max(float(np.linalg.norm(middle - camera.world_matrix[:3, 3])) - 0.5 * diameter, 0.0)
+    if camera.projection == "perspective":
+        return distance * 2.0 * np.tan(0.5 * camera.fov) / width
+    spans = (
+        abs(camera.longitude[1] - camera.longitude[0]) / width,
+        abs(camera.latitude[1] - camera.latitude[0]) / height,
+    )
+    return distance * min(spans)
+
+
+class Visibility:
+    """Optical depths from within one volume to its outside, on coarse cells.
+
+    depths: float32 (26, cx, cy, cz), towards DIRECTIONS. cell: voxels of the lattice along an edge of a cell.
+    """
+
+    def __init__(self, lattice: BakeLattice, sigma_t: float, cancel: CancelToken = NEVER):
+        self.shape = np.array(lattice.density.shape)
+        self.cell = int(-(-self.shape.max() // VISIBILITY_CELLS))
+        coarse = _block_means(lattice.density, self.cell)
+        frame = lattice.world_from_index[:3, :3] * self.cell
+        index_from_world = np.linalg.inv(frame)
+        found = []
+        for direction in DIRECTIONS:
+            cancel.check()
+            found.append(sun_optical_depth(coarse, index_from_world @ direction) * np.float32(sigma_t))
+        self.depths = np.stack(found)
+        # From the middle of a cell to its corners.
+        edge = np.linalg.norm(frame, axis=0).max()
+        self._within = np.float32(0.5 * np.sqrt(3.0) * edge * sigma_t) * coarse
+
+    def seen(self) -> np.ndarray:
+        """bool (nx, ny, nz): voxels that some straight line reaches from outside within UNSEEN_DEPTH."""
+        return self._in_voxels(self.depths.min(axis=0) - self._within < UNSEEN_DEPTH)
+
+    def towards(self, view: BakedView, lattice: BakeLattice) -> np.ndarray:
+        """Transmittance float32 (nx, ny, nz) from voxels towards the viewer; without one, in the clearest direction."""
+        cells = np.indices(self.depths.shape[1:]).reshape(3, -1)
+        rays = view.directions(lattice.positions(cells.T * self.cell + 0.5 * (self.cell - 1)))
+        if rays is None:
+            return self._in_voxels(np.exp(-self.depths.min(axis=0)))
+        nearest = (rays @ -DIRECTIONS.T).argmax(axis=1)
+        depths = self.depths.reshape(len(DIRECTIONS), -1)[nearest, np.arange(len(nearest))]
+        if view.position is not None:
+            # Nothing behind a viewer within the volume hides anything.
+            place = np.linalg.inv(lattice.world_from_index) @ [*view.position, 1.0]
+            at = np.floor((place[:3] + 0.5) / self.cell).astype(int)
+            if np.all((at >= 0) & (at < self.depths.shape[1:])):
+                depths = np.maximum(depths - self.depths[(nearest, *at)], np.float32(0.0))
+        return self._in_voxels(np.exp(-depths).reshape(self.depths.shape[1:]))
+
+    def _in_voxels(self, cells: np.ndarray) -> np.ndarray:
+        for axis, size in enumerate(self.shape):
+            cells = cells.repeat(self.cell, axis).take(range(size), axis)
+        return cells
+
+    def transmittances(self, voxels: np.ndarray) -> np.ndarray:
+        """Transmittance float32 (N, 26) from voxels int (N, 3) towards DIRECTIONS."""
+        x, y, z = (voxels // self.cell).T
+        return np.exp(-self.depths[:, x, y, z]).T
+
+
+def _block_means(values: np.ndarray, size: int) -> np.ndarray:
+    """Means of blocks of size^3 values; blocks at the end are filled up with zeros."""
+    if size == 1:
+        return values
+    values = np.pad(values, [(0, -n % size) for n in values.shape])
+    parts: Sequence[int] = [part for n in values.shape for part in (n // size, size)]
+    return values.reshape(parts).mean(axis=(1, 3, 5), dtype=np.float32)

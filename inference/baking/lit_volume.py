@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light: what a volume scatters more than once, as emission on a grid of its own."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..numerics.interpolation import pad_with_zeros, sample_padded
+from ..numerics.small_matmul import product
+from ..runtime.report import Report
+from ..scene.phase_function import henyey_greenstein
+
+#: Products of a direction's components in the quadratic term: traceless, so that it is orthogonal to a constant.
+QUADRATIC = 5
+#: Coefficients per point of a DirectionalFactor: constant, linear, quadratic, of the lobe, and of the correction.
+COEFFICIENTS = 1 + 3 + QUADRATIC + 1 + 1
+#: Largest absolute value of the factor's logarithm.
+MAX_LOGARITHM = 8.0
+#: How fast the correction fades with the angle to the view that was baked.
+SHARPNESS = 12.0
+
+
+@dataclass(frozen=True)
+class BakedView:
+    """Where the rays come from along which light was baked.
+
+    position: (3,) of the camera in the world, or None. direction: (3,), of the parallel rays of an orthographic
+    camera, or None; neither, where the mean over all directions was baked.
+    """
+
+    position: np.ndarray | None = None
+    direction: np.ndarray | None = None
+
+    def directions(self, positions: np.ndarray) -> np.ndarray | None:
+        """Unit directions (N, 3) of the rays to world positions (N, 3); None where there is no view."""
+        if self.direction is not None:
+            return np.broadcast_to(self.direction, positions.shape).copy()
+        if self.position is None:
+            return None
+        away = positions - self.position
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        # A point at the camera itself is seen from no direction: any one will do.
+        return np.where(length > 0.0, away / np.maximum(length, 1e-30), [0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """Mean of Henyey-Greenstein phase functions about lights, the same everywhere.
+
+    directions: (L, 3), unit vectors towards the lights. weights: (L,), sum to 1. anisotropy: of the lobes.
+    """
+
+    directions: np.ndarray
+    weights: np.ndarray
+    anisotropy: float
+
+    def logarithm(self, directions: np.ndarray) -> np.ndarray:
+        """Logarithm (N,) of 4 pi times the mean, for camera rays along unit directions (N, 3)."""
+        cosine = product(directions, self.directions.T)
+        return np.log(4.0 * np.pi * product(henyey_greenstein(cosine, self.anisotropy), self.weights))
+
+
+@dataclass(frozen=True)
+class DirectionalFactor:
+    """Ratio of the light scattered in any direction to the light that was baked, the same for all colours.
+
+    Towards the viewer of a ray along w it is
+
+        exp(a + b . w + q(w) + c log lobe(w) + r exp(SHARPNESS (w . v - 1)))
+
+    with v the direction of the baked view's ray; q(w) = sum of q_k times `quadratic_terms`. The correction r makes it 1
+    along the baked view and fades beside it.
+
+    coefficients: float32 (nx, ny, nz, COEFFICIENTS), of a, b (3), q (5), c and r; trilinear between voxel centres and
+    constant beyond the outermost. world_from_index: (4, 4) of this grid. lobe, view: see there.
+    """
+
+    coefficients: np.ndarray
+    world_from_index: np.ndarray
+    lobe: Lobe
+    view: BakedView
+
+    def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Factors float32 (N,) at world positions (N, 3), for camera rays along unit directions (N, 3)."""
+        index_from_world = np.linalg.inv(self.world_from_index)
+        index = product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]
+        most = np.array(self.coefficients.shape[:3], np.float64) - 1.0
+        index = np.clip(index, 0.0, most).T.astype(np.float32)
+        found = np.stack(
+            [
+                sample_padded(pad_with_zeros(self.coefficients[..., k]), index)
+                for k in range(self.coefficients.shape[3])
+            ],
+            axis=1,
+        )
+        terms = directional_terms(directions, self.lobe)
+        logarithm = np.einsum("nk,nk->n", found[:, :-1], terms)
+        baked = self.view.directions(positions)
+        if baked is not None:
+            cosine = np.einsum("nk,nk->n", baked, directions)
+            logarithm = logarithm + found[:, -1] * np.exp(SHARPNESS * (cosine - 1.0))
+        return np.exp(np.clip(logarithm, -MAX_LOGARITHM, MAX_LOGARITHM)).astype(np.float32)
+
+
+def quadratic_terms(directions: np.ndarray) -> np.ndarray:
+    """(N, QUADRATIC): x y, y z, x z, x^2 - y^2 and 3 z^2 - 1 of unit directions (N, 3)."""
+    x, y, z = directions.T
+    return np.stack([x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0], axis=1)
+
+
+def directional_terms(directions: np.ndarray, lobe: Lobe) -> np.ndarray:
+    """What the coefficients of a DirectionalFactor but the last multiply: (N, COEFFICIENTS - 1)."""
+    one, bright = np.ones((len(directions), 1)), lobe.logarithm(directions)[:, None]
+    return np.concatenate([one, directions, quadratic_terms(directions), bright], axis=1)
+
+
+@dataclass(frozen=True)
+class LitVolume:
+    """The light that one volume scatters more than once, and what it scatters of its own emission.
+
+    emission: float32 (nx, ny, nz, 3), radiance per world unit of path length, W/(m^2 sr) per unit, scattered towards
+        the camera: density times extinction times albedo times the predicted radiance, at voxel centres, trilinear in
+        between and 0 outside. It is not attenuated.
+    world_from_index: float64 (4, 4), as in Volume; the grid need not be the volume's.
+    directional: what makes other directions right, or None.
+    name: of the volume.
+    report: of the bake, the same for all volumes baked together.
+    """
+
+    emission: np.ndarray
+    world_from_index: np.ndarray
+    directional: DirectionalFactor | None = None
+    name: str = "volume"
+    report: Report = field(default_factory=Report)
+
+    def towards(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Emission float32 (N, 3) at world positions (N, 3), for camera rays along unit directions (N, 3)."""
+        index_from_world = np.linalg.inv(self.world_from_index)
+        index = (product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]).T.astype(np.float32)
+        channels = [sample_padded(pad_with_zeros(self.emission[..., c]), index) for c in range(3)]
+        emission = np.stack(channels, axis=1)
+        if self.directional is not None:
+            emission *= self.directional(positions, directions)[:, None]
+        return emission

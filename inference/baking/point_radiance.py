@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Multiple scattering at any points of a group of volumes, towards any direction."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..grids.bound_medium import BoundMedium
+from ..image.context import PreparedScene, RenderContext
+from ..marching.depth_samples import entry_point
+from ..marching.extended_lights import EquivalentDirections
+from ..marching.marcher import prepare_march
+from ..marching.ray_features import COLUMNS, RayFeatures
+from ..marching.ray_march import MarchOptions
+from ..marching.ray_steps import RayBatch
+from ..network.predictor import POINTS_PER_TASK, PreparedPredictor
+from ..plan.plan import Channels, distinct_albedos
+from ..scene.description import Sun
+from ..transport.scattered_fluence import ScatteredFluence
+
+
+class PointRadiance:
+    """The light that one group of volumes scatters, having scattered it before; ready to be evaluated.
+
+    Prepared for some colour channels and all suns of the scene. Raises Cancelled.
+    """
+
+    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels):
+        group, plan = scene.groups[g], scene.plan
+        assert group is not None
+        self._context, self._predictor = context, group.predictor
+        self.group, self.channels, self.suns = g, channels, plan.suns
+        self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
+        self._anisotropy = group.medium.anisotropy
+        self._sigma_t, self._occluders = float(group.medium.sigma_t[channels.indices[0]]), scene.occluders
+        fluence = None
+        if scene.network is not None and scene.network.needs_ray_features:
+            with context.report.stage("fields"), context.progress.stage("transport", len(plan.suns)):
+                context.progress.message(f"multiple scattering of {plan.group_name(g)}")
+                directions = [sun.direction for sun in plan.suns]
+                fluence = group.predictor.fluence(self._sigma_t, directions, scene.occluders, context.tasks)
+        media = scene.media(channels, list(range(len(plan.suns))))
+        self._media: list[BoundMedium] = [media[v] for v in plan.groups[g]]
+        self._ready: dict[int, PreparedPredictor] = {}
+        self._march = None if fluence is None else self._prepare_march(scene, fluence)
+
+    def _prepare_march(self, scene: PreparedScene, fluence: ScatteredFluence):
+        context = self._context
+        # Every ray needs its features at its start, however faint it is.
+        options = MarchOptions(
+            1,
+            [fluence],
+            scene.occluders.shadow_maps,
+            [list(range(len(self._media)))],
+            context.settings.leave_out - {"faint_rays"},
+            entry_point,
+        )
+        return prepare_march(context.kernels, self._media, options, self.channels.indices, context.tasks.stopping)
+
+    def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera.
+
+        positions, directions: float64 (N, 3) in the world, points with density and unit directions of camera rays.
+        Channels other than `channels` are 0. Raises Cancelled.
+        """
+        context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
+        features = self._features(positions, directions)
+        for l, sun in enumerate(self.suns):
+            prepared = self._prepared(l)
+            of_sun = None if features is None else features.of(slice(None), 0, l)
+            with context.report.stage("network"), context.progress.stage("network"):
+                for span, values in self._predicted(prepared, sun, positions, directions, of_sun):
+                    for (_, indices), row in zip(self.albedos, values):
+                        for c in indices:
+                            radiance[c, span] += row * np.float32(sun.irradiance[c])
+                    context.progress.advance("network", values.shape[1])
+            context.report.count("network points", len(positions))
+        return radiance
+
+    def _prepared(self, l: int) -> PreparedPredictor:
+        """The predictor of one sun, prepared once unless it is large."""
+        found = self._ready.get(l)
+        if found is None:
+            context, predictor = self._context, self._predictor
+            with context.report.stage("fields"), context.progress.stage("lattices", 1):
+                found = predictor.prepare(
+                    self._sigma_t, self.suns[l].direction, predictor.extent(), self._occluders, context.tasks
+                )
+            # Lookup lattices of networks without ray features differ from sun to sun.
+            if self._march is not None:
+                self._ready[l] = found
+        return found
+
+    def _predicted(
+        self,
+        prepared: PreparedPredictor,
+        sun: Sun,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        features: np.ndarray | None,
+    ) -> Iterator[tuple[slice, np.ndarray]]:
+        """Yield batches of points and their radiance (A, n) in the light of one sun of irradiance 1."""
+        albedos = [albedo for albedo, _ in self.albedos]
+        if sun.spread is not None:
+            directions = EquivalentDirections.of(directions, sun, self._anisotropy)
+
+        def task(span: slice) -> tuple[slice, np.ndarray]:
+            some = None if features is None else features[span]
+            return span, prepared.predict(positions[span], directions[span], albedos, ray_features=some)
+
+        return self._context.tasks.map(task, _spans(len(positions)))
+
+    def _features(self, positions: np.ndarray, directions: np.ndarray) -> RayFeatures | None:
+        """Ray features at points, for networks that need them."""
+        march = self._march
+        if march is None or not len(positions):
+            return None
+        ends = [medium.grid.interval(positions, directions)[1] for medium in self._media if medium.matters]
+        # Points at the very end of a volume have nothing ahead of them.
+        least = 1e-6 * min(medium.grid.voxel for medium in self._media)
+        batch = RayBatch(positions, directions, np.zeros(len(positions)), np.maximum(np.max(ends, axis=0), least))
+        context = self._context
+        # Where a ray meets no density, nothing lies ahead.
+        values = np.zeros((len(positions), 1, len(self.suns), COLUMNS), np.float32)
+
+        def task(span: slice) -> tuple[np.ndarray, np.ndarray, int]:
+            segment = march(batch.take(span))
+            assert segment.sample_features is not None
+            return span.start + segment.sample_ray, segment.sample_features.values, segment.steps_evaluated
+
+        with context.report.stage("march"), context.progress.stage("march"):
+            for rays, found, steps in context.tasks.map(task, _spans(len(positions))):
+                values[rays] = found
+                context.report.count("steps evaluated", steps)
+                context.progress.advance("march", steps)
+        return RayFeatures(values)
+
+
+def _spans(count: int) -> list[slice]:
+    return [slice(start, start + POINTS_PER_TASK) for start in range(0, count, POINTS_PER_TASK)]

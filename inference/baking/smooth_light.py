@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Radiance in voxels, predicted where the picture needs it and interpolated in between.
+
+Prediction goes from coarse lattices of voxels to fine ones. Where a prediction agrees with the interpolation of the
+next coarser lattice, or where hardly any light reaches the viewer, finer lattices are interpolated.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+# Distances of neighbours in the lattices, in voxels. The first two are predicted everywhere.
+STRIDES = (4, 2, 1)
+# Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
+TOLERANCE = 0.015
+# Optical thickness of a voxel, times this, from which it counts in full.
+THIN = 10.0
+
+
+def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
+    """How much voxels count in the picture, 0 to 1, float32 (nx, ny, nz).
+
+    thickness: optical, of voxels. transmittance: towards the viewer. Both (nx, ny, nz).
+    """
+    return np.minimum(np.float32(THIN) * thickness, np.float32(1.0)) * transmittance
+
+
+def radiance_in_voxels(
+    wanted: np.ndarray, importance: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], interpolate: bool
+) -> tuple[np.ndarray, int]:
+    """Radiance float32 (nx, ny, nz, 3) in the wanted voxels, 0 in others, and the number of voxels predicted.
+
+    wanted: bool (nx, ny, nz). importance: see `importance_of`. predict: radiance (3, N) of voxels int (N, 3).
+    interpolate: whether any voxels are interpolated.
+    """
+    predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
+    known = np.zeros((0, 0, 0), bool)
+    for stride in STRIDES if interpolate else (1,):
+        here = wanted[::stride, ::stride, ::stride]
+        between, near = _upsampled(values, known, here.shape)
+        chosen = here.copy()
+        if interpolate and stride not in STRIDES[:2]:
+            counts = _block_maxima(importance, stride)
+            grey = between.mean(axis=3)
+            mean = float((counts * grey)[here].sum() / max(float((counts * near)[here].sum()), 1e-30))
+            chosen &= ~near | (_around(error, here.shape) * counts > TOLERANCE * mean)
+        values = np.where((here & ~chosen)[..., None], between, np.float32(0.0))
+        places = np.argwhere(chosen)
+        if len(places):
+            values[chosen] = predict(places * stride).T
+        predicted += len(places)
+        # Interpolated voxels have no error that is known: finer lattices around them are interpolated, too.
+        error = np.where(chosen & near, np.abs(values.mean(axis=3) - between.mean(axis=3)), np.float32(0.0))
+        known = here
+    return values, predicted
+
+
+def _upsampled(values: np.ndarray, known: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A lattice (nx, ny, nz, 3) interpolated on one twice as fine, from known neighbours; and where there are any."""
+    if not known.size:
+        return np.zeros((*shape, 3), np.float32), np.zeros(shape, bool)
+    sums = np.concatenate([values, known[..., None]], axis=3).astype(np.float32)
+    for axis, size in enumerate(shape):
+        coarse = sums.shape[axis]
+        after = np.concatenate([sums.take(range(1, coarse), axis), np.zeros_like(sums.take([0], axis))], axis)
+        pairs = np.stack([sums, np.float32(0.5) * (sums + after)], axis + 1)
+        doubled = pairs.reshape([2 * coarse if a == axis else n for a, n in enumerate(sums.shape)])
+        sums = doubled.take(range(size), axis)
+    weight = sums[..., 3:]
+    return sums[..., :3] / np.maximum(weight, np.float32(1e-6)), weight[..., 0] > 0.0
+
+
+def _around(error: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Largest error of a lattice near each place of one twice as fine."""
+    for axis, size in enumerate(shape):
+        edge = np.zeros_like(error.take([0], axis))
+        padded = np.concatenate([edge, error, edge], axis)
+        count = error.shape[axis]
+        error = np.maximum(error, np.maximum(padded.take(range(count), axis), padded.take(range(2, count + 2), axis)))
+        error = error.repeat(2, axis).take(range(size), axis)
+    return error
+
+
+def _block_maxima(values: np.ndarray, size: int) -> np.ndarray:
+    """Largest values of blocks of size^3, smaller ones at the end."""
+    values = np.pad(values, [(0, -n % size) for n in values.shape])
+    parts = [part for n in values.shape for part in (n // size, size)]
+    return values.reshape(parts).max(axis=(1, 3, 5))

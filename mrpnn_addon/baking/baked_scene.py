@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shows baked light in a scene, and removes it without a trace.
+
+Each volume gets a second Volume object beside it, which only shines. The volume itself, its material and its files
+stay as they are.
+"""
+
+from dataclasses import replace
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
+
+from ..nodes.material import LIGHT_MARK
+from ..scene.reader import SceneDescription
+from .bake_job import BakedScene, BakedVolume
+from .content import light_keys, volume_names
+from .light_material import light_material, set_frame
+
+COLLECTION = "Baked Light"
+_ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
+
+
+class MRPNN_PG_lit_volume(bpy.types.PropertyGroup):
+    """The baked light of one volume. name: of the volume."""
+
+    shown: PointerProperty(name="Object", type=bpy.types.Object)
+    key: StringProperty(name="Content")
+
+
+class MRPNN_PG_light(bpy.types.PropertyGroup):
+    """A scene's baked light, and what *Remove Baked Light* restores."""
+
+    active: BoolProperty(name="Baked")
+    directional: BoolProperty(name="Other Directions", default=True)
+    volumes: CollectionProperty(name="Volumes", type=MRPNN_PG_lit_volume)
+    collection: PointerProperty(name="Collection", type=bpy.types.Collection)
+    engine: StringProperty(name="Render Engine Before")
+    volume_bounces: IntProperty(name="Volume Bounces Before", default=-1)
+    ray_marching: IntProperty(name="Biased Volumes Before", default=-1)
+
+
+def baked_keys(scene) -> dict[str, str]:
+    """Content keys of what is baked and still there, by volume."""
+    found = {}
+    for item in scene.mrpnn_light.volumes:
+        if item.shown is not None and item.shown.name in scene.objects and len(item.shown.data.materials):
+            found[item.name] = item.key
+    return found
+
+
+def stale_light(scene, description: SceneDescription) -> list[str]:
+    """Sentences about light that is out of date, missing or left over; sequences are not compared."""
+    state = scene.mrpnn_light
+    if not state.active:
+        return []
+    settings = replace(scene.mrpnn.settings(), directional=state.directional)
+    names, known = volume_names(description), baked_keys(scene)
+    sequences = {item.name for item in state.volumes if not item.key}
+    found = [
+        f'the baked light of "{name}" is out of date; Bake Light'
+        for name, key in zip(names, light_keys(description, settings))
+        if known.get(name) != key and name not in sequences
+    ]
+    left = [item.name for item in state.volumes if item.name not in names]
+    return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
+
+
+def show_light(scene, baked: BakedScene) -> None:
+    """Show one frame's light, instead of what was shown of its volumes before."""
+    state = scene.mrpnn_light
+    _prepare(scene)
+    state.directional = baked.directional
+    for one in baked.volumes:
+        _show(scene, one)
+    gone = [item.name for item in state.volumes if item.name not in baked.names]
+    for name in gone:
+        number = state.volumes.find(name)
+        _remove_object(state.volumes[number].shown)
+        state.volumes.remove(number)
+
+
+def show_sequence(scene, frames: list[BakedScene]) -> None:
+    """Show the light of consecutive frames, baked into one target."""
+    first = {}
+    for frame in frames:
+        for one in frame.volumes:
+            first.setdefault(one.name, (frame.frame, one))
+    _prepare(scene)
+    names = [name for frame in frames for name in frame.names]
+    show_light(scene, replace(frames[0], volumes=[one for _, one in first.values()], names=names))
+    for item in scene.mrpnn_light.volumes:
+        if item.name not in first:
+            continue
+        start, data = first[item.name][0], item.shown.data
+        baked = [(frame.frame, one) for frame in frames for one in frame.volumes if one.name == item.name]
+        data.is_sequence, data.sequence_mode = True, "CLIP"
+        # The number in a file's name is its frame.
+        data.frame_start, data.frame_offset, data.frame_duration = start, start - 1, baked[-1][0] - start + 1
+        for number, one in baked:
+            set_frame(data.materials[0], one.scale, one.directional, number)
+        # Its key is that of one frame: a sequence is baked again as a whole.
+        item.key = ""
+
+
+def remove_light(scene) -> None:
+    """Undo `show_light`. The files stay: other copies of the .blend may show them."""
+    state = scene.mrpnn_light
+    for item in state.volumes:
+        _remove_object(item.shown)
+    if state.collection is not None:
+        bpy.data.collections.remove(state.collection)
+    if state.engine:
+        scene.render.engine = state.engine
+    if state.volume_bounces >= 0 and hasattr(scene, "cycles"):
+        scene.cycles.volume_bounces = state.volume_bounces
+    if state.ray_marching >= 0 and chooses_ray_marching(scene):
+        scene.cycles.volume_biased = bool(state.ray_marching)
+    state.volumes.clear()
+    for name in ("active", "directional", "collection", "engine", "volume_bounces", "ray_marching"):
+        state.property_unset(name)
+
+
+def chooses_ray_marching(scene) -> bool:
+    """Whether Cycles has two ways through volumes, null scattering and ray marching; Blender 5.0 and later."""
+    return hasattr(scene, "cycles") and hasattr(scene.cycles, "volume_biased")
+
+
+def _prepare(scene) -> None:
+    """Settings of the whole scene, whose earlier values are kept."""
+    state = scene.mrpnn_light
+    if state.collection is None or COLLECTION not in state.collection.name:
+        state.collection = bpy.data.collections.new(COLLECTION)
+    if state.collection.name not in scene.collection.children:
+        scene.collection.children.link(state.collection)
+    if not state.active:
+        state.active = True
+        if scene.render.engine not in _ENGINES:
+            state.engine, scene.render.engine = scene.render.engine, "CYCLES"
+        if hasattr(scene, "cycles"):
+            state.volume_bounces = scene.cycles.volume_bounces
+        if chooses_ray_marching(scene):
+            state.ray_marching = int(scene.cycles.volume_biased)
+    if hasattr(scene, "cycles"):
+        # Multiple scattering is in the light already.
+        scene.cycles.volume_bounces = 0
+    if chooses_ray_marching(scene):
+        # Null scattering takes about ten times as long to the same error of light that shines in a volume.
+        scene.cycles.volume_biased = True
+
+
+def _show(scene, one: BakedVolume) -> None:
+    state = scene.mrpnn_light
+    item = state.volumes.get(one.name)
+    if item is None:
+        item = state.volumes.add()
+        item.name = one.name
+    _remove_object(item.shown)
+    data = bpy.data.volumes.new(f"{one.name} Light")
+    data.filepath = bpy.path.relpath(one.path) if bpy.data.filepath and _near(one.path) else one.path
+    data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
+    shown = bpy.data.objects.new(f"{one.name} Light", data)
+    # The grids are in the world's frame. Nobody should have to click through it to the volume.
+    shown.hide_select = True
+    shown[LIGHT_MARK] = one.name
+    state.collection.objects.link(shown)
+    item.shown, item.key = shown, one.key
+
+
+def _near(path: str) -> bool:
+    """Whether a path can be written relative to the .blend file."""
+    try:
+        bpy.path.relpath(path)
+    except ValueError:  # Another drive, on Windows.
+        return False
+    return True
+
+
+def _remove_object(shown) -> None:
+    if shown is None:
+        return
+    data = shown.data
+    bpy.data.objects.remove(shown)
+    if data is None or data.users:
+        return
+    materials = list(data.materials)
+    bpy.data.volumes.remove(data)
+    for material in materials:
+        if material is not None and not material.users:
+            animation = material.node_tree.animation_data
+            action = animation.action if animation else None
+            bpy.data.materials.remove(material)
+            if action is not None and not action.users:
+                bpy.data.actions.remove(action)
+
+
+def register():
+    bpy.utils.register_class(MRPNN_PG_lit_volume)
+    bpy.utils.register_class(MRPNN_PG_light)
+    bpy.types.Scene.mrpnn_light = PointerProperty(type=MRPNN_PG_light)
+
+
+def unregister():
+    del bpy.types.Scene.mrpnn_light
+    bpy.utils.unregister_class(MRPNN_PG_light)
+    bpy.utils.unregister_class(MRPNN_PG_lit_volume)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What baked light was made from, so that only what has changed is baked again."""
+
+import hashlib
+
+import numpy as np
+
+from ...inference.plan.overlap import overlapping
+from ...inference.scene import Settings
+from ...inference.scene.sparse_grid import SparseGrid
+from ..scene.reader import SceneDescription
+
+
+def volume_names(description: SceneDescription) -> list[str]:
+    """A name for each volume; equal ones are numbered."""
+    seen: dict[str, int] = {}
+    names = []
+    for volume, _ in description.volumes:
+        seen[volume.name] = seen.get(volume.name, 0) + 1
+        names.append(volume.name if seen[volume.name] == 1 else f"{volume.name} #{seen[volume.name]}")
+    return names
+
+
+def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
+    """A digest per volume of all that its baked light depends on: lights, surfaces, network, and overlapping volumes.
+
+    The camera counts only where other directions are not baked.
+    """
+    around = hashlib.sha256(repr((settings.model, settings.multiple, settings.directional)).encode())
+    for sun in description.suns:
+        for array in (sun.direction, sun.irradiance, *(sun.spread or ())):
+            around.update(np.ascontiguousarray(array))
+    for environment in description.environments:
+        for array in (environment.radiance, environment.world_from_environment):
+            around.update(np.ascontiguousarray(array))
+    for surface in description.surfaces:
+        around.update(np.ascontiguousarray(surface.triangles))
+        around.update(repr((surface.shades, surface.stops)).encode())
+    if not settings.directional:
+        camera = description.camera
+        around.update(np.ascontiguousarray(camera.world_matrix))
+        around.update(repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale)).encode())
+    own = [_volume_digest(volume, medium) for volume, medium in description.volumes]
+    keys = [""] * len(own)
+    for group in overlapping([volume for volume, _ in description.volumes])[0]:
+        together = around.copy()
+        for v in group:
+            together.update(own[v])
+        for v in group:
+            keys[v] = hashlib.sha256(together.digest() + own[v]).hexdigest()[:16]
+    return keys
+
+
+def _volume_digest(volume, medium) -> bytes:
+    digest = hashlib.sha256(repr((volume.density.shape, volume.emission_power)).encode())
+    for grid in (volume.density, *volume.emission_channels()):
+        for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
+            digest.update(np.ascontiguousarray(array))
+    for array in (volume.world_from_index, medium.sigma_t, medium.albedo):
+        digest.update(np.ascontiguousarray(array))
+    digest.update(repr((medium.anisotropy, medium.emission)).encode())
+    return digest.digest()

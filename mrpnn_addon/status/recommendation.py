@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which of three ways of showing volumes suits a scene: the layer alone, a composite over Cycles, or baked light."""
+
+from dataclasses import dataclass
+
+from ..nodes.material import SURFACES, shows_volume
+from ..nodes.sockets import has_nodes
+from ..objects.visibility import visible_objects
+
+LAYER, COMPOSITE, BAKED_LIGHT = "layer", "composite", "baked light"
+
+# Shaders that show what lies around a surface, and the socket that says how much, with its least value for that.
+_CLEAR = {
+    "ShaderNodeBsdfGlass": "glass",
+    "ShaderNodeBsdfRefraction": "glass",
+    "ShaderNodeBsdfTransparent": "a transparent surface",
+    "ShaderNodeBsdfGlossy": "a mirror",
+    "ShaderNodeBsdfAnisotropic": "a mirror",
+    "ShaderNodeBsdfMetallic": "a mirror",
+}
+_ROUGH = 0.5
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """way: LAYER, COMPOSITE or BAKED_LIGHT. reason: a sentence for the panel."""
+
+    way: str
+    reason: str
+
+
+def recommend(depsgraph) -> Recommendation:
+    """What suits what renders show, without reading volumes."""
+    scene = depsgraph.scene
+    needs, surfaces = [], False
+    if scene.camera is not None and scene.camera.type == "CAMERA" and scene.camera.data.dof.use_dof:
+        needs.append("depth of field")
+    if scene.render.use_motion_blur:
+        needs.append("motion blur")
+    for shown in visible_objects(depsgraph):
+        kind = shown.object.type
+        if kind == "LIGHT" and shown.object.data.type != "SUN":
+            needs.append("a lamp")
+        elif kind in SURFACES and not shows_volume(shown.object):
+            surfaces = True
+            for slot in shown.object.material_slots:
+                needs += _shows_surroundings(slot.material)
+    if needs:
+        found = list(dict.fromkeys(needs))
+        listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
+        return Recommendation(BAKED_LIGHT, f"Baked light suits this scene: it has {listed}, which Cycles renders")
+    if surfaces:
+        return Recommendation(COMPOSITE, "A composite suits this scene: it has surfaces, which Cycles renders")
+    return Recommendation(LAYER, "The layer suits this scene: it has volumes only")
+
+
+def _shows_surroundings(material) -> list[str]:
+    """Which mirrors and glasses a material has."""
+    if material is None or not has_nodes(material):
+        return []
+    found, trees = [], [material.node_tree]
+    for tree in trees:
+        for node in tree.nodes:
+            if node.type == "GROUP" and node.node_tree is not None and node.node_tree not in trees:
+                trees.append(node.node_tree)
+            elif node.mute:
+                continue
+            elif node.bl_idname in _CLEAR and _value(node, "Roughness") < _ROUGH:
+                found.append(_CLEAR[node.bl_idname])
+            elif node.bl_idname == "ShaderNodeBsdfPrincipled" and _value(node, "Roughness") < _ROUGH:
+                found += ["glass"] if _value(node, "Transmission Weight") > 0.0 else []
+                found += ["a mirror"] if _value(node, "Metallic") > _ROUGH else []
+    return found
+
+
+def _value(node, name: str) -> float:
+    """A socket's own value; 0 without such a socket."""
+    socket = node.inputs.get(name)
+    return float(socket.default_value) if socket is not None else 0.0

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light as .vdb files: sparse grids of half floats in the world's frame."""
+
+import os
+import secrets
+
+import numpy as np
+
+from ...inference import LitVolume
+from ...inference.baking.lit_volume import MAX_LOGARITHM
+from .density_grid import VOXEL_CENTRE
+from .openvdb_module import load_openvdb
+
+#: Grids of a file: the light, and the coefficients of other directions, three to a grid.
+LIGHT = "light"
+DIRECTIONS = ("light_linear", "light_quadratic", "light_lobe", "light_view")
+# Which of a DirectionalFactor's coefficients each grid holds; -1 for none.
+COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (0, 10, -1))
+# Largest value of a half float, and of what is written.
+MAX_HALF = 65504.0
+
+
+def brightness(lit: LitVolume) -> float:
+    """A value by which a light is divided such that half floats hold it: its largest, or 1 where it is dark."""
+    return float(lit.emission.max()) or 1.0
+
+
+def write_light(path: str, lit: LitVolume, scale: float) -> None:
+    """Write the light, divided by `scale`, and its other directions. The file is complete or absent.
+
+    Raises OSError, naming the file, where it cannot be written, and SceneError without an OpenVDB module.
+    """
+    openvdb = load_openvdb()
+    light = np.minimum(lit.emission / np.float32(scale), np.float32(MAX_HALF))
+    grids = [_grid(openvdb, LIGHT, light, lit.world_from_index)]
+    if lit.directional is not None:
+        values = lit.directional.coefficients
+        # Any larger coefficient only meets the limit of the factor.
+        values = np.clip(np.nan_to_num(values), -64.0 * MAX_LOGARITHM, 64.0 * MAX_LOGARITHM)
+        values = np.concatenate([values, np.zeros((*values.shape[:3], 1), np.float32)], axis=3)
+        # One more node beyond each face, so that interpolation does not meet the 0 outside.
+        values = np.pad(values, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+        frame = lit.directional.world_from_index
+        for name, numbers in zip(DIRECTIONS, COEFFICIENTS):
+            grids.append(_grid(openvdb, name, np.ascontiguousarray(values[..., numbers]), frame, (-1, -1, -1)))
+    unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
+    try:
+        openvdb.write(unfinished, grids=grids)
+        os.replace(unfinished, path)
+    except Exception as error:
+        raise OSError(f"cannot write {path}: {error}") from error
+    finally:
+        if os.path.exists(unfinished):
+            os.unlink(unfinished)
+
+
+def _grid(openvdb, name: str, values: np.ndarray, world_from_index: np.ndarray, low=(0, 0, 0)):
+    """A grid of vectors (nx, ny, nz, 3); voxels that are 0 are not stored."""
+    grid = openvdb.Vec3SGrid()
+    grid.copyFromArray(np.array(values, np.float32), ijk=low)
+    grid.name = name
+    grid.gridClass = "fog volume"
+    grid.saveFloatAsHalf = True
+    frame = world_from_index.copy()
+    frame[:3, 3] -= VOXEL_CENTRE * frame[:3, :3].sum(axis=1)
+    # OpenVDB's matrices act on rows.
+    grid.transform = openvdb.createLinearTransform(frame.T.tolist())
+    return grid

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light, in the render properties, for every engine."""
+
+import bpy
+
+from ..mrpnn_addon.scene.changes import scene_state
+from ..mrpnn_addon.status.recommendation import BAKED_LIGHT, COMPOSITE, recommend
+from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_remove
+from ..operators.composite import MRPNN_OT_composite
+from ..operators.render import MRPNN_OT_render
+from .text import draw_text
+
+_recommended: dict = {}
+
+
+class MRPNN_PT_baked_light(bpy.types.Panel):
+    bl_label = "Light for Cycles and EEVEE"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "render"
+
+    def draw(self, context):
+        layout, scene = self.layout, context.scene
+        state = scene.mrpnn_light
+        if not state.active:
+            way = _recommendation(context)
+            draw_text(context, layout, way.reason, "INFO")
+            operator = {BAKED_LIGHT: MRPNN_OT_bake_light, COMPOSITE: MRPNN_OT_composite}.get(way.way, MRPNN_OT_render)
+            layout.operator(operator.bl_idname)
+            if operator is not MRPNN_OT_bake_light:
+                layout.operator(MRPNN_OT_bake_light.bl_idname, icon="OUTLINER_OB_LIGHT")
+            return
+        missing = [item.name for item in state.volumes if item.shown is None or item.shown.name not in scene.objects]
+        for name in missing:
+            draw_text(context, layout, f'The light of "{name}" was deleted', "ERROR")
+        if not missing:
+            count = len(state.volumes)
+            draw_text(context, layout, f"The light of {count} volume{'s' * (count != 1)} is baked", "CHECKMARK")
+        if hasattr(scene, "cycles") and scene.cycles.volume_bounces > 0 and scene.render.engine == "CYCLES":
+            draw_text(context, layout, "With volume bounces, Cycles adds the light twice; set them to 0", "ERROR")
+        layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake What Has Changed", icon="FILE_REFRESH")
+        layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake All").everything = True
+        layout.operator(MRPNN_OT_bake_light_remove.bl_idname, icon="X")
+
+
+def _recommendation(context):
+    key = context.view_layer.name, *scene_state(context.scene)
+    if _recommended.get("key") != key:
+        value = recommend(context.evaluated_depsgraph_get())
+        # Evaluating the scene counts as a change.
+        _recommended.update(key=(key[0], *scene_state(context.scene)), value=value)
+    return _recommended["value"]
+
+
+classes = (MRPNN_PT_baked_light,)

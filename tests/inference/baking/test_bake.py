@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light against predictions at points, layers, closed forms and symmetries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import (
+    Camera,
+    Cancelled,
+    Medium,
+    RenderCache,
+    SceneError,
+    Settings,
+    SparseGrid,
+    Sun,
+    Surface,
+    Volume,
+    bake,
+    predict_multiple,
+    render,
+)
+from inference.baking.lattice import DIRECTIONS, WEIGHTS
+from inference.grids.grid import Grid
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+from tests.support.volumes import SUN, box, camera, cloud
+
+MEDIUM = Medium(20.0, (1.0, 0.9, 0.8), 0.6)
+EVERY_VOXEL = ALL - {"unseen_voxels", "smooth_light", "small_voxels"}
+EXACT = Settings(directional=False, leave_out=EVERY_VOXEL)
+
+
+def looking(direction) -> Camera:
+    """An orthographic camera whose rays go along a direction."""
+    matrix = np.eye(4)
+    z = -np.asarray(direction) / np.linalg.norm(direction)
+    x = np.cross([0.3, 0.9, 0.1], z)
+    matrix[:3, :3] = np.stack([x / np.linalg.norm(x), np.cross(z, x / np.linalg.norm(x)), z], axis=1)
+    return Camera(matrix, "orthographic", (24, 16))
+
+
+def centres(lit) -> np.ndarray:
+    """World positions (N, 3) of all voxels of a LitVolume."""
+    voxels = np.argwhere(np.ones(lit.emission.shape[:3], bool))
+    return voxels @ lit.world_from_index[:3, :3].T + lit.world_from_index[:3, 3]
+
+
+def scattering(volume, medium, lit) -> np.ndarray:
+    """Scattering coefficient (N, 3) at the centres of a LitVolume's voxels."""
+    grid = Grid(volume)
+    density = grid.sample_density(grid.index(centres(lit)).T.astype(np.float32))
+    return density[:, None] * medium.sigma_t * medium.albedo
+
+
+def seen_through(volume, medium, lit, view) -> np.ndarray:
+    """Baked light, attenuated by its volume, in a camera's pixels: (H, W, 3)."""
+    glow = Volume(np.ones(lit.emission.shape[:3]), lit.world_from_index, "light", lit.emission)
+    dark = replace(medium, albedo=np.zeros(3))
+    return render([(volume, dark), (glow, Medium(0.0))], [SUN], view, Settings(multiple=False)).emission
+
+
+def relative(values, truth) -> float:
+    return float(np.sqrt(np.mean((values - truth) ** 2)) / truth.mean())
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_emission_at_voxel_centres_is_what_points_scatter(compiled):
+    volume, view = cloud(), camera()
+    [lit] = bake([(volume, MEDIUM)], [SUN], view, replace(EXACT, compiled=compiled))
+    positions, dense = centres(lit), lit.emission.reshape(-1, 3)
+    filled = np.flatnonzero(dense.any(axis=1))
+    assert len(filled) == np.count_nonzero(volume.density)
+    towards = positions[filled] - view.world_matrix[:3, 3]
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    predicted = predict_multiple(volume, MEDIUM, SUN, positions[filled], towards)
+    expected = predicted * scattering(volume, MEDIUM, lit)[filled]
+    np.testing.assert_allclose(dense[filled], expected, rtol=2e-3, atol=1e-4 * expected.max())
+
+
+@pytest.mark.parametrize("sigma_t, anisotropy", [(5.0, 0.0), (40.0, 0.85)])
+def test_baked_light_shows_the_layers_multiple_scattering(sigma_t, anisotropy):
+    volume, medium, view = cloud(voxels=48), Medium(sigma_t, 0.95, anisotropy), camera(resolution=(48, 32))
+    [lit] = bake([(volume, medium)], [SUN], view)
+    layer = render([(volume, medium)], [SUN], view, Settings(16))
+    assert relative(seen_through(volume, medium, lit, view), layer.multiple) < 0.05
+    assert seen_through(volume, medium, lit, view).mean() == pytest.approx(layer.multiple.mean(), rel=0.02)
+
+
+def test_nothing_shines_where_there_is_no_density():
+    volume = cloud()
+    [lit] = bake([(volume, MEDIUM)], [SUN], camera())
+    dark = scattering(volume, MEDIUM, lit) == 0.0
+    assert dark.any() and np.all(lit.emission.reshape(-1, 3)[dark] == 0.0)
+    assert np.all(lit.emission.reshape(-1, 3)[~dark] > 0.0)
+    outside = np.array([[0.0, 0.0, 0.7], [2.0, 0.0, 0.0]])
+    assert np.all(lit.towards(outside, np.tile([0.0, 0.0, -1.0], (2, 1))) == 0.0)
+
+
+def test_light_adds_up_and_scales_with_irradiance():
+    volume, other = cloud(), Sun((-1.0, 0.2, 0.1), (0.5, 1.0, 2.0))
+    one, two, both = (bake([(volume, MEDIUM)], s, camera(), EXACT)[0] for s in ([SUN], [other], [SUN, other]))
+    np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
+    [brighter] = bake([(volume, MEDIUM)], [Sun(SUN.direction, 3.0 * SUN.irradiance)], camera(), EXACT)
+    np.testing.assert_allclose(brighter.emission, 3.0 * one.emission, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_white_cloud_in_uniform_light_vanishes():
+    """What scatters once and more often together has the radiance of the surroundings, 1, everywhere."""
+    volume, medium = cloud(voxels=12), Medium(10.0, 1.0, 0.0)
+    suns = [Sun(d, 4.0 * np.pi * w) for d, w in zip(DIRECTIONS, WEIGHTS)]
+    [lit] = bake([(volume, medium)], suns, None, EXACT)
+    coefficient, grid = scattering(volume, medium, lit)[:, 0], Grid(volume)
+    inside = coefficient > 0.1 * coefficient.max()
+    index = grid.index(centres(lit)[inside]).T.astype(np.float32)
+    depths = grid.sun_depths([sun.direction for sun in suns])
+    once = sum(w * np.exp(-depth(index, 10.0)) for w, depth in zip(WEIGHTS, depths))
+    total = once + lit.emission[..., 0].reshape(-1)[inside] / coefficient[inside]
+    assert total.mean() == pytest.approx(1.0, abs=0.05)
+    assert total.std() < 0.05
+
+
+@pytest.mark.slow
+def test_without_a_camera_the_mean_over_directions_is_baked():
+    volumes = [(cloud(voxels=8), MEDIUM)]
+    [mean] = bake(volumes, [SUN], None, EXACT)
+    cache = RenderCache()
+    towards = [bake(volumes, [SUN], looking(d), EXACT, cache=cache)[0].emission for d in DIRECTIONS]
+    np.testing.assert_allclose(mean.emission, np.tensordot(WEIGHTS, towards, 1), rtol=1e-3, atol=1e-6)
+
+
+def test_overlapping_volumes_share_the_light():
+    """Two halves of one cloud, one of them twice as white as the other."""
+    whole, view = cloud(), camera()
+    half = Volume(0.5 * whole.density, whole.world_from_index, "half")
+    white, grey = Medium(20.0, 0.8, 0.6), Medium(20.0, 0.4, 0.6)
+    first, second = bake([(half, white), (replace(half), grey)], [SUN], view, EXACT)
+    np.testing.assert_allclose(second.emission, 0.5 * first.emission, rtol=1e-4)
+    # Together they are a cloud of their mean albedo.
+    [merged] = bake([(whole, Medium(20.0, 0.6, 0.6))], [SUN], view, EXACT)
+    # On the merged grid, whose voxels are the same.
+    assert relative(first.emission + second.emission, merged.emission) < 0.02
+
+
+def test_volumes_without_light_are_dark_in_their_place():
+    clear = Volume(cloud().density, cloud().world_from_index, "clear")
+    black = Volume(cloud().density, cloud().world_from_index + np.diag([0, 0, 0, 0]), "black")
+    black.world_from_index[0, 3] += 3.0
+    found = bake([(clear, Medium(0.0)), (cloud(), MEDIUM), (black, Medium(5.0, 0.0))], [SUN], camera())
+    assert [lit.name for lit in found] == ["clear", "cloud", "black"]
+    assert [bool(lit.emission.any()) for lit in found] == [False, True, False]
+
+
+def test_scattered_emission_is_baked_too():
+    lamp = cloud()
+    lamp.emission = np.repeat(lamp.density[..., None], 3, axis=3) * np.float32(2.0)
+    [lit] = bake([(lamp, MEDIUM)], [], camera(), EXACT)
+    layer = render([(lamp, MEDIUM)], [], camera(), Settings(16))
+    assert seen_through(cloud(), MEDIUM, lit, camera()).mean() == pytest.approx(layer.multiple.mean(), rel=0.03)
+
+
+def test_surfaces_shadow_baked_light():
+    corners = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]) + 3.0 * SUN.direction
+    wall = Surface(corners[[[0, 1, 2], [0, 2, 3]]])
+    [lit] = bake([(cloud(), MEDIUM)], [SUN, Sun((0.0, 0.0, -1.0), 1.0)], camera(), EXACT, surfaces=[wall])
+    [alone] = bake([(cloud(), MEDIUM)], [Sun((0.0, 0.0, -1.0), 1.0)], camera(), EXACT)
+    assert relative(lit.emission, alone.emission) < 0.02
+
+
+def test_sparse_and_dense_grids_are_baked_alike():
+    volume = cloud()
+    sparse = Volume(SparseGrid.of_dense(volume.density), volume.world_from_index)
+    # Dense grids of few voxels are refined for rays, sparse ones are not.
+    dense, other = (bake([(v, MEDIUM)], [SUN], camera(), EXACT)[0] for v in (volume, sparse))
+    assert dense.emission.shape == other.emission.shape
+    assert relative(other.emission, dense.emission) < 0.02
+
+
+def test_voxels_far_smaller_than_pixels_are_joined():
+    volume = cloud(voxels=48)
+    near, far = (bake([(volume, MEDIUM)], [SUN], camera(d), Settings(directional=False))[0] for d in (3.0, 30.0))
+    assert near.emission.shape[0] > 3 * far.emission.shape[0]
+    voxel = [np.abs(np.linalg.det(lit.world_from_index[:3, :3])) for lit in (near, far)]
+    totals = [lit.emission.sum() * v for lit, v in zip((near, far), voxel)]
+    assert totals[1] == pytest.approx(totals[0], rel=0.1)
+
+
+def in_view(leave_out, medium, voxels):
+    volume, view = cloud(voxels=voxels), camera(resolution=(48, 32))
+    [lit] = bake([(volume, medium)], [SUN], view, Settings(directional=False, leave_out=leave_out))
+    return seen_through(volume, medium, lit, view), lit.report.counts
+
+
+@pytest.mark.parametrize(
+    "name, medium, voxels",
+    [("smooth_light", Medium(3.0, 0.9, 0.3), 48), ("unseen_voxels", Medium(3000.0, 0.9, 0.3), 48)],
+)
+def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, medium, voxels):
+    # Which voxels are interpolated depends on all others.
+    others = ALL - {"smooth_light"} if name != "smooth_light" else ALL
+    usual, counts = in_view(others, medium, voxels)
+    every, all_counts = in_view(others - {name}, medium, voxels)
+    assert counts["voxels predicted"] < all_counts["voxels predicted"]
+    assert relative(usual, every) <= OPTIMIZATIONS[name].budget
+
+
+def test_joined_voxels_stay_within_their_budget():
+    volume, view = cloud(voxels=96), camera(resolution=(24, 16))
+    [joined] = bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False))
+    [every] = bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False, leave_out=ALL - {"small_voxels"}))
+    assert joined.emission.size < every.emission.size
+    # Seen by pixels that are means over their area, as a camera's are.
+    fine = camera(resolution=(96, 64))
+    a, b = (
+        seen_through(volume, MEDIUM, lit, fine).reshape(16, 4, 24, 4, 3).mean(axis=(1, 3)) for lit in (joined, every)
+    )
+    assert relative(a, b) <= OPTIMIZATIONS["small_voxels"].budget
+
+
+def test_the_factor_of_other_directions_is_one_along_the_baked_view():
+    volume, view = cloud(), camera()
+    [lit] = bake([(volume, MEDIUM)], [SUN], view)
+    positions = centres(lit)[lit.emission.any(axis=3).reshape(-1)]
+    along = positions - view.world_matrix[:3, 3]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    # The correction is interpolated between the centres of coarse cells.
+    np.testing.assert_allclose(lit.directional(positions, along), 1.0, atol=0.05)
+
+
+@pytest.mark.parametrize("anisotropy, error", [(0.0, 0.08), (0.85, 0.3)])
+def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, error):
+    volume, medium = cloud(), Medium(20.0, 1.0, anisotropy)
+    [lit] = bake([(volume, medium)], [SUN], looking((0.0, 0.0, -1.0)), replace(EXACT, directional=True))
+    other = np.array([np.sin(np.radians(40)), 0.0, -np.cos(np.radians(40))])
+    [truth] = bake([(volume, medium)], [SUN], looking(other), EXACT)
+    positions = centres(lit)
+    found = lit.towards(positions, np.tile(other, (len(positions), 1)))
+    truth = truth.emission.reshape(-1, 3)
+    assert relative(found, truth) < error
+    assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
+
+
+def test_a_light_with_an_extent_is_the_mean_of_its_parts():
+    directions = np.array([[0.3, 0.1, 1.0], [-0.3, 0.1, 1.0], [0.0, 0.4, 1.0]])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    extended = Sun((0.0, 0.2, 1.0), 1.0, spread=(directions, np.full(3, 1 / 3)))
+    medium = Medium(8.0, 0.9, 0.5)
+    [lit] = bake([(cloud(), medium)], [extended], camera(), EXACT)
+    [parts] = bake([(cloud(), medium)], [Sun(d, 1 / 3) for d in directions], camera(), EXACT)
+    assert lit.emission.mean() == pytest.approx(parts.emission.mean(), rel=0.1)
+
+
+def test_progress_rises_to_one_and_a_cache_changes_nothing():
+    told, cache = [], RenderCache()
+    scene = [(cloud(), MEDIUM)], [SUN], camera()
+    [first] = bake(*scene, progress=lambda fraction, message: told.append(fraction), cache=cache)
+    [again] = bake(*scene, cache=cache)
+    assert told == sorted(told) and told[-1] == 1.0
+    np.testing.assert_array_equal(first.emission, again.emission)
+
+
+def test_cancelling_stops_the_bake():
+    asked = []
+
+    def cancelled():
+        asked.append(None)
+        return len(asked) > 20
+
+    with pytest.raises(Cancelled):
+        bake([(cloud(voxels=64), MEDIUM)], [SUN], camera(), cancelled=cancelled)
+
+
+def test_scenes_that_cannot_be_baked_are_refused():
+    with pytest.raises(SceneError, match="no volume"):
+        bake([], [SUN])
+    with pytest.raises(SceneError, match="no sun"):
+        bake([(cloud(), MEDIUM)], [])
+    with pytest.raises(SceneError, match="box: the density grid is zero everywhere"):
+        bake([(box(density=0.0), MEDIUM)], [SUN])
+    with pytest.raises(SceneError, match="needs about .* GiB and the limit is 0.4 GiB"):
+        bake([(cloud(voxels=256), MEDIUM)], [SUN], settings=Settings(memory_limit=400 << 20))

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light in Cycles against layers, its files, and that its removal leaves nothing behind."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import Settings, render
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def cloud(scene, tmp_path):
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    cloud = blender_scenes.cloud_scene(scene, tmp_path, density=20.0)
+    scene.camera.data.angle = 0.5
+    scene.cycles.volume_bounces = 7
+    return cloud
+
+
+def layer_of(scene):
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    found = read_scene(blender_scenes.depsgraph())
+    return render(found.volumes, found.suns, found.camera, Settings(16))
+
+
+def in_cycles(scene, folder, samples=32):
+    blender_scenes.set_up_cycles(scene, samples, 0)
+    scene.cycles.volume_step_rate = 1.0
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    return blender_scenes.rendered(scene, folder)
+
+
+def lights():
+    return [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
+
+
+def bake(folder, **options):
+    return bpy.ops.mrpnn.bake_light(folder=str(folder), **options)
+
+
+def relative(image, layer):
+    shown = layer.alpha > 0.02
+    return np.sqrt(np.mean((image[..., :3] - layer.rgb)[shown] ** 2)) / layer.rgb[shown].mean()
+
+
+def test_cycles_shows_the_layer_after_baking_and_single_scattering_before(addon, scene, cloud, tmp_path):
+    layer = layer_of(scene)
+    before = in_cycles(scene, tmp_path)[..., :3].mean()
+    assert before < 0.6 * layer.rgb.mean()
+    assert bake(tmp_path) == {"FINISHED"}
+    image = in_cycles(scene, tmp_path)
+    assert relative(image, layer) < 0.08
+    assert image[..., :3].mean() == pytest.approx(layer.rgb.mean(), rel=0.04)
+
+
+def test_another_camera_sees_its_own_light(addon, scene, cloud, tmp_path):
+    assert bake(tmp_path) == {"FINISHED"}
+    angle = np.radians(40.0)
+    scene.camera.location = 6.0 * np.sin(angle), 0.0, 6.0 * np.cos(angle)
+    scene.camera.rotation_euler = 0.0, angle, 0.0
+    assert relative(in_cycles(scene, tmp_path), layer_of(scene)) < 0.1
+
+
+def test_the_layer_and_the_volume_are_what_they_were(addon, scene, cloud, tmp_path):
+    layer, materials = layer_of(scene), [slot.material.name for slot in cloud.material_slots]
+    path = cloud.data.filepath
+    bake(tmp_path)
+    assert [slot.material.name for slot in cloud.material_slots] == materials and cloud.data.filepath == path
+    np.testing.assert_allclose(layer_of(scene).rgb, layer.rgb, rtol=1e-5)
+
+
+def state_of_file() -> dict:
+    """What a .blend file holds: names of all data, and the settings that a bake may touch."""
+    found = {}
+    for kind in ("objects", "volumes", "materials", "collections", "actions", "node_groups", "scenes"):
+        found[kind] = sorted(block.name for block in getattr(bpy.data, kind))
+    scene = bpy.data.scenes[0]
+    found["settings"] = scene.render.engine, scene.cycles.volume_bounces, scene.cycles.max_bounces
+    found["state"] = scene.mrpnn_light.active, len(scene.mrpnn_light.volumes), scene.mrpnn_light.volume_bounces
+    found["children"] = [child.name for child in scene.collection.children]
+    return found
+
+
+def test_removal_restores_the_saved_file(addon, scene, cloud, tmp_path):
+    scene.render.engine = "MRPNN"
+    blend = str(tmp_path / "scene.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    before = state_of_file()
+    assert bake(tmp_path) == {"FINISHED"}
+    scene = bpy.context.scene
+    assert scene.render.engine == "CYCLES" and scene.cycles.volume_bounces == 0 and len(lights()) == 1
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    assert len(lights()) == 1
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    assert state_of_file() == before
+
+
+def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
+    other, _ = blender_scenes.add_volume(
+        scene,
+        blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.0)),
+        "Other",
+        Density=5.0,
+    )
+    other.location = 4.0, 0.0, 0.0
+    bake(tmp_path)
+    first = {shown["mrpnn_light"]: shown.data.filepath for shown in lights()}
+    assert set(first) == {"Cloud", "Other"}
+    bake(tmp_path)
+    assert {shown["mrpnn_light"]: shown.data.filepath for shown in lights()} == first
+    other.location = 5.0, 0.0, 0.0
+    bake(tmp_path)
+    second = {shown["mrpnn_light"]: shown.data.filepath for shown in lights()}
+    assert second["Cloud"] == first["Cloud"] and second["Other"] != first["Other"]
+    bpy.data.objects.remove(other)
+    bake(tmp_path)
+    assert [shown["mrpnn_light"] for shown in lights()] == ["Cloud"]
+
+
+def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_path):
+    scene.objects["Sun"].data.energy = 1e9
+    bake(tmp_path)
+    [shown] = lights()
+    openvdb = blender_scenes.openvdb()
+    light = openvdb.read(shown.data.filepath, "light")
+    assert light.saveFloatAsHalf and light.evalMinMax()[1][0] == pytest.approx(1.0, rel=1e-3)
+    values = np.zeros((16, 16, 16), np.float32)
+    density = openvdb.read(cloud.data.filepath, "density")
+    density.copyToArray(values)
+    assert light.activeVoxelCount() == np.count_nonzero(values)
+    assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
+
+
+def test_a_folder_that_cannot_be_made_is_named(addon, scene, cloud, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RuntimeError, match="file"):
+        bake(tmp_path / "file" / "light")
+    assert not lights() and not scene.mrpnn_light.active
+
+
+def test_a_scene_without_light_is_refused(addon, scene, cloud, tmp_path):
+    bpy.data.objects.remove(scene.objects["Sun"])
+    with pytest.raises(RuntimeError, match="no sun"):
+        bake(tmp_path)
+    assert scene.cycles.volume_bounces == 7 and not lights()
+
+
+def test_surfaces_whose_light_is_not_baked_are_named(addon, scene, cloud, tmp_path):
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+    from mrpnn.operators.bake import bake_warnings
+
+    assert bake_warnings(read_scene(blender_scenes.depsgraph())) == []
+    for number in range(5):
+        mesh = bpy.data.meshes.new("Floor")
+        mesh.from_pydata([(-4, -4, -3), (4, -4, -3), (4, 4, -3)], [], [(0, 1, 2)])
+        blender_scenes.add_object(scene, f"Floor {number}", mesh)
+    [warning] = bake_warnings(read_scene(blender_scenes.depsgraph()))
+    assert all(f'"Floor {number}"' in warning for number in range(3)) and warning.endswith("and 2 others")
+
+
+def test_the_command_bakes_a_sequence_and_saves_a_file_that_shows_it(addon, scene, cloud, tmp_path):
+    sun = scene.objects["Sun"]
+    for frame, angle in ((1, 0.0), (3, 1.0)):
+        sun.rotation_euler[0] = angle
+        sun.keyframe_insert("rotation_euler", frame=frame)
+    blend = tmp_path / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    out, facts = tmp_path / "lit.blend", tmp_path / "facts.json"
+    command = addon.operators.command.main
+    assert command(["bake", "--frames", "1-3", "--save", str(out), "--json", str(facts)]) == 0
+    files = [next(iter(frame["files"].values())) for frame in json.loads(facts.read_text())["frames"]]
+    assert all(os.path.exists(path) for path in files) and len(set(files)) == 3
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    scene, [shown] = bpy.context.scene, lights()
+    for frame, path in enumerate(files, start=1):
+        scene.frame_set(frame)
+        assert shown.evaluated_get(blender_scenes.depsgraph()).data.grids.load()
+        assert os.path.samefile(shown.evaluated_get(blender_scenes.depsgraph()).data.grids.frame_filepath, path)
+    assert command(["bake", "--frames", "1,5"]) == 1
+    assert command(["bake", "--save", "x.png"]) == 1

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which way of showing volumes is recommended for what a scene holds."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from tests.support import blender_scenes
+
+
+@pytest.fixture
+def way(scene, tmp_path):
+    from mrpnn.mrpnn_addon.status.recommendation import recommend
+
+    blender_scenes.cloud_scene(scene, tmp_path)
+    return lambda: recommend(blender_scenes.depsgraph())
+
+
+def plane(scene, shader=None, **values):
+    mesh = bpy.data.meshes.new("Plane")
+    mesh.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
+    if shader is not None:
+        material = bpy.data.materials.new("Surface")
+        material.use_nodes = True
+        nodes = material.node_tree.nodes
+        nodes.clear()
+        node = nodes.new(shader)
+        for name, value in values.items():
+            node.inputs[name.replace("_", " ")].default_value = value
+        material.node_tree.links.new(node.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+        mesh.materials.append(material)
+    blender_scenes.add_object(scene, "Plane", mesh)
+
+
+def test_volumes_alone_need_the_layer(way):
+    assert way().way == "layer"
+
+
+def test_surfaces_need_a_composite(way, scene):
+    plane(scene, "ShaderNodeBsdfPrincipled")
+    plane(scene)
+    assert way().way == "composite"
+
+
+@pytest.mark.parametrize(
+    "shader, values, reason",
+    [
+        ("ShaderNodeBsdfGlass", {"Roughness": 0.0}, "glass"),
+        ("ShaderNodeBsdfGlossy", {"Roughness": 0.1}, "a mirror"),
+        ("ShaderNodeBsdfPrincipled", {"Metallic": 1.0, "Roughness": 0.0}, "a mirror"),
+        ("ShaderNodeBsdfPrincipled", {"Transmission_Weight": 1.0, "Roughness": 0.0}, "glass"),
+    ],
+)
+def test_mirrors_and_glass_need_baked_light(way, scene, shader, values, reason):
+    plane(scene, shader, **values)
+    assert way().way == "baked light" and f"it has {reason}," in way().reason
+
+
+def test_lens_and_lamps_need_baked_light(way, scene):
+    scene.camera.data.dof.use_dof = True
+    scene.render.use_motion_blur = True
+    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    assert "depth of field, motion blur and a lamp" in way().reason

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake Light in Blender's window: its worker, Esc, what EEVEE's viewport shows, and its removal."""
+
+import time
+
+import pytest
+
+from tests.support.window import LONG, NEEDS_WINDOW
+
+pytestmark = NEEDS_WINDOW
+
+BAKE = "with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light('INVOKE_DEFAULT', folder=WORK + '/light', everything=True)"
+LEAVE_OUT = "LEAVE_OUT = bpy.context.scene.mrpnn.leave_out\n"
+LIGHTS = "[o for o in bpy.data.objects if 'mrpnn_light' in o]"
+BAKING = "[t for t in threading.enumerate() if t.name.startswith('mrpnn')]"
+EEVEE = """
+scene = bpy.context.scene
+names = [item.identifier for item in scene.render.bl_rna.properties["engine"].enum_items]
+scene.render.engine = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0, 0) else "BLENDER_EEVEE"
+space = area("VIEW_3D").spaces.active
+space.shading.type, space.overlay.show_overlays = "RENDERED", False
+space.shading.use_scene_lights_render = space.shading.use_scene_world_render = True
+space.region_3d.view_perspective = "CAMERA"
+"""
+
+
+@pytest.fixture
+def lit(window):
+    yield window
+    window.do(
+        "area('VIEW_3D').spaces.active.shading.type = 'SOLID'\n"
+        "with over(area('VIEW_3D')):\n"
+        "    if bpy.context.scene.mrpnn_light.active: bpy.ops.mrpnn.bake_light_remove()\n"
+        "bpy.context.scene.render.engine = 'MRPNN'"
+    )
+
+
+def picture(window, name):
+    """Means of the middle of the viewport, and of its lower edge inside the camera's view, where there is no cloud."""
+    screen = window.shot(name)
+    left, top, right, bottom = window.box("VIEW_3D")
+    x, y = (left + right) // 2, (top + bottom) // 2
+    return float(screen[y - 40 : y + 40, x - 40 : x + 40].mean()), float(
+        screen[y + 190 : y + 205, x - 20 : x + 20].mean()
+    )
+
+
+def compiled(window, name):
+    """As `picture`, once EEVEE has compiled the light's shader: until then it fills the light's box."""
+    start = time.monotonic()
+    while True:
+        middle, edge = picture(window, name)
+        if edge < 0.5 * middle:
+            return middle
+        assert time.monotonic() - start < LONG, "the light fills its box"
+
+
+def test_esc_stops_a_bake_and_changes_nothing(lit):
+    # Otherwise this small bake ends before anybody could press Esc.
+    lit.do("import os; os.environ['MRPNN_COMPILED'] = '0'\n" + LEAVE_OUT + "bpy.context.scene.mrpnn.leave_out = set()")
+    try:
+        lit.do(BAKE)
+        lit.press("Escape")
+        lit.until(f"not {BAKING}")
+    finally:
+        lit.do("del os.environ['MRPNN_COMPILED']; bpy.context.scene.mrpnn.leave_out = LEAVE_OUT")
+    assert lit.do(f"print(len({LIGHTS}), bpy.context.scene.mrpnn_light.active)") == "0 False"
+
+
+def test_eevee_shows_baked_light_and_removal_takes_it_away(lit):
+    lit.do(EEVEE)
+    dark = compiled(lit, "bake-before")
+    lit.do(BAKE.replace("everything", "directional=False, everything"))
+    lit.until(f"len({LIGHTS}) == 1")
+    lit.until(f"not {BAKING}")
+    assert compiled(lit, "bake-after") > 1.02 * dark
+    lit.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light_remove()")
+    assert lit.do(f"print(len({LIGHTS}))") == "0"
+    assert compiled(lit, "bake-removed") == pytest.approx(dark, rel=0.02)
