@@ -18,7 +18,7 @@ from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
-from .marching.lamp_march import enclosed_warnings, place_lamp
+from .marching.lamp_march import enclosed_warnings
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
@@ -221,7 +221,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
             context.progress.advance("shadows", count * len(plan.suns))
     with report.stage("shadows"):
         context.progress.message("shadows of lamps")
-        lamps = [place_lamp(lamp, grids, surfaces, cancel) for lamp in plan.lamps if grids]
+        lamps = cache.lamps(plan.lamps, grids, surfaces, cancel, context.kernels) if grids else []
         if plan.predicts_lamps:
             for lamp in lamps:
                 report.warnings += enclosed_warnings(lamp, plan.volumes)

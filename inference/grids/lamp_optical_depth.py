@@ -10,11 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..kernels import structures
+from ..kernels.field_structures import LampDepths, LampSlices
+from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
+from .described import describe_grid
 
 # Largest number of columns along each axis of a slice, and of slices of a pyramid.
 MAX_COLUMNS, MAX_SLICES = 384, 384
@@ -43,12 +47,34 @@ class _Pyramid:
     spacing: np.ndarray
     depths: np.ndarray
 
+    @property
+    def number(self) -> int:
+        """Its place among the six."""
+        return 2 * self.axis + (self.sign < 0.0)
+
+    @property
+    def parts(self) -> np.ndarray:
+        """int (slices - 1,), into how many parts the way from each slice to the next one is divided."""
+        return np.maximum(np.round(np.diff(self.starts)), 1.0).astype(int)
+
+    def described(self) -> structures.Pyramid:
+        """As compiled kernels read it."""
+        return structures.Pyramid(
+            depths=self.depths,
+            starts=self.starts,
+            slices=len(self.starts),
+            size=np.array(self.depths.shape[1:]),
+            first=self.first,
+            spacing=self.spacing,
+        )
+
 
 class LampOpticalDepth:
     """Optical depth through one grid towards a point, for an extinction of 1 per unit density and world unit.
 
     grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from world positions. position:
-    (3,), of the lamp in the world. columns: most of them along an axis of a slice. Raises Cancelled.
+    (3,), of the lamp in the world. columns: most of them along an axis of a slice. kernels: compiled ones, or None.
+    Raises Cancelled.
     """
 
     def __init__(
@@ -59,16 +85,27 @@ class LampOpticalDepth:
         position: np.ndarray,
         columns: int = MAX_COLUMNS,
         cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
     ):
-        self.grid, self.world_from_index = grid, inverse(linear)
+        self.grid, self.world_from_index, self.kernels = grid, inverse(linear), kernels
         self.lamp = linear @ position + offset
         self.longest = float(np.linalg.norm(self.world_from_index, axis=0).max())
         self._most = columns
-        found = [self._pyramid(axis, sign, cancel) for axis in range(3) for sign in (1.0, -1.0)]
+        found = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
         self.pyramids = [pyramid for pyramid in found if pyramid is not None]
+        if kernels is None:
+            for pyramid in self.pyramids:
+                self._fill(pyramid, cancel)
+            return
+        columns = self.described(1.0)
+        for pyramid in self.pyramids:
+            for number, parts in enumerate(pyramid.parts, 1):
+                cancel.check()
+                data = LampSlices(columns=columns, pyramid=pyramid.number, begin=number, end=number + 1, parts=parts)
+                kernels.prepare("fill_lamp_columns", data)
 
-    def _pyramid(self, axis: int, sign: float, cancel: CancelToken) -> _Pyramid | None:
-        """One of the six, or None where it holds nothing of the grid."""
+    def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
+        """One of the six, to be filled, or None where it holds nothing of the grid."""
         low, high = np.full(3, -1.0) - self.lamp, np.array(self.grid.shape, np.float64) - self.lamp
         near, far = sorted((sign * low[axis], sign * high[axis]))
         if far <= CLOSEST:
@@ -92,13 +129,16 @@ class LampOpticalDepth:
         places = np.append(begin + step * np.arange(max(int(np.ceil((far - begin) / step)), 0)), far)
         starts = np.append(0.0 if near == CLOSEST else near, places)
         starts = starts[np.append(True, np.diff(starts) > 1e-9)]
-        u, v = (first[k] + spacing[k] * np.arange(count[k]) for k in (0, 1))
+        return _Pyramid(axis, sign, others, starts, first, spacing, np.zeros((len(starts), *count), np.float32))
+
+    def _fill(self, pyramid: _Pyramid, cancel: CancelToken) -> None:
+        depths, starts, count = pyramid.depths, pyramid.starts, pyramid.depths.shape[1:]
+        u, v = (pyramid.first[k] + pyramid.spacing[k] * np.arange(count[k]) for k in (0, 1))
         slope = np.zeros((3, count[0] * count[1]), np.float32)
-        slope[axis] = sign
-        slope[others[0]], slope[others[1]] = np.repeat(u, count[1]), np.tile(v, count[0])
-        depths = np.zeros((len(starts), *count), np.float32)
-        lamp, parts = self.lamp[:, None].astype(np.float32), max(int(round(step)), 1)
-        for number in range(1, len(starts)):
+        slope[pyramid.axis] = pyramid.sign
+        slope[pyramid.others[0]], slope[pyramid.others[1]] = np.repeat(u, count[1]), np.tile(v, count[0])
+        lamp = self.lamp[:, None].astype(np.float32)
+        for number, parts in enumerate(pyramid.parts, 1):
             cancel.check()
             ends = np.linspace(starts[number - 1], starts[number], parts + 1)
             total = np.zeros(slope.shape[1], np.float32)
@@ -106,7 +146,25 @@ class LampOpticalDepth:
                 for node in GAUSS_NODES:
                     total += self.grid.sample(lamp + np.float32(start + node * (end - start)) * slope)
             depths[number] = depths[number - 1] + (total * np.float32(0.5 * (ends[1] - ends[0]))).reshape(count)
-        return _Pyramid(axis, sign, others, starts, first, spacing, depths)
+
+    def described(self, sigma_t: float) -> structures.LampColumns:
+        """As compiled kernels read it, for an extinction per unit density and world unit."""
+        pyramids = [structures.Pyramid() for _ in range(6)]
+        for pyramid in self.pyramids:
+            pyramids[pyramid.number] = pyramid.described()
+        found = structures.LampColumns(
+            density=describe_grid(self.grid),
+            pyramids=(structures.Pyramid * 6)(*pyramids),
+            lamp=self.lamp,
+            world_from_index=self.world_from_index,
+            integrated=self._thick(sigma_t),
+        )
+        found.kept += pyramids
+        return found
+
+    def _thick(self, sigma_t: float) -> bool:
+        """Whether voxels are so thick that the last part of the way is integrated."""
+        return bool(self.grid.peak * sigma_t * self.longest > THIN_VOXEL)
 
     def enclosing(self) -> float:
         """Mean optical depth from a lamp in all directions, for an extinction of 1; 0 unless it is inside the grid."""
@@ -125,11 +183,18 @@ class LampOpticalDepth:
 
     def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
         """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid."""
+        if self.kernels is not None:
+            depth = np.empty(index.shape[1], np.float32)
+            index = np.ascontiguousarray(index, np.float32)
+            columns = self.described(sigma_t)
+            data = LampDepths(columns=columns, points=len(depth), index=index, sigma_t=sigma_t, out=depth)
+            self.kernels.prepare("lamp_depths", data)
+            return depth
         away = index - self.lamp[:, None].astype(np.float32)
         size = np.abs(away)
         main = size.argmax(axis=0)
         depth = np.zeros(index.shape[1], np.float32)
-        thick = self.grid.peak * sigma_t * self.longest > THIN_VOXEL
+        thick = self._thick(sigma_t)
         for pyramid in self.pyramids:
             inside = np.flatnonzero((main == pyramid.axis) & (np.sign(away[pyramid.axis]) == pyramid.sign))
             if len(inside):

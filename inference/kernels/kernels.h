@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 8
+#define MRPNN_INTERFACE 9
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -66,6 +66,56 @@ typedef struct {
     int64_t emission_power;
     double emission_factor;  /* 0: the volume emits nothing */
 } Medium;
+
+/* Optical depths of columns around a lamp, within the pyramid about one direction of an axis: LampOpticalDepth. */
+typedef struct {
+    float *depths;           /* (slices, size[0], size[1]) */
+    const double *starts;    /* (slices), their distances from the lamp along the axis, in voxels, ascending */
+    int64_t slices;          /* 0: the pyramid holds nothing of the grid */
+    int64_t size[2];         /* columns */
+    double first[2];         /* slope of the first column, */
+    double spacing[2];       /* and from one to the next */
+} Pyramid;
+
+/* Optical depth through one grid towards one point. */
+typedef struct {
+    Grid density;
+    Pyramid pyramids[6];     /* around the positive and the negative direction of each axis */
+    double lamp[3];          /* in continuous indices */
+    double world_from_index[9];
+    int64_t integrated;      /* whether the last part of the way is integrated */
+} LampColumns;
+
+/* Distance of the nearest surface in all directions from a point: LampShadowMap. */
+typedef struct {
+    const float *distances;  /* (6, cells, cells) */
+    int64_t cells;
+    double position[3];
+    double frames[54];       /* (6, 3, 3), axes of the faces as columns */
+} LampShadowMap;
+
+/* A part of a lamp of power 1: SphereEmitter, or QuadEmitter where flat. */
+typedef struct {
+    int64_t flat;
+    double position[3];      /* from which its light seems to come */
+    double extent;
+    double centre[3];        /* of the sphere */
+    double radius, intensity, closest;  /* the last is the square of a distance */
+    int64_t soft_falloff;
+    int64_t cone;            /* whether the sphere shines into a cone: */
+    double axis[3], cosine, width;
+    double corners[12], normal[3], radiance, area;  /* of the quadrilateral */
+    double tangent, focus;   /* of half its spread, and the brightness of its axis; tangent 0: diffuse */
+    double focused;          /* what the tangent is divided by for the focus */
+} Emitter;
+
+/* A lamp. */
+typedef struct {
+    int64_t emitters;
+    const Emitter *parts;            /* (emitters) */
+    const LampColumns *const *columns;  /* (emitters, volumes) */
+    const LampShadowMap *shadow_maps;  /* (emitters), or NULL where no surface shadows volumes */
+} Lamp;
 
 /* Height of the highest surface above each cell of a plane that faces a sun. */
 typedef struct {

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 8
+INTERFACE = 9
 CHANNELS = 3
 
 
@@ -95,6 +95,69 @@ class Medium(Shared):
         ("emission", Grid * CHANNELS),
         ("emission_power", c_int64),
         ("emission_factor", c_double),
+    ]
+
+
+class Pyramid(Shared):
+    _fields_ = [
+        ("depths", c_void_p),
+        ("starts", c_void_p),
+        ("slices", c_int64),
+        ("size", c_int64 * 2),
+        ("first", c_double * 2),
+        ("spacing", c_double * 2),
+    ]
+
+
+class LampColumns(Shared):
+    _fields_ = [
+        ("density", Grid),
+        ("pyramids", Pyramid * 6),
+        ("lamp", c_double * 3),
+        ("world_from_index", c_double * 9),
+        ("integrated", c_int64),
+    ]
+
+
+class LampShadowMap(Shared):
+    _fields_ = [
+        ("distances", c_void_p),
+        ("cells", c_int64),
+        ("position", c_double * 3),
+        ("frames", c_double * 54),
+    ]
+
+
+class Emitter(Shared):
+    _fields_ = [
+        ("flat", c_int64),
+        ("position", c_double * 3),
+        ("extent", c_double),
+        ("centre", c_double * 3),
+        ("radius", c_double),
+        ("intensity", c_double),
+        ("closest", c_double),
+        ("soft_falloff", c_int64),
+        ("cone", c_int64),
+        ("axis", c_double * 3),
+        ("cosine", c_double),
+        ("width", c_double),
+        ("corners", c_double * 12),
+        ("normal", c_double * 3),
+        ("radiance", c_double),
+        ("area", c_double),
+        ("tangent", c_double),
+        ("focus", c_double),
+        ("focused", c_double),
+    ]
+
+
+class Lamp(Shared):
+    _fields_ = [
+        ("emitters", c_int64),
+        ("parts", c_void_p),
+        ("columns", c_void_p),
+        ("shadow_maps", c_void_p),
     ]
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import MAX_COLUMNS, LampOpticalDepth
+from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
@@ -88,14 +89,18 @@ class LampInMedia:
 
 
 def place_lamp(
-    lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), cancel: CancelToken = NEVER
+    lamp: Lamp,
+    grids: Sequence[Grid],
+    surfaces: Sequence[Surface] = (),
+    cancel: CancelToken = NEVER,
+    kernels: Kernels | None = None,
 ) -> LampInMedia:
-    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled."""
+    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled.
+
+    kernels: compiled ones, or None.
+    """
     corners = np.concatenate([grid.corners() for grid in grids])
-    emitters = lamp.emitters(corners.min(axis=0), corners.max(axis=0))
-    digest, maps = hashlib.blake2b(digest_size=16), None
-    for emitter in emitters:
-        digest.update(repr(emitter).encode())
+    emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
     # The shadows of many emitters blend: each of them may be coarser.
     coarser = max(round(len(emitters) ** 0.5), 1)
     shading = [surface for surface in surfaces if surface.shades]
@@ -103,17 +108,30 @@ def place_lamp(
         cells = CELLS // (1 << (coarser - 1).bit_length())
         maps = [LampShadowMap(shading, emitter.position, cells, cancel) for emitter in emitters]
         maps = None if all(one.empty for one in maps) else maps
-        for surface in shading:
-            digest.update(np.ascontiguousarray(surface.triangles).tobytes())
     depths = [
         [
-            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, MAX_COLUMNS // coarser, cancel)
+            LampOpticalDepth(
+                grid.density, grid.linear, grid.offset, emitter.position, MAX_COLUMNS // coarser, cancel, kernels
+            )
             for grid in grids
         ]
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    return LampInMedia(lamp, emitters, depths, coarse, maps, digest.digest())
+    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces))
+
+
+def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:
+    """Digest that is equal for lamps whose light differs in power alone, and whose shadows are equal."""
+    corners = np.concatenate([grid.corners() for grid in grids])
+    digest = hashlib.blake2b(digest_size=16)
+    for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
+        for value in vars(emitter).values():
+            digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    for surface in surfaces:
+        if surface.shades:
+            digest.update(np.ascontiguousarray(surface.triangles).tobytes())
+    return digest.digest()
 
 
 def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:
