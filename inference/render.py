@@ -177,10 +177,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         scene.plan.groups,
         settings.leave_out,
     )
-    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping)
     first = suns[:1] in ([], [0])
-    lamps = prepare_lamp_march(context, scene, channels, media) if first else None
-    return ChannelPass(channels, suns, first, media, march, lamps)
+    lamps = prepare_lamp_march(context, scene, channels) if first else None
+    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
+    return ChannelPass(channels, suns, first, media, march, lamps is not None)
 
 
 def load_compiled(settings: Settings, report: Report) -> Kernels | None:

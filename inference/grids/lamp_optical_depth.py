@@ -97,11 +97,11 @@ class LampOpticalDepth:
             for pyramid in self.pyramids:
                 self._fill(pyramid, cancel)
             return
-        columns = self.described(1.0)
+        described = self.described(1.0)
         for pyramid in self.pyramids:
             for number, parts in enumerate(pyramid.parts, 1):
                 cancel.check()
-                data = LampSlices(columns=columns, pyramid=pyramid.number, begin=number, end=number + 1, parts=parts)
+                data = LampSlices(columns=described, pyramid=pyramid.number, begin=number, end=number + 1, parts=parts)
                 kernels.prepare("fill_lamp_columns", data)
 
     def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:

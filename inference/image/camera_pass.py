@@ -93,11 +93,10 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
         _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
-        if channel_pass.lamps is not None:
-            lit = channel_pass.lamps(batch, segment)
-            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], lit.single)
-            if lit.features is not None:
-                of_lamps.append(lit.features.values)
+        if segment.lamps is not None:
+            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment.lamps.single)
+            if segment.lamps.features is not None:
+                of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
         weight = segment.sample_weight * rays.share[ray]
         parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))

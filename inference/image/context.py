@@ -2,7 +2,6 @@
 """What a render holds while it runs."""
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,10 +11,8 @@ from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
-from ..marching.lamp_march import LampInMedia, LampSegment
+from ..marching.lamp_march import LampInMedia
 from ..marching.marcher import Marcher
-from ..marching.ray_march import RaySegment
-from ..marching.ray_steps import RayBatch
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..occluders.depth_buffer import DepthBuffer
@@ -29,9 +26,6 @@ from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
 from ..scene.settings import Settings
 from .framebuffer import Framebuffer
-
-#: What rays gather of the light of lamps, at the samples of what they gathered of everything else.
-LampMarcher = Callable[[RayBatch, RaySegment], LampSegment]
 
 
 @dataclass(frozen=True)
@@ -107,7 +101,7 @@ class ChannelPass:
 
     suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
     does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
-    rays through the media. lamps: marches them for the light of lamps, or None where another pass does.
+    rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does.
     """
 
     channels: Channels
@@ -115,7 +109,7 @@ class ChannelPass:
     first: bool
     media: list[BoundMedium]
     march: Marcher
-    lamps: LampMarcher | None = None
+    lamps: bool = False
 
 
 @dataclass(frozen=True)

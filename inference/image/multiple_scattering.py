@@ -90,7 +90,7 @@ def prepare_prediction(
                     directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
                 )
                 sources.append(source)
-            for k, lamp in enumerate(scene.lamps if channel_pass.lamps is not None and plan.predicts_lamps else ()):
+            for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
                 with context.progress.stage("lattices", 1):
                     prepared = group.predictor.prepare_lamp(
                         float(medium.sigma_t[indices[0]]),

@@ -14,6 +14,8 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
+/* Intervals of a tabulated phase function. */
+#define MRPNN_PHASES 8192
 
 /* A grid of trilinear samples, 0 outside: DenseGrid where table is NULL, SparseGrid otherwise. */
 typedef struct {
@@ -59,6 +61,8 @@ typedef struct {
     Grid density;
     Occupancy occupancy;
     const SunColumns *suns;  /* (suns) */
+    const float *phase;      /* (2, MRPNN_PHASES + 1), phase function by the square root of 1 - |cosine|, forwards and
+                                backwards; NULL without lamps */
     double linear[9];        /* continuous indices from world positions */
     double offset[3];
     double sigma_t;
@@ -125,9 +129,10 @@ typedef struct {
     double offset[3];
 } ShadowMap;
 
-/* Scattered light of each sun in a group of volumes: ScatteredFluence. */
+/* Scattered light of each sun or lamp in a group of volumes: ScatteredFluence. */
 typedef struct {
-    const float *const *lights;     /* (suns) of (cells, cells, cells, 4); NULL for a group without prediction */
+    const float *const *lights;     /* of each (cells, cells, cells, 4); NULL for a group without prediction */
+    const double *scales;           /* of each, its factor; NULL: 1 */
     int64_t cells;
     double linear[9];
     double offset[3];
@@ -143,6 +148,13 @@ typedef struct {
     const int64_t *group_members;    /* numbers of volumes */
     const ShadowMap *shadow_maps;    /* (suns), or NULL where no surface shadows volumes */
     const Fluence *fluence;          /* (groups), or NULL without ray features */
+    int64_t lamps;
+    const Lamp *lamp_list;           /* (lamps) */
+    const Fluence *lamp_fluence;     /* (groups), or NULL without ray features of lamps */
+    double lamp_radius;              /* by which lamps are softened in ray features */
+    double wide;                     /* steps longer than this part of their distance to a lamp are wide; */
+    int64_t wide_count;              /* these take so many nodes in the angle under which it sees them */
+    const double *wide_nodes, *wide_weights;  /* in [0, 1] */
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
     int64_t depth_samples, adaptive, coarse_count;
@@ -174,11 +186,13 @@ typedef struct {
     double *alpha, *depth;               /* (rays) */
     double *optical_depth;               /* (rays, volumes) */
     double *single_scattering;           /* (rays, volumes, suns) */
+    double *lamp_scattering;             /* (rays, volumes, lamps), single scattering of lamps of power 1 */
     double *emission;                    /* (rays, channels), or NULL */
     int64_t *sample_counts;              /* (rays) */
     double *sample_distance, *sample_weight;  /* (rays * depth_samples) */
     float *sample_fraction;              /* (rays * depth_samples, volumes) */
     float *sample_features;              /* (rays * depth_samples, groups, suns, 7), or NULL */
+    float *lamp_features;                /* (rays * depth_samples, groups, lamps, 7), or NULL */
     int64_t samples;
     int64_t blocks;                      /* blocks of steps evaluated */
 } Gathered;

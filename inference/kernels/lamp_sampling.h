@@ -42,7 +42,7 @@ static inline int64_t slice_before(const Pyramid *pyramid, double along) {
 /* Optical depths towards a lamp at continuous indices. */
 static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
     static const float zeros[2] = {0.0f, 0.0f};
-    Floats away[3], part[2], share, span, length, along;
+    Floats away[3], part[2], begin, share, span, length, along;
     Pairs near[2], far[2];
     Ints inside = {0};
     for (int axis = 0; axis < 3; axis++) {
@@ -55,7 +55,7 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
         const Pyramid *pyramid = lamp->pyramids + 2 * axis + (away[axis][n] < 0.0f);
         int others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
         near[0][n] = near[1][n] = far[0][n] = far[1][n] = pair_at(zeros);
-        part[0][n] = part[1][n] = share[n] = span[n] = length[n] = 0.0f;
+        part[0][n] = part[1][n] = begin[n] = share[n] = span[n] = length[n] = 0.0f;
         along[n] = size[axis];
         if (pyramid->slices < 2 || !(along[n] > 0.0f)) continue;
         int64_t cell[2];
@@ -73,6 +73,7 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
         int64_t slice = slice_before(pyramid, along[n]), width = pyramid->size[1], step = pyramid->size[0] * width;
         double start = pyramid->starts[slice], whole = pyramid->starts[slice + 1] - start;
         double passed = ((double)along[n] - start) / whole;
+        begin[n] = (float)start;
         share[n] = (float)(passed > 0.0 ? smaller(passed, 1.0) : 0.0);
         span[n] = (float)(larger(smaller(passed, 1.0), 0.0) * whole);
         const float *at = pyramid->depths + slice * step + cell[0] * width + cell[1];
@@ -91,7 +92,7 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
     if (lamp->integrated) {
         Floats total = in_all(0.0f);
         for (int node = 0; node < 2; node++) {
-            Floats place[3], scale = (along - span + GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
+            Floats place[3], scale = (begin + GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
             for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] + away[axis] * scale;
             total = total + sample_grid(&lamp->density, place);
         }

@@ -9,6 +9,7 @@ import numpy as np
 
 INTERFACE = 9
 CHANNELS = 3
+PHASES = 8192
 
 
 class Shared(ctypes.Structure):
@@ -89,6 +90,7 @@ class Medium(Shared):
         ("density", Grid),
         ("occupancy", Occupancy),
         ("suns", c_void_p),
+        ("phase", c_void_p),
         ("linear", c_double * 9),
         ("offset", c_double * 3),
         ("sigma_t", c_double),
@@ -174,6 +176,7 @@ class ShadowMap(Shared):
 class Fluence(Shared):
     _fields_ = [
         ("lights", c_void_p),
+        ("scales", c_void_p),
         ("cells", c_int64),
         ("linear", c_double * 9),
         ("offset", c_double * 3),
@@ -193,6 +196,14 @@ class Scene(Shared):
         ("group_members", c_void_p),
         ("shadow_maps", c_void_p),
         ("fluence", c_void_p),
+        ("lamps", c_int64),
+        ("lamp_list", c_void_p),
+        ("lamp_fluence", c_void_p),
+        ("lamp_radius", c_double),
+        ("wide", c_double),
+        ("wide_count", c_int64),
+        ("wide_nodes", c_void_p),
+        ("wide_weights", c_void_p),
         ("nodes", c_void_p),
         ("node_weights", c_void_p),
         ("depth_samples", c_int64),
@@ -237,12 +248,14 @@ class Gathered(Shared):
         ("depth", c_void_p),
         ("optical_depth", c_void_p),
         ("single_scattering", c_void_p),
+        ("lamp_scattering", c_void_p),
         ("emission", c_void_p),
         ("sample_counts", c_void_p),
         ("sample_distance", c_void_p),
         ("sample_weight", c_void_p),
         ("sample_fraction", c_void_p),
         ("sample_features", c_void_p),
+        ("lamp_features", c_void_p),
         ("samples", c_int64),
         ("blocks", c_int64),
     ]

@@ -9,7 +9,7 @@ exponentially within a step, as for suns.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_march import (
     DARK,
+    LampSegment,
     MarchedMedium,
     MarchOptions,
     block_sums,
@@ -41,7 +42,8 @@ from .ray_steps import STEPS, Cutting, RayBatch
 ENCLOSED = 3.0
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
-# Angle in radians, as the lamp sees a step, from which on it takes MANY nodes instead of FEW.
+# Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
+# it, instead of FEW in its length.
 WIDE, FEW, MANY = 0.2, 2, 10
 
 
@@ -153,15 +155,16 @@ def softened(fluence: np.ndarray, radius: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class LampSegment:
-    """What a batch of R rays gathered of K lamps of power 1 in V volumes.
+class LampMarch:
+    """Lamps whose light is gathered along camera rays.
 
-    single: (R, V, K), single scattering for albedo 1. features: RayFeatures of samples, their lights the lamps over
-    their softened fluence there, or None.
+    fluence: scattered light of the lamps in each group of volumes, None for a group without prediction; None altogether
+    if no ray features are wanted. radius: by which their light is softened for these.
     """
 
-    single: np.ndarray
-    features: RayFeatures | None = None
+    lamps: Sequence[LampInMedia]
+    fluence: list[ScatteredFluence | None] | None
+    radius: float
 
 
 class _Steps:
@@ -209,20 +212,23 @@ class _Steps:
         direction = self.rays.directions[self.ray]
         nearest = -(origin * direction).sum(axis=1)
         height = np.linalg.norm(origin + nearest[:, None] * direction, axis=1)
-        height = np.sqrt(height**2 + emitter.extent**2 + 1e-6 * (self.end - self.begin) ** 2)
-        first, last = (np.arctan2(ends - nearest, height) for ends in (self.begin, self.end))
+        begin, end = self.begin - nearest, self.end - nearest
+        length, square = end - begin, height**2 + emitter.extent**2
         found = np.zeros((len(media), len(self.ray)))
-        wide = last - first > WIDE
-        for some, count in ((np.flatnonzero(~wide), FEW), (np.flatnonzero(wide), MANY)):
+        wide = length**2 > WIDE**2 * (square + (0.5 * (begin + end)) ** 2)
+        height = np.sqrt(square + 1e-6 * length**2)
+        for bent, count in ((False, FEW), (True, MANY)):
+            some = np.flatnonzero(wide == bent)
+            first, last = (np.arctan2(ends[some], height[some]) for ends in (begin, end))
             nodes, weights = np.polynomial.legendre.leggauss(count)
             for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights):
-                angle = first[some] + node * (last[some] - first[some])
-                along = height[some] * np.tan(angle)
-                # Linear in distance where the angle is too small to tell.
+                if bent:
+                    along = height[some] * np.tan(first + node * (last - first))
+                    inside = weight * (last - first) * (height[some] ** 2 + along**2) / height[some]
+                else:
+                    along, inside = begin[some] + node * length[some], weight * length[some]
                 away = origin[some] + (nearest[some] + along)[:, None] * direction[some]
-                points = away + emitter.position
-                light = emitter.fluence(points) * (height[some] ** 2 + along**2) / height[some]
-                light *= weight * (last[some] - first[some])
+                light = emitter.fluence(away + emitter.position) * inside
                 cosine = -(away * direction[some]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-30)
                 for v, bound in enumerate(media):
                     found[v, some] += light * bound.medium.scattered(cosine)
@@ -277,16 +283,16 @@ class _LitSteps:
 def march_lamps(
     media: Sequence[BoundMedium],
     rays: RayBatch,
-    lamps: Sequence[LampInMedia],
+    march: LampMarch,
     options: MarchOptions,
     samples: tuple[np.ndarray, np.ndarray],
-    radius: float = 0.0,
 ) -> LampSegment:
-    """What rays, whose intervals contain all media, gather of lamps.
+    """What rays, whose intervals contain all media, gather of lamps; `CompiledMarch` is its twin.
 
-    options: whose fluence is that of the lamps. samples: ray int (M,) and distance (M,) of samples at which ray
-    features are wanted if there is a fluence. radius: by which light is softened for these.
+    options: of the march for other light. samples: ray int (M,) and distance (M,) of samples at which ray features are
+    wanted if there is a fluence.
     """
+    lamps, radius, options = march.lamps, march.radius, replace(options, fluence=march.fluence)
     cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
     medium = MarchedMedium(media, rays, cutting)
     steps = _Steps(medium, rays, medium.total > 0.0)

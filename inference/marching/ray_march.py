@@ -49,6 +49,18 @@ class MarchOptions:
 
 
 @dataclass(frozen=True)
+class LampSegment:
+    """What a batch of R rays gathered of K lamps of power 1 in V volumes.
+
+    single: (R, V, K), single scattering for albedo 1. features: RayFeatures of samples, their lights the lamps over
+    their softened fluence there, or None.
+    """
+
+    single: np.ndarray
+    features: RayFeatures | None = None
+
+
+@dataclass(frozen=True)
 class RaySegment:
     """What a batch of R rays gathered of V volumes and L suns.
 
@@ -57,7 +69,7 @@ class RaySegment:
     ray of each depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray.
     sample_fraction: (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples,
     or None. steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None
-    where no volume emits light.
+    where no volume emits light. lamps: what they gathered of lamps, or None.
     """
 
     alpha: np.ndarray
@@ -71,6 +83,7 @@ class RaySegment:
     sample_features: RayFeatures | None = None
     steps_evaluated: int = 0
     emission: np.ndarray | None = None
+    lamps: LampSegment | None = None
 
 
 def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.ndarray:

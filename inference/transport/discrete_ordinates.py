@@ -195,12 +195,8 @@ class DiscreteOrdinates:
         n = len(self.density)
         light, towards = beam(self, cancel)
         # Of the beam along each direction, so that none of it is lost whatever the quadrature of the phase function.
-        units = np.concatenate([sign * steps for steps in STEPS for sign in (1, -1)]).astype(np.float32)
-        units /= np.linalg.norm(units, axis=1, keepdims=True)
-        phases = [henyey_greenstein(-np.tensordot(unit, towards, 1), self.anisotropy) for unit in units]
-        total = sum(weight * phase for weight, phase in zip(ORDINATE_WEIGHTS, phases)) * (4.0 * np.pi)
         field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
-        beams = [np.asarray(light * phase / total, np.float32) for phase in phases]
+        beams = self._beams(light.astype(np.float32), towards.astype(np.float32))
         one = np.ones(1)
         follow = [
             self._follower(axis, sign, one, field, swept, None, slice(k, k + 1))
@@ -227,6 +223,27 @@ class DiscreteOrdinates:
             field[:4] = swept
             self._correct(field, change, cancel)
         return swept
+
+    def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).
+
+        light: float32 (x, y, z). towards: float32 (3, x, y, z), unit vectors against the beam.
+        """
+        beams = np.zeros((len(ORDINATES), *light.shape), np.float32)
+        lit = np.flatnonzero(light)
+        x, y, z = towards.reshape(3, -1)[:, lit]
+        # Henyey and Greenstein's phase function but for a factor, which the quadrature divides out.
+        g = np.float32(abs(self.anisotropy))
+        turned = (np.copysign(1.0, self.anisotropy) * ORDINATES).astype(np.float32)
+        phases = []
+        for a, b, c in turned:
+            square = (1 - g) ** 2 + 2 * g * np.maximum(1 - (a * x + b * y + c * z), np.float32(0.0))
+            phases.append(1 / (square * np.sqrt(square)))
+        total = sum(weight * phase for weight, phase in zip(ORDINATE_WEIGHTS.astype(np.float32), phases))
+        share = light.reshape(-1)[lit] / (total * np.float32(4.0 * np.pi))
+        for beam, phase in zip(beams, phases):
+            beam.reshape(-1)[lit] = share * phase
+        return beams
 
     def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.

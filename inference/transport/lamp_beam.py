@@ -94,6 +94,7 @@ class LampInCube:
         depth: through the solver's cells. samples: numbers of cells, and into how many parts their edges are divided.
         """
         (cells, parts), n = samples, len(solver.density)
+        assert solver.kernels is not None
         columns, emitter = depth.described(float(solver.sigma)), describe_emitter(self.emitters[number])
         shadow_map = None if self.shadow_maps is None else describe_shadow_map(self.shadow_maps[number])
         size = max(SAMPLES_PER_CALL // parts**3, 1)
