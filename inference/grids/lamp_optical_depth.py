@@ -166,20 +166,28 @@ class LampOpticalDepth:
         """Whether voxels are so thick that the last part of the way is integrated."""
         return bool(self.grid.peak * sigma_t * self.longest > THIN_VOXEL)
 
-    def enclosing(self) -> float:
-        """Mean optical depth from a lamp in all directions, for an extinction of 1; 0 unless it is inside the grid."""
-        if len(self.pyramids) < 6:
-            return 0.0
-        total, count = 0.0, 0
+    def outwards(self, sigma_t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Optical depths (N,) from the lamp out of the grid, and the share (N,) of all directions that each stands for.
+
+        The shares add up to less than 1 where some of the lamp's rays miss the grid.
+        """
+        depths, shares = [np.zeros(0)], [np.zeros(0)]
         for pyramid in self.pyramids:
-            u, v = (first + space * np.arange(n) for first, space, n in zip(
-                pyramid.first, pyramid.spacing, pyramid.depths.shape[1:]))  # fmt: skip
+            u, v = (
+                first + space * np.arange(n)
+                for first, space, n in zip(pyramid.first, pyramid.spacing, pyramid.depths.shape[1:])
+            )
             way = np.zeros((3, len(u), len(v)))
             way[pyramid.axis] = pyramid.sign
             way[pyramid.others[0]], way[pyramid.others[1]] = u[:, None], v
             length = np.linalg.norm(np.tensordot(self.world_from_index, way, 1), axis=0)
-            total, count = total + float((pyramid.depths[-1] * length).sum()), count + length.size
-        return total / count
+            depths.append((sigma_t * pyramid.depths[-1] * length).ravel())
+            # Solid angles in the frame of the voxels; columns at an edge stand for half.
+            angle = (way**2).sum(axis=0) ** -1.5 * np.prod(pyramid.spacing) / (4.0 * np.pi)
+            angle[[0, -1]] *= 0.5
+            angle[:, [0, -1]] *= 0.5
+            shares.append(angle.ravel())
+        return np.concatenate(depths), np.concatenate(shares)
 
     def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
         """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid."""

@@ -12,6 +12,7 @@ from ..marching.extended_lights import EquivalentDirections
 from ..network.predictor import (
     POINTS_PER_TASK,
     Bounds,
+    LampLight,
     PreparedLampPredictor,
     PreparedPredictor,
     VolumePredictor,
@@ -92,13 +93,11 @@ def prepare_prediction(
                 sources.append(source)
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
                 with context.progress.stage("lattices", 1):
+                    albedos = [albedo for albedo, _ in distinct_albedos(medium, indices, plan.optimizations)]
+                    captured = lamp.captured([bound.sigma_t for bound in channel_pass.media])
+                    light = LampLight(lamp, scene.lamp_radius, albedos, captured)
                     prepared = group.predictor.prepare_lamp(
-                        float(medium.sigma_t[indices[0]]),
-                        lamp,
-                        scene.lamp_radius,
-                        bounds,
-                        scene.occluders,
-                        context.tasks,
+                        float(medium.sigma_t[indices[0]]), light, bounds, scene.occluders, context.tasks
                     )
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()

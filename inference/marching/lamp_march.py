@@ -38,8 +38,10 @@ from .ray_march import (
 )
 from .ray_steps import STEPS, Cutting, RayBatch
 
-# Mean optical depth around a lamp inside a volume from which on multiple scattering is no longer accurate; measured.
+# Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
 ENCLOSED = 3.0
+# Share of the directions around a lamp from which on a volume surrounds it.
+SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
@@ -71,6 +73,18 @@ class LampInMedia:
         positions = np.array([emitter.position for emitter in self.emitters])
         nearest = [np.linalg.norm(positions - emitter.position, axis=1).argmin() for emitter in self.coarse]
         return [self.shadow_maps[number] for number in nearest]
+
+    def captured(self, sigma_t: Sequence[float]) -> float:
+        """Fraction of the light of a lamp that shone alike in all directions which would meet the volumes' matter.
+
+        sigma_t: extinction of each volume, per unit density.
+        """
+        passed = np.ones(len(self.emitters))
+        for e, each in enumerate(self.depths):
+            for depth, extinction in zip(each, sigma_t):
+                depths, shares = depth.outwards(extinction)
+                passed[e] *= 1.0 - (shares * -np.expm1(-depths)).sum()
+        return float(1.0 - passed.mean())
 
     @property
     def centre(self) -> np.ndarray:
@@ -137,14 +151,15 @@ def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()
 
 
 def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:
-    """Names volumes so dense around a lamp that its multiple scattering there is far from what networks know."""
+    """Names volumes so dense around a lamp that little of its light comes out, and what does is less certain."""
     found = []
     for v, (volume, medium) in enumerate(volumes):
-        depth = lamp.depths[0][v].enclosing() * float(medium.sigma_t.max())
-        if depth > ENCLOSED and medium.albedo.any():
+        depths, shares = lamp.depths[0][v].outwards(float(medium.sigma_t.max()))
+        depth = float((depths * shares).sum())
+        if depth > ENCLOSED and shares.sum() > SURROUNDED and medium.albedo.any():
             found.append(
                 f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
-                "average; its multiple scattering may be several times too bright there"
+                "average; its multiple scattering may be a third too bright or too dark there"
             )
     return found
 

@@ -3,7 +3,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
+from .lamp_inside import LampInside, inside_share
 from .network import load_network
 from .stencil_predictor import PreparedLampRays
 
@@ -184,17 +185,23 @@ class VolumePredictor:
     def prepare_lamp(
         self,
         sigma_t: float,
-        lamp: LampInMedia,
-        radius: float,
+        light: "LampLight",
         bounds: Bounds,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> "PreparedLampPredictor":
         """What predicts the light of a lamp for one extinction. Raises Cancelled.
 
-        radius: by which its light is softened. bounds: as for `prepare`.
+        bounds: as for `prepare`.
         """
+        lamp, share = light.lamp, inside_share(light.captured)
         prepared = self._predictor.prepare_lamp(self._lamp_conditions(sigma_t, lamp, bounds, occluders), tasks)
+        inside = None
+        if share > 0.0:
+            conditions = replace(
+                self._lamp_conditions(sigma_t, lamp, bounds, occluders), sigma_hat=sigma_t * self.cube.edge
+            )
+            inside = self._predictor.lamp_inside(conditions, light.albedos, share, tasks)
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         return PreparedLampPredictor(
             prepared,
@@ -203,7 +210,8 @@ class VolumePredictor:
             self._used(sigma_t),
             np.float32(MAX_FLUENCE * peak),
             lamp,
-            radius,
+            light.radius,
+            inside,
         )
 
     def lamp_fluence(
@@ -294,10 +302,24 @@ def _in_range(ray_features: np.ndarray | None, used: float) -> np.ndarray | None
 
 
 @dataclass(frozen=True)
+class LampLight:
+    """A lamp of power 1 whose light is to be predicted.
+
+    radius: by which its light is softened. albedos: distinct ones of the medium. captured: as `LampInMedia.captured`.
+    """
+
+    lamp: LampInMedia
+    radius: float
+    albedos: Sequence[float]
+    captured: float
+
+
+@dataclass(frozen=True)
 class PreparedLampPredictor:
     """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
 
     used, most: as in PreparedPredictor, `most` for an irradiance of 1. radius: by which the lamp's light is softened.
+    inside: what replaces the network in part or altogether, or None.
     """
 
     prediction: PreparedLampRays
@@ -307,6 +329,7 @@ class PreparedLampPredictor:
     most: np.float32
     lamp: LampInMedia
     radius: float
+    inside: LampInside | None = None
 
     @property
     def lattice_cells(self) -> int:
@@ -325,10 +348,34 @@ class PreparedLampPredictor:
         away = self.lamp.centre - positions
         away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
         irradiance = softened(self.lamp.reference(positions), self.radius)
+        x, omega, towards = self.cube.positions(positions), self.cube.directions(directions), self.cube.directions(away)
+        if self.inside is None:
+            return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+        assert ray_features is not None
+        share, depth = self.inside.share, ray_features[:, 0].astype(np.float64)
+        found = np.stack(
+            [self.inside.radiance(albedo, x, omega, towards, irradiance, depth) for albedo in albedos]
+        ).astype(np.float32)
+        if share < 1.0:
+            found *= share
+            found += (1.0 - share) * self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+        return found
+
+    def _of_network(
+        self,
+        x: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None,
+        ray_features: np.ndarray | None,
+    ) -> np.ndarray:
+        """As `predict`, by the network alone; x, omega, towards: in the cube's frame."""
         radiance = self.prediction.predict(
-            self.cube.positions(positions),
-            self.cube.directions(directions),
-            self.cube.directions(away),
+            x,
+            omega,
+            towards,
             irradiance,
             np.clip(albedos, *self.albedo_range),
             jitter,
@@ -438,7 +485,9 @@ def _prepare_lamp(
 ) -> tuple[PreparedLampPredictor, FeaturesAt]:
     """As `_prepare_sun`, of a lamp of power 1."""
     placed, radius = place_lamp(lamp, [grid]), predictor.lamp_radius
-    prepared = predictor.prepare_lamp(sigma_t, placed, radius, bounds)
+    albedos = [albedo for albedo, _ in distinct_albedos(medium, [c for c in range(3) if medium.sigma_t[c] == sigma_t])]
+    light = LampLight(placed, radius, albedos, placed.captured([sigma_t]))
+    prepared = predictor.prepare_lamp(sigma_t, light, bounds)
     fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
 
     def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 """How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,7 @@ from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluen
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
+from .lamp_inside import MIN_ALBEDO, MIN_FLUENCE, LampInside
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -236,20 +238,38 @@ class RayPredictor(StencilPredictor):
         lights, scales = [fluence_and_flux(cells) for cells, _ in solved], [scale for _, scale in solved]
         return ScatteredFluence.in_cube(self.cube, lights, self.anisotropy, scales)
 
-    def _solve_lamp(self, conditions: Conditions, cancel: CancelToken) -> tuple[np.ndarray, float]:
-        """`fluence_lattice` of the transport of a lamp, over a factor, and the factor: of a lamp of power 1."""
+    def lamp_inside(
+        self, conditions: Conditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
+    ) -> LampInside:
+        """The transport of the conditions' lamp for some albedos; share: as in LampInside. Raises Cancelled."""
+        with tasks.cancel.locked(self._lock):
+            solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
+        lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
+        return LampInside(share, lights, self.anisotropy)
+
+    def _solve_lamp(
+        self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None
+    ) -> tuple[np.ndarray, float]:
+        """`fluence_lattice` of the transport of a lamp, over a factor, and the factor: of a lamp of power 1.
+
+        albedo: for which it is solved; None for the lattice that networks read, for albedo 1.
+        """
         lamp = conditions.lamp
         assert lamp is not None
-        key = conditions.sigma_hat, lamp.key, conditions.occluders
+        key = conditions.sigma_hat, lamp.key, conditions.occluders, albedo
         found = self._lamps.get(key)
         if found is None:
             if len(self._lamps) >= MAX_LATTICES:
                 self._lamps.clear()
-            solver = self._solver(conditions)
+            solver = self._solver(conditions) if albedo is None else self._new_solver(conditions, albedo)
             light = solver.lamp(lamp, cancel)
             # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
             scale = max(float(light[0].max()), 1e-30)
-            found = fluence_lattice(light / np.float32(scale), solver.boundaries), scale
+            light /= np.float32(scale)
+            if albedo is None:
+                found = fluence_lattice(light, solver.boundaries), scale
+            else:
+                found = fluence_lattice(light, solver.boundaries, MIN_FLUENCE, np.float32), scale
             self._lamps[key] = found
         return found
 
@@ -270,11 +290,13 @@ class RayPredictor(StencilPredictor):
         """Solver of the transport; all suns of a render share their optical thickness and occluders."""
         key = conditions.sigma_hat, conditions.occluders
         if self._transport is None or self._transport[0] != key:
-            solver = DiscreteOrdinates(
-                self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels
-            )
-            self._transport = key, solver
+            self._transport = key, self._new_solver(conditions)
         return self._transport[1]
+
+    def _new_solver(self, conditions: Conditions, albedo: float = 1.0) -> DiscreteOrdinates:
+        return DiscreteOrdinates(
+            self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels, albedo
+        )
 
 
 @dataclass(frozen=True)

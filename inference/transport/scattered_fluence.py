@@ -23,18 +23,23 @@ MIN_SHARE = 0.02
 MIN_REDUCED_FRACTION = 0.05
 
 
-def fluence_lattice(light: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
-    """The logarithm of the fluence, and the flux over the fluence: float16 (66, 66, 66, 4).
+def fluence_lattice(
+    light: np.ndarray,
+    boundaries: CellBoundaries | None = None,
+    least: float = MIN_FLUENCE,
+    dtype: type[np.floating] = np.float16,
+) -> np.ndarray:
+    """The logarithm of the fluence, and the flux over the fluence: (66, 66, 66, 4) of a dtype.
 
-    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. The outermost cells
-    are repeated once beyond each face.
+    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. least: added to the
+    fluence. The outermost cells are repeated once beyond each face.
     """
     fluence, flux = light[0], light[1:]
-    logs = np.log(fluence + np.float32(MIN_FLUENCE))
+    logs = np.log(fluence + np.float32(least))
     if boundaries is not None:
         logs = boundaries.extrapolate_inside(logs)
-    values = np.concatenate([logs[None], flux / (fluence + np.float32(MIN_FLUENCE))])
-    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(np.float16)
+    values = np.concatenate([logs[None], flux / (fluence + np.float32(least))])
+    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(dtype)
 
 
 def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
