@@ -2,8 +2,9 @@
 """Multiple scattering of lamps inside or close to a volume, from the coarse transport alone.
 
 Networks have learnt the light of suns, which enters a volume from outside. That of a lamp inside spreads like no sun's:
-how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read. Solved for the
-true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards the camera is
+how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read. Solved for
+the true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards the camera
+is
 
     (phi - 3 G F . omega) / (4 pi) + p(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
 
@@ -56,8 +57,9 @@ class LampInside:
     ) -> np.ndarray:
         """Multiple scattering float64 (N,) at points, without the factor of the local albedo.
 
-        albedo: one of those that it is solved for. positions, omega, towards: (N, 3), of points, camera rays and the lamp
-        in the cube's frame. irradiance, depth: (N,), of the lamp without what lies in between, and the optical depth.
+        albedo: one of those that it is solved for. positions, omega, towards: (N, 3), of points, camera rays and the
+        lamp in the cube's frame. irradiance, depth: (N,), of the lamp without what lies in between, and the optical
+        depth.
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
         read = light.read(positions, omega, towards, g)

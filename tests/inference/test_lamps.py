@@ -21,6 +21,7 @@ from inference import (
 )
 from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
+from inference.marching.lamp_march import place_lamp
 from inference.scene.camera_rays import camera_rays
 from tests.support.volumes import box, camera, cloud
 
@@ -315,6 +316,33 @@ def test_surfaces_shadow_lamps():
     left, right = shadowed[:, :11], shadowed[:, 13:]
     assert left.max() < 0.02 * lit.max()
     assert right == pytest.approx(lit[:, 13:], rel=1e-5)
+
+
+@pytest.mark.parametrize("position", [(0.0, 0.0, 0.1), (0.0, 0.0, 0.49), (0.0, 0.0, 0.51), (0.3, 0.2, 0.9)])
+def test_captured_light_is_that_of_rays_all_around(position):
+    grid, position = Grid(box(voxels=16)), np.array(position)
+    directions = np.random.default_rng(6).normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    depth = 3.0 * _through(grid, position + 2.0 * directions, position, 200)
+    assert place_lamp(PointLight(position, 1.0), [grid]).captured([3.0]) == pytest.approx(
+        -np.expm1(-depth).mean(), abs=0.02
+    )
+
+
+def test_the_light_of_a_lamp_changes_steadily_as_it_enters_smoke():
+    volume, settings, means = box(voxels=16), Settings(depth_samples=8), []
+    for height in (0.54, 0.52, 0.50, 0.48, 0.46):
+        layer = picture([PointLight((0.0, height, 0.0), 5.0)], 5.0, 0.9, 0.0, (), settings, volume)
+        means.append(layer.multiple.mean())
+    assert np.abs(np.diff(np.log(means))).max() < 0.3
+
+
+def test_what_a_lamp_inside_dark_smoke_scatters_is_little():
+    # No more than once: multiple scattering vanishes with the albedo, faster than single scattering.
+    lamp, settings = PointLight((0.0, 0.0, 0.0), 5.0), Settings(depth_samples=8)
+    grey, dark = (picture([lamp], 20.0, albedo, 0.0, settings=settings) for albedo in (0.5, 0.05))
+    assert dark.single.mean() == pytest.approx(0.1 * grey.single.mean(), rel=1e-4)
+    assert dark.multiple.mean() < 0.02 * grey.multiple.mean()
 
 
 def test_a_lamp_deep_inside_smoke_is_named():
