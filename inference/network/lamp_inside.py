@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiple scattering of lamps inside or close to a volume, from the coarse transport alone.
+"""Multiple scattering of lamps deep inside a volume, from the coarse transport alone.
 
-Networks have learnt the light of suns, which enters a volume from outside. That of a lamp inside spreads like no sun's:
+Networks have learnt the light of suns, which enters a volume from outside. That of a lamp deep inside spreads like no sun's:
 how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read. Solved for
 the true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards the camera
 is
@@ -20,9 +20,9 @@ import numpy as np
 from ..scene.phase_function import henyey_greenstein
 from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
 
-# Captured fractions of a lamp's light, as `LampInMedia.captured`, up to which networks predict its multiple scattering
-# alone, and from which on the transport does.
-OUTSIDE, INSIDE = 0.25, 0.75
+# Optical depths around a lamp, -log(1 - captured) with `LampInMedia.captured`, up to which networks predict its multiple
+# scattering alone, and from which on the transport does.
+OUTSIDE, INSIDE = 4.0, 7.0
 #: Added to the fluence, over that of the brightest cell, before taking its logarithm.
 MIN_FLUENCE = 1e-12
 #: Smallest albedo for which the transport is solved.
@@ -31,7 +31,8 @@ MIN_ALBEDO = 1e-3
 
 def inside_share(captured: float) -> float:
     """Share of the transport alone in a lamp's multiple scattering, 0 to 1."""
-    return float(np.clip((captured - OUTSIDE) / (INSIDE - OUTSIDE), 0.0, 1.0))
+    depth = -np.log(max(1.0 - captured, 1e-30))
+    return float(np.clip((depth - OUTSIDE) / (INSIDE - OUTSIDE), 0.0, 1.0))
 
 
 @dataclass(frozen=True)
