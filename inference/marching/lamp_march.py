@@ -159,7 +159,7 @@ def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]
         if depth > ENCLOSED and shares.sum() > SURROUNDED and medium.albedo.any():
             found.append(
                 f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
-                "average; its multiple scattering may be half too bright there"
+                "average; its multiple scattering may be a third too bright or too dark there"
             )
     return found
 

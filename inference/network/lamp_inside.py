@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Multiple scattering of lamps deep inside a volume, from the coarse transport alone.
 
-Networks have learnt the light of suns, which enters a volume from outside. That of a lamp deep inside spreads like no sun's:
-how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read. Solved for
-the true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards the camera
-is
+Networks have learnt the light of suns, which enters a volume from outside. That of a lamp deep inside spreads like no
+sun's: how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read.
+Solved for the true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards
+the camera is
 
     (phi - 3 G F . omega) / (4 pi) + p(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
 
@@ -20,9 +20,9 @@ import numpy as np
 from ..scene.phase_function import henyey_greenstein
 from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
 
-# Optical depths around a lamp, -log(1 - captured) with `LampInMedia.captured`, up to which networks predict its multiple
-# scattering alone, and from which on the transport does.
-OUTSIDE, INSIDE = 4.0, 7.0
+# Optical depths around a lamp, -log(1 - captured) with `LampInMedia.captured`, up to which networks predict its
+# multiple scattering alone, and from which on the transport does.
+OUTSIDE, INSIDE = 2.0, 6.0
 #: Added to the fluence, over that of the brightest cell, before taking its logarithm.
 MIN_FLUENCE = 1e-12
 #: Smallest albedo for which the transport is solved.
