@@ -87,7 +87,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
             return {"PASS_THROUGH"}
-        if self._loading is not None and job.error is None:
+        if self._loading is not None and job.error is None and not job.stopped:
             try:
                 MRPNN_OT_render._job = self._next(context)
                 return {"PASS_THROUGH"}
@@ -95,7 +95,8 @@ class MRPNN_OT_render(bpy.types.Operator):
                 self._end(context)
                 return self._fail(error)
         self._end(context)
-        if job.cancelled:
+        # Esc may come too late for the worker to notice it.
+        if job.stopped:
             self.report({"INFO"}, "MRPNN render stopped")
             return {"CANCELLED"}
         if isinstance(job.error, (SceneError, OSError)):

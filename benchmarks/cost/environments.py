@@ -12,25 +12,13 @@ import time
 
 import numpy as np
 
-from inference import Environment, Settings, Sun, render
-from inference.scene.environment import pixel_directions
+from inference import Settings, Sun, render
 
 from ..support.provenance import made_by
-from .frame import MEDIUM, SUN, camera_covering
+from .frame import MEDIUM, SUN, camera_covering, skies
 from .speed import cloud
 
 PROGRAM = "benchmarks.cost.environments"
-ROWS = 128
-
-
-def skies() -> tuple[Environment, Environment]:
-    """A grey sky over dark ground, and a blue one with a warm glow whose colours are distributed differently."""
-    directions = pixel_directions(ROWS)
-    height = directions[..., 2]
-    grey = np.where(height > 0.0, 0.6 + 0.8 * (1.0 - np.clip(height, 0.0, 1.0)), 0.08)
-    glow = np.exp(8.0 * (directions @ np.array([0.8, 0.0, 0.6]) - 1.0))
-    coloured = grey[..., None] * [0.4, 0.7, 1.0] + glow[..., None] * [2.0, 1.0, 0.2]
-    return Environment(np.repeat(grey[..., None], 3, axis=2), name="grey"), Environment(coloured, name="coloured")
 
 
 def main(options=None):

@@ -3,9 +3,10 @@
 
     python -m benchmarks.cost.frame [--size 1920 1080] [--light sun | sky] [--coverage 0.43] [--numpy]
 
-Renders a procedural cloud that covers a given share of the picture, and then the frame after it, of a camera that has
-turned by a degree, with what the first one left in its cache. Prints seconds by the clock and of the processor, memory,
-and both as shares of a single-precision matrix product measured in the same run.
+Renders a procedural cloud that covers a given share of the picture, in one sun or in sun and coloured sky, and then the
+frame after it, of a camera that has turned by a degree, with what the first one left in its cache. Prints seconds by
+the clock and of the processor, memory, and both as shares of a single-precision matrix product measured in the same
+run.
 """
 
 import argparse
@@ -15,8 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from inference import Camera, Medium, RenderCache, Settings, Sun, render
+from inference import Camera, Environment, Medium, RenderCache, Settings, Sun, render
 from inference.runtime.report import Report, process_peak_memory
+from inference.scene.environment import pixel_directions
 
 from ..fidelity.views import look_at
 from ..support.provenance import made_by
@@ -26,6 +28,8 @@ PROGRAM = "benchmarks.cost.frame"
 SUN = Sun((0.8, 0.45, -0.36))
 MEDIUM = Medium(100.0, 1.0, 0.857)
 TOWARDS = np.array([1.0, 0.4, 0.8])
+# Of the images of skies.
+ROWS = 128
 
 
 def camera_covering(volume, medium: Medium, size: tuple[int, int], coverage: float) -> Camera:
@@ -48,12 +52,14 @@ def turned(camera: Camera) -> Camera:
     return replace(camera, world_matrix=look_at(further))
 
 
-def sky() -> list[Sun]:
-    """Twelve suns of a blue sky above."""
-    random = np.random.default_rng(5)
-    directions = random.normal(size=(12, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return [Sun(tuple(d), (0.1, 0.2, 0.4)) for d in directions]
+def skies() -> tuple[Environment, Environment]:
+    """A grey sky over dark ground, and a blue one with a warm glow whose colours are distributed differently."""
+    directions = pixel_directions(ROWS)
+    height = directions[..., 2]
+    grey = np.where(height > 0.0, 0.6 + 0.8 * (1.0 - np.clip(height, 0.0, 1.0)), 0.08)
+    glow = np.exp(8.0 * (directions @ np.array([0.8, 0.0, 0.6]) - 1.0))
+    coloured = grey[..., None] * [0.4, 0.7, 1.0] + glow[..., None] * [2.0, 1.0, 0.2]
+    return Environment(np.repeat(grey[..., None], 3, axis=2), name="grey"), Environment(coloured, name="coloured")
 
 
 def describe(name: str, seconds: float, processor: float, report: Report, rate: float) -> None:
@@ -76,7 +82,7 @@ def main():
     parser.add_argument("--numpy", action="store_true", help="without compiled kernels")
     parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()
-    volume, lights = cloud(), [SUN] + (sky() if arguments.light == "sky" else [])
+    volume, lights = cloud(), [SUN, *skies()[1:]] if arguments.light == "sky" else [SUN]
     camera = camera_covering(volume, MEDIUM, tuple(arguments.size), arguments.coverage)
     rate, before = sgemm_rate(), process_peak_memory()
     settings = Settings(arguments.depth_samples, compiled=not arguments.numpy, threads=arguments.threads)

@@ -19,11 +19,11 @@ from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from ..scene.errors import SceneError
+from . import weights_file
 from .interfaces import Predictor, System
 from .lattice_predictor import LatticePredictor
 from .provider import open_session
 from .stencil_predictor import RayPredictor, StencilPredictor
-from .weights_file import WEIGHTS, read_weights
 
 # What reads a volume for a network, by the kind that its weights file states.
 KINDS: dict[str, type[StencilPredictor] | type[LatticePredictor]] = {
@@ -51,7 +51,7 @@ def register_system(name: str, factory: Callable[[], System], listed: bool = Tru
 
 def available_models() -> list[str]:
     """Names that Settings.model accepts, except for systems that are not listed."""
-    return sorted({path.stem for path in WEIGHTS.glob("*.onnx")} | set(_systems) - _unlisted)
+    return sorted({path.stem for path in weights_file.WEIGHTS.glob("*.onnx")} | set(_systems) - _unlisted)
 
 
 @dataclass
@@ -146,7 +146,7 @@ def load_network(name: str, provider: str = "CPU") -> System:
         )
     if name not in available_models():
         raise SceneError(f"there is no network called {name!r}; available: {available}")
-    content = read_weights(name)
+    content = weights_file.read_weights(name)
     try:
         opened = open_session(content, provider)
         session = opened.session

@@ -13,7 +13,7 @@ from benchmarks.fidelity import real_volumes, tables, views
 from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
 from benchmarks.support import pages
-from inference.network import network
+from inference.network import weights_file
 from training.data.volumes import HELD_BACK
 from training.export import export, save
 from training.networks import MRPNN, RPNN
@@ -29,7 +29,7 @@ def weights(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for net in (MRPNN(), RPNN()):
         save(export(net, RANGES), str(folder / f"{net.name}.onnx"))
-    monkeypatch.setattr(network, "WEIGHTS", folder)
+    monkeypatch.setattr(weights_file, "WEIGHTS", folder)
     return folder
 
 

@@ -18,7 +18,7 @@ from inference.features.rpnn_lattice import (
     sun_frames,
 )
 from inference.grids.working_cube import fit_cube, level0_density
-from inference.network import network
+from inference.network import network, weights_file
 from inference.network.predictor import VolumePredictor
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
@@ -157,7 +157,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     with torch.no_grad():
         trained = net(*RPNN.inputs(tensors, torch.arange(len(kept))), tensors["albedo"].T).numpy()[0]
     save(export(net, {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [0.01, 2000]}), str(tmp_path / "rpnn.onnx"))
-    monkeypatch.setattr(network, "WEIGHTS", tmp_path)
+    monkeypatch.setattr(weights_file, "WEIGHTS", tmp_path)
     volume, _ = seeded_volume(SEED)
     cube = fit_cube(volume)
     for i in (0, len(kept) // 2, len(kept) - 1):

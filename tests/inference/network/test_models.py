@@ -10,7 +10,7 @@ import torch
 
 import training.reference
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
-from inference.network import network
+from inference.network import weights_file
 from inference.scene import SceneError
 from training.data.seeded_volume import cube_volume
 from training.export import export, save
@@ -32,7 +32,7 @@ def ball():
 def rpnn(tmp_path, monkeypatch):
     torch.manual_seed(0)
     save(export(RPNN(), {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}), str(tmp_path / "rpnn.onnx"))
-    monkeypatch.setattr(network, "WEIGHTS", tmp_path)
+    monkeypatch.setattr(weights_file, "WEIGHTS", tmp_path)
 
 
 def camera(pixels):

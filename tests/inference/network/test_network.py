@@ -7,7 +7,7 @@ import torch
 
 from inference.features import rpnn_lattice
 from inference.features.stencil import Stencil
-from inference.network import network
+from inference.network import network, weights_file
 from inference.scene import SceneError
 from training.data.stencil import load_stencil
 from training.export import export, save
@@ -56,7 +56,7 @@ def fed(inputs, points):
 
 def weights_folder(folder, monkeypatch, model):
     save(model, str(folder / "test.onnx"))
-    monkeypatch.setattr(network, "WEIGHTS", folder)
+    monkeypatch.setattr(weights_file, "WEIGHTS", folder)
 
 
 @pytest.mark.parametrize("name", sorted(NETWORKS))

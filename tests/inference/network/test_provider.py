@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.network import network, provider
+from inference.network import provider, weights_file
 from inference.scene import SceneError
 from tests.support.paths import ROOT
 
 onnxruntime = pytest.importorskip("onnxruntime")
-CONTENT = (network.WEIGHTS / "mrpnn.onnx").read_bytes()
+CONTENT = (weights_file.WEIGHTS / "mrpnn.onnx").read_bytes()
 MISSING = [name for name, known in provider.PROVIDERS.items() if known not in onnxruntime.get_available_providers()]
 OPENVINO = "onnxruntime-openvino==1.24.1"
 

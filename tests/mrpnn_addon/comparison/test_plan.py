@@ -105,7 +105,7 @@ def test_the_key_differs_for_scenes_that_render_differently(addon, kept):
             SceneDescription(
                 [(volume, Medium(1.0, albedo, anisotropy))],
                 [Sun(sun)],
-                Camera(place, resolution=(size, size)),
+                camera=Camera(place, resolution=(size, size)),
                 frame=frame,
             ),
             bounces,

@@ -12,7 +12,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import RenderCache, SceneError
-from inference.network import network
+from inference.network import network, weights_file
 from inference.network.baselines import Baseline, BaselinePredictor, SingleScattering
 from tests.support import blender_scenes
 
@@ -80,7 +80,7 @@ def test_a_scene_cannot_name_a_model_that_is_not_shipped(addon, scene, cloud):
     assert scene.mrpnn.settings().model == "mrpnn"
     bpy.ops.mrpnn.render()
     with pytest.raises(SceneError, match="no network called"):
-        network.load_network(str(network.WEIGHTS / "mrpnn"))
+        network.load_network(str(weights_file.WEIGHTS / "mrpnn"))
 
 
 @pytest.mark.parametrize("name", ["bashrc", "authorized_keys", "startup.py", "layer.exr.py"])

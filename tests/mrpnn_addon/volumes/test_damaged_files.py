@@ -14,7 +14,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-from inference.network import network
+from inference.network import network, weights_file
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
 
@@ -182,9 +182,9 @@ def test_grids_far_apart_do_not_share_a_bounding_box(addon, scene, tmp_path):
 @pytest.fixture
 def weights(tmp_path, monkeypatch):
     """The shipped network in a folder of its own."""
-    for path in network.WEIGHTS.glob("mrpnn.*"):
+    for path in weights_file.WEIGHTS.glob("mrpnn.*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(network, "WEIGHTS", tmp_path)
+    monkeypatch.setattr(weights_file, "WEIGHTS", tmp_path)
     return tmp_path
 
 
