@@ -94,8 +94,7 @@ def prepare_prediction(
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
                 with context.progress.stage("lattices", 1):
                     albedos = [albedo for albedo, _ in distinct_albedos(medium, indices, plan.optimizations)]
-                    captured = lamp.captured([bound.sigma_t for bound in channel_pass.media])
-                    light = LampLight(lamp, scene.lamp_radius, albedos, captured)
+                    light = LampLight(lamp, scene.lamp_radius, albedos)
                     prepared = group.predictor.prepare_lamp(
                         float(medium.sigma_t[indices[0]]), light, bounds, scene.occluders, context.tasks
                     )

@@ -39,7 +39,7 @@ from .ray_march import (
 from .ray_steps import STEPS, Cutting, RayBatch
 
 # Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
-ENCLOSED = 3.0
+ENCLOSED = 12.0
 # Share of the directions around a lamp from which on a volume surrounds it.
 SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
@@ -159,7 +159,7 @@ def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]
         if depth > ENCLOSED and shares.sum() > SURROUNDED and medium.albedo.any():
             found.append(
                 f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
-                "average; its multiple scattering may be a third too bright or too dark there"
+                "average; what little of its light comes out may be much too bright"
             )
     return found
 

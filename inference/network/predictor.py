@@ -31,7 +31,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
-from .lamp_inside import LampInside, inside_share
+from .lamp_nearby import LampNearby, transport_share
 from .network import load_network
 from .stencil_predictor import PreparedLampRays
 
@@ -194,14 +194,13 @@ class VolumePredictor:
 
         bounds: as for `prepare`.
         """
-        lamp, share = light.lamp, inside_share(light.captured)
-        prepared = self._predictor.prepare_lamp(self._lamp_conditions(sigma_t, lamp, bounds, occluders), tasks)
-        inside = None
+        lamp, nearby = light.lamp, None
+        conditions = self._lamp_conditions(sigma_t, lamp, bounds, occluders)
+        prepared = self._predictor.prepare_lamp(conditions, tasks)
+        share = transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
         if share > 0.0:
-            conditions = replace(
-                self._lamp_conditions(sigma_t, lamp, bounds, occluders), sigma_hat=sigma_t * self.cube.edge
-            )
-            inside = self._predictor.lamp_inside(conditions, light.albedos, share, tasks)
+            conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
+            nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, tasks)
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         return PreparedLampPredictor(
             prepared,
@@ -211,7 +210,7 @@ class VolumePredictor:
             np.float32(MAX_FLUENCE * peak),
             lamp,
             light.radius,
-            inside,
+            nearby,
         )
 
     def lamp_fluence(
@@ -305,13 +304,12 @@ def _in_range(ray_features: np.ndarray | None, used: float) -> np.ndarray | None
 class LampLight:
     """A lamp of power 1 whose light is to be predicted.
 
-    radius: by which its light is softened. albedos: distinct ones of the medium. captured: as `LampInMedia.captured`.
+    radius: by which its light is softened. albedos: distinct ones of the medium.
     """
 
     lamp: LampInMedia
     radius: float
     albedos: Sequence[float]
-    captured: float
 
 
 @dataclass(frozen=True)
@@ -319,7 +317,7 @@ class PreparedLampPredictor:
     """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
 
     used, most: as in PreparedPredictor, `most` for an irradiance of 1. radius: by which the lamp's light is softened.
-    inside: what replaces the network in part or altogether, or None.
+    nearby: what replaces the network in part or altogether, or None.
     """
 
     prediction: PreparedLampRays
@@ -329,7 +327,7 @@ class PreparedLampPredictor:
     most: np.float32
     lamp: LampInMedia
     radius: float
-    inside: LampInside | None = None
+    nearby: LampNearby | None = None
 
     @property
     def lattice_cells(self) -> int:
@@ -349,12 +347,12 @@ class PreparedLampPredictor:
         away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
         irradiance = softened(self.lamp.reference(positions), self.radius)
         x, omega, towards = self.cube.positions(positions), self.cube.directions(directions), self.cube.directions(away)
-        if self.inside is None:
+        if self.nearby is None:
             return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
         assert ray_features is not None
-        share, depth = self.inside.share, ray_features[:, 0].astype(np.float64)
+        share, depth = self.nearby.share, ray_features[:, 0].astype(np.float64)
         found = np.stack(
-            [self.inside.radiance(albedo, x, omega, towards, irradiance, depth) for albedo in albedos]
+            [self.nearby.radiance(albedo, x, omega, towards, irradiance, depth) for albedo in albedos]
         ).astype(np.float32)
         if share < 1.0:
             found *= share
@@ -486,7 +484,7 @@ def _prepare_lamp(
     """As `_prepare_sun`, of a lamp of power 1."""
     placed, radius = place_lamp(lamp, [grid]), predictor.lamp_radius
     albedos = [albedo for albedo, _ in distinct_albedos(medium, [c for c in range(3) if medium.sigma_t[c] == sigma_t])]
-    light = LampLight(placed, radius, albedos, placed.captured([sigma_t]))
+    light = LampLight(placed, radius, albedos)
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
     fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
 

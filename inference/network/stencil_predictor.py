@@ -37,7 +37,7 @@ from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluen
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .lamp_inside import MIN_ALBEDO, MIN_FLUENCE, LampInside
+from .lamp_nearby import MIN_ALBEDO, MIN_FLUENCE, LampNearby
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -238,14 +238,14 @@ class RayPredictor(StencilPredictor):
         lights, scales = [fluence_and_flux(cells) for cells, _ in solved], [scale for _, scale in solved]
         return ScatteredFluence.in_cube(self.cube, lights, self.anisotropy, scales)
 
-    def lamp_inside(
+    def lamp_nearby(
         self, conditions: Conditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
-    ) -> LampInside:
-        """The transport of the conditions' lamp for some albedos; share: as in LampInside. Raises Cancelled."""
+    ) -> LampNearby:
+        """The transport of the conditions' lamp for some albedos; share: as in LampNearby. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
         lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
-        return LampInside(share, lights, self.anisotropy)
+        return LampNearby(share, lights, self.anisotropy)
 
     def _solve_lamp(
         self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None
@@ -262,7 +262,7 @@ class RayPredictor(StencilPredictor):
             if len(self._lamps) >= MAX_LATTICES:
                 self._lamps.clear()
             solver = self._solver(conditions) if albedo is None else self._new_solver(conditions, albedo)
-            light = solver.lamp(lamp, cancel)
+            light = solver.lamp(lamp, cancel, exact=albedo is not None)
             # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
             scale = max(float(light[0].max()), 1e-30)
             light /= np.float32(scale)

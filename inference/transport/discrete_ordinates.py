@@ -43,6 +43,8 @@ WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 # Cells along an edge from which on the light is first solved on cells twice as large. At most so many sweeps without
 # and after that; they end when less than the fraction CONVERGED of the scattered light changes.
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
+# The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
+EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-4
 # Tolerance and maximal iterations of the diffusion solver, which works on cells twice as large.
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
@@ -187,10 +189,11 @@ class DiscreteOrdinates:
             self._correct(field, change, cancel)
         return swept
 
-    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
+    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER, exact: bool = False) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
 
-        beam: of the lamp, on any number of cells. Raises Cancelled.
+        beam: of the lamp, on any number of cells. exact: whether it is the answer, and not a feature of networks, which
+        have learnt from few sweeps. Raises Cancelled.
         """
         n = len(self.density)
         light, towards = beam(self, cancel)
@@ -205,8 +208,9 @@ class DiscreteOrdinates:
             for k in range(len(steps))
         ]
         if self.coarser is not None:
-            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
+            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel, exact)]
             sweeps = FINE_SWEEPS
+        sweeps, converged = (EXACT_SWEEPS, EXACTLY_CONVERGED) if exact else (sweeps, CONVERGED)
         for number in range(sweeps):
             if self.boundaries is not None:
                 field *= ~self.boundaries.inside
@@ -218,7 +222,7 @@ class DiscreteOrdinates:
             change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
-            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+            if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
             self._correct(field, change, cancel)

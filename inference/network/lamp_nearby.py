@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiple scattering of lamps deep inside a volume, from the coarse transport alone.
+"""Multiple scattering of lamps inside a volume or near it, from the coarse transport alone.
 
-Networks have learnt the light of suns, which enters a volume from outside. That of a lamp deep inside spreads like no
-sun's: how much of it an albedo below 1 leaves does not follow from the transport for albedo 1 that networks read.
-Solved for the true albedo, the transport itself holds the light: with its fluence phi and flux F, what scatters towards
-the camera is
+Networks have learnt the light of suns, which enters a volume from outside and is as bright everywhere. That of a lamp
+nearby is not: it falls with the square of the distance, comes from all around, and how much of it an albedo below 1
+leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
+itself holds the light: with its fluence phi and flux F, what scatters towards the camera is
 
     (phi - 3 G F . omega) / (4 pi) + p(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
 
@@ -20,23 +20,27 @@ import numpy as np
 from ..scene.phase_function import henyey_greenstein
 from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
 
-# Optical depths around a lamp, -log(1 - captured) with `LampInMedia.captured`, up to which networks predict its
-# multiple scattering alone, and from which on the transport does.
-OUTSIDE, INSIDE = 2.0, 6.0
+# Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
+# its multiple scattering, and from which on it is what networks predict.
+NEAR, FAR = 0.1, 0.4
 #: Added to the fluence, over that of the brightest cell, before taking its logarithm.
 MIN_FLUENCE = 1e-12
 #: Smallest albedo for which the transport is solved.
 MIN_ALBEDO = 1e-3
 
 
-def inside_share(captured: float) -> float:
-    """Share of the transport alone in a lamp's multiple scattering, 0 to 1."""
-    depth = -np.log(max(1.0 - captured, 1e-30))
-    return float(np.clip((depth - OUTSIDE) / (INSIDE - OUTSIDE), 0.0, 1.0))
+def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """Share of the transport alone in a lamp's multiple scattering, 0 to 1.
+
+    lamp: (3,), its place. low, high: (3,), of the box around the volume.
+    """
+    nearest = np.linalg.norm(np.maximum(np.maximum(low - lamp, lamp - high), 0.0))
+    farthest = np.linalg.norm(np.maximum(lamp - low, high - lamp))
+    return float(np.clip((FAR - nearest / max(farthest, 1e-30)) / (FAR - NEAR), 0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class LampInside:
+class LampNearby:
     """The transport of a lamp of power 1, solved for some albedos.
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
