@@ -74,7 +74,9 @@ def test_single_scattering_is_that_of_cycles(addon, scene, tmp_path, name):
     reference = blender_scenes.render_cycles(scene, tmp_path, samples=512 if pixels == 1 else 256)[..., :3]
     assert not described.warnings
     found, expected = (image.reshape(16, pixels, 16, pixels, 3).mean(axis=(1, 3)) for image in (layer.rgb, reference))
-    assert found.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.02)
+    # Limited spread is a sum over a few points of the lamp.
+    rel = 0.03 if name == "spread" else 0.02
+    assert found.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=rel)
     # The reference is noisy.
     assert np.abs(found - expected).mean() < 0.08 * expected.mean()
 
