@@ -34,9 +34,9 @@ def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> floa
 
     lamp: (3,), its place. low, high: (3,), of the box around the volume.
     """
-    nearest = np.linalg.norm(np.maximum(np.maximum(low - lamp, lamp - high), 0.0))
-    farthest = np.linalg.norm(np.maximum(lamp - low, high - lamp))
-    return float(np.clip((FAR - nearest / max(farthest, 1e-30)) / (FAR - NEAR), 0.0, 1.0))
+    nearest = float(np.linalg.norm(np.maximum(np.maximum(low - lamp, lamp - high), 0.0)))
+    farthest = float(np.linalg.norm(np.maximum(lamp - low, high - lamp)))
+    return min(max((FAR - nearest / max(farthest, 1e-30)) / (FAR - NEAR), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
