@@ -347,7 +347,7 @@ def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo)
     layer = render([(volume, medium)], [PointLight(lamp, 1.0)], view, Settings(depth_samples=24))
     total = layer.multiple[..., 0].mean() * 1.1**2
     expected, noise = _traced_towards_z(lamp, sigma, albedo, 40000)
-    assert total == pytest.approx(expected, rel=0.05, abs=3.0 * noise)
+    assert total == pytest.approx(expected, rel=0.07, abs=3.0 * noise)
 
 
 def _traced_towards_z(lamp, sigma, albedo, photons, seed=8):
