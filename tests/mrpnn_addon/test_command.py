@@ -280,7 +280,8 @@ def test_a_view_layer_may_be_chosen(command, blend, capsys):
 
 
 def test_report_states_what_a_render_would_do(command, blend, capsys):
-    blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp = blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.visible_volume_scatter = False
     assert command(["report", "--frame", "2", "--json", str(blend.parent / "plan.json")]) == 0
     said = capsys.readouterr()
     assert "frame 2, 20 x 16 pixels" in said.out and 'volume "Cloud"' in said.out and '"Lamp"' in said.err
@@ -317,9 +318,10 @@ def test_compare_measures_against_cycles(command, blend, capsys):
 
 
 def test_warnings_go_to_stderr(command, blend, capsys):
-    blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp = blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.visible_volume_scatter = False
     assert command(["render", "--output", str(blend.parent / "a.exr")]) == 0
-    assert 'mrpnn: warning: light "Lamp"' in capsys.readouterr().err
+    assert 'mrpnn: warning: point light "Lamp"' in capsys.readouterr().err
 
 
 def test_help_is_status_0(command, capsys):
