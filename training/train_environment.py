@@ -4,8 +4,9 @@
     nice python -m training.train_environment --data data/exits --held data/exits-held --run runs/environment
 
 Reads the data into memory; a run resumes from its checkpoint. The loss is L2 on the radiance that each volume's
-environments scatter, of mean 1, relative to the prediction and to a part of that mean; single scattering and multiple
-scattering of several albedos count alike. It is linear in the targets' noise.
+environments scatter, of mean 1: on single scattering, and on all scattering for several albedos. As in a picture,
+errors are relative to the mean over a medium's points, times what is left of even light at that albedo. The loss is
+linear in the targets' noise, and the mean is not biased by what the network cannot know.
 """
 
 import argparse
@@ -28,8 +29,8 @@ BATCH, STEPS, LEARNING_RATE, WARM_UP, WEIGHT_DECAY = 2048, 8000, 2e-3, 300, 0.05
 AVERAGING = 0.999
 #: Of a row's albedos the first is 1.
 ALBEDOS = 4
-#: Part of the environment's mean radiance that is added to the prediction where errors are relative to it.
-FLOOR = 0.3
+#: Lower bounds of what errors are relative to: what is left of even light, and means over a medium's points.
+LEAST_EVEN, LEAST_MEAN = 0.02, 0.2
 
 
 def environment_values(images: np.ndarray, codes: np.ndarray) -> np.ndarray:
@@ -90,16 +91,37 @@ def load(folder: pathlib.Path, most: int | None = None) -> dict:
 
 
 def predict(net, data, rows):
-    """Radiance (N, 1 + ALBEDOS, E)."""
-    single, multiple = net(data["x"][rows], data["candidates"][rows].float(), data["albedo"][rows])
-    return torch.cat([single[:, None], multiple], dim=1)
+    """Radiance (N, 1 + ALBEDOS, E), and that of all light where even light of radiance 1 comes from everywhere.
+
+    The latter, (N, 1 + ALBEDOS), is detached; its first column is 1.
+    """
+    x, albedo = data["x"][rows], data["albedo"][rows]
+    single, multiple = net(x, data["candidates"][rows].float(), albedo)
+    with torch.no_grad():
+        shares, _ = net.weights(x)
+        left = (albedo[:, :, None] ** net.orders * shares[:, None]).sum(dim=2)
+    return torch.cat([single[:, None], multiple], dim=1), torch.cat([torch.ones_like(left[:, :1]), left], dim=1)
+
+
+def totals(radiance):
+    """Single scattering, and for each albedo all scattering, of radiance (N, 1 + ALBEDOS, E)."""
+    return torch.cat([radiance[:, :1], radiance[:, 1:] + radiance[:, :1]], dim=1)
+
+
+def number_media(data) -> torch.Tensor:
+    """Number the media in data["medium"]; means (media, E) of the light that their rows scatter at albedo 1."""
+    media = torch.stack([data["sigma_hat"], data["anisotropy"]], dim=1)
+    data["medium"] = torch.unique(media, dim=0, return_inverse=True)[1]
+    targets = data["targets"].float().mean(dim=1)[:, :2].sum(dim=1)
+    count = torch.bincount(data["medium"])
+    return torch.zeros(len(count), targets.shape[1]).index_add_(0, data["medium"], targets) / count[:, None]
 
 
 def held_error(net, data) -> dict:
     """Relative errors without the targets' noise, and biases, of all light at albedo 1 by G and sigma_hat."""
     net.eval()
     with torch.no_grad():
-        parts = [predict(net, data, rows) for rows in torch.arange(len(data["x"])).split(8192)]
+        parts = [predict(net, data, rows)[0] for rows in torch.arange(len(data["x"])).split(8192)]
     y = torch.cat(parts)
     net.train()
     t = data["targets"].float()
@@ -146,6 +168,7 @@ def main(options=None):
     data, held = load(arguments.data, arguments.volumes), load(arguments.held)
     rows = len(data["x"])
     print(f"{rows} rows, {len(held['x'])} held back", flush=True)
+    means = number_media(data).clamp_min(LEAST_MEAN)
     net, averaged = EnvironmentNet(), EnvironmentNet()
     net.calibrate(data["x"])
     averaged.load_state_dict(net.state_dict())
@@ -171,9 +194,10 @@ def main(options=None):
     for step in range(first, arguments.steps):
         random = torch.Generator().manual_seed(arguments.seed * 1_000_003 + step)
         picked = torch.randint(rows, (BATCH,), generator=random)
-        y, t = predict(net, data, picked), data["targets"][picked].float().mean(dim=1)
-        scale = y.detach() ** 2 + FLOOR**2
-        loss = ((y - t) ** 2 / scale).mean()
+        y, even = predict(net, data, picked)
+        t = data["targets"][picked].float().mean(dim=1)
+        scale = even.clamp_min(LEAST_EVEN)[:, :, None] * means[data["medium"][picked]][:, None]
+        loss = (((totals(y) - totals(t)) / scale) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
