@@ -107,7 +107,7 @@ def _shader(source: Source, notes: set[str]) -> SurfaceColour:
         first, second = (_shader(source_of(socket, groups), notes) for socket in node.inputs if socket.type == "SHADER")
         a = b = 1.0
         if kind == "ShaderNodeMixShader":
-            b = float(np.clip(evaluator.mean(node, "Fac", groups)[0], 0.0, 1.0))
+            b = float(np.clip(evaluator.mean(node, node.inputs[0].identifier, groups)[0], 0.0, 1.0))
             a = 1.0 - b
         found.reflectance = a * first.reflectance + b * second.reflectance
         found.emission = a * first.emission + b * second.emission
