@@ -171,6 +171,7 @@ def test_frames_are_written_to_the_patterns_files(command, blend):
 def test_lists_of_frames_and_their_files(addon):
     frames = addon.mrpnn_addon.output.frames
     assert frames.parse_frames("1-3, 7,2..4") == [1, 2, 3, 7, 4]
+    assert frames.parse_frames("1-7:2,10") == [1, 3, 5, 7, 10]
     assert frames.parse_frames("-2..1") == frames.parse_frames("-2-1") == [-2, -1, 0, 1]
     assert frames.frame_path("/a#/b_##.png", 7, many=False) == "/a#/b_07.png"
     assert frames.frame_path("/a/b.png", 7, many=False) == "/a/b.png"
