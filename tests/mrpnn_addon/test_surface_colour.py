@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What of Blender's materials lights volumes: mean reflectance and emission."""
 
-import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
