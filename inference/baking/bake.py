@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
+from ..numerics.small_matmul import product
 from ..plan.lights import Light
 from ..plan.plan import Channels, in_range, make_plan
 from ..render import load_compiled, prepare_scene
@@ -22,7 +23,7 @@ from .directions import fit_directions, make_lobe
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
 from .lit_volume import BakedView, LitVolume
 from .point_radiance import PointRadiance
-from .smooth_light import importance_of, radiance_in_voxels
+from .smooth_light import continued, importance_of, radiance_in_voxels
 
 # For plans of images, of which a bake makes none.
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
@@ -77,8 +78,8 @@ def bake(
             found.append(lit[baked])
             baked += 1
         else:
-            nothing = np.zeros((1, 1, 1, 3), np.float32)
-            found.append(LitVolume(nothing, original.world_from_index, None, original.name, report))
+            empty, dark = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 1, 3), np.float32)
+            found.append(LitVolume(empty, dark, original.world_from_index, None, original.name, report))
     return found
 
 
@@ -213,16 +214,18 @@ class _Bake:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
         lattice, report = self.lattices[v], self.context.report
-        radiance = radiance + steady
+        coefficient = (medium.sigma_t * medium.albedo).astype(np.float32)
+        steady, scattered = coefficient * steady, coefficient * (radiance + steady)
         directional = None
         if self.context.settings.directional and sources:
             self.context.progress.message(f"other directions of {volume.name}")
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-                return np.sum([source(positions, directions) for source in sources], axis=0).mean(axis=0)
+                radiance = np.sum([source(positions, directions) for source in sources], axis=0)
+                return product(coefficient / np.float32(3.0), radiance)
 
             lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
             with report.stage("directions"):
-                directional = fit_directions(lattice, radiance, steady, self.visibilities[v], lobe, self.view, predict)
-        scattering = lattice.density[..., None] * (medium.sigma_t * medium.albedo).astype(np.float32)
-        return LitVolume(radiance * scattering, lattice.world_from_index, directional, volume.name, report)
+                directional = fit_directions(lattice, scattered, steady, self.visibilities[v], lobe, self.view, predict)
+        scattered = continued(scattered, self._wanted(v))
+        return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)
