@@ -7,7 +7,7 @@ import numpy as np
 
 from ..scene.description import Sun
 from .lattice import DIRECTIONS, BakeLattice, Visibility
-from .lit_volume import COEFFICIENTS, DETAIL_SHARPNESS, BakedView, DirectionalFactor, Lobe, directional_terms
+from .lit_volume import COEFFICIENTS, BakedView, DirectionalFactor, Lobe, directional_terms
 
 # Nodes along the longest edge of the grid of coefficients, at most.
 NODES = 48
@@ -39,13 +39,15 @@ def fit_directions(
     visibility: Visibility,
     lobe: Lobe,
     view: BakedView,
+    sharpness: float,
     predict: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> DirectionalFactor | None:
     """The DirectionalFactor of one volume; None where nothing scatters.
 
     scattered: (nx, ny, nz, 3), light that density 1 scatters, as baked, 0 in voxels that need none. steady: the part of
-    it, of the same shape, that is taken to be the same in all directions. predict: the other part (N,), mean over the
-    colours, at world positions (N, 3) along unit directions (N, 3); it may raise Cancelled.
+    it, of the same shape, that is taken to be the same in all directions. lobe, view, sharpness: of the factor.
+    predict: the other part (N,), mean over the colours, at world positions (N, 3) along unit directions (N, 3); it may
+    raise Cancelled.
     """
     stride = max(-(-max(scattered.shape[:3]) // NODES), 1)
     nodes, voxels = _representatives(scattered, stride)
@@ -79,8 +81,6 @@ def fit_directions(
     frame[:3, :3] *= stride
     frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
     shape = [-(-n // stride) for n in scattered.shape[:3]]
-    # The lobe has the square of the anisotropy.
-    sharpness = DETAIL_SHARPNESS * abs(lobe.anisotropy)
     return DirectionalFactor(_spread(shape, nodes, coefficients), frame, lobe, view, sharpness)
 
 

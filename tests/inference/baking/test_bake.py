@@ -9,6 +9,7 @@ import pytest
 from inference import (
     Camera,
     Cancelled,
+    Environment,
     Medium,
     RenderCache,
     SceneError,
@@ -119,6 +120,38 @@ def test_a_white_cloud_in_uniform_light_vanishes():
     total = once + lit.emission[..., 0].reshape(-1)[inside] / coefficient[inside]
     assert total.mean() == pytest.approx(1.0, abs=0.05)
     assert total.std() < 0.05
+
+
+def sky() -> Environment:
+    """Light from everywhere, most of it from one side and from above."""
+    image = np.full((16, 32, 3), 0.2, np.float32)
+    image[:8, :12] = 1.0, 1.5, 2.0
+    return Environment(image)
+
+
+def test_light_of_an_environment_is_baked_at_once():
+    volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
+    [lit] = bake([(volume, medium)], [sky()], view, Settings(directional=False))
+    assert lit.report.counts["network points"] == lit.report.counts["voxels predicted"]
+    layer = render([(volume, medium)], [sky()], view, Settings(16))
+    found = seen_through(volume, medium, lit, view)
+    assert relative(found, layer.multiple) < 0.05
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), layer.multiple.mean(axis=(0, 1)), rtol=0.02)
+
+
+def test_light_of_an_environment_and_a_sun_adds_up():
+    volume, view = cloud(), camera()
+    one, two, both = (bake([(volume, MEDIUM)], s, view, EXACT)[0] for s in ([SUN], [sky()], [SUN, sky()]))
+    np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
+
+
+def test_an_environment_that_surfaces_shadow_is_baked_as_parallel_light():
+    floor = np.array([[[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [0.0, 9.0, -3.0]]])
+    [lit] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT, surfaces=[Surface(floor)])
+    assert any("as parallel light" in sentence for sentence in lit.report.planned)
+    [free] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT)
+    # The floor keeps away what comes from below.
+    assert 0.6 * free.emission.mean() < lit.emission.mean() < 0.95 * free.emission.mean()
 
 
 @pytest.mark.slow
