@@ -4,7 +4,7 @@
     python3.11 run.py demo [volume.vdb ...]            render in Blender, compare with Cycles
     python3.11 run.py test [--all] [pytest options]    run the quick tests, or all of them
 
-Both install what they need, pinned, into .venv beside this file.
+Both install what they need, pinned, into .venv beside this file, and compile the kernels for this machine.
 """
 
 import hashlib
@@ -62,6 +62,8 @@ def main() -> int:
     requirements, command = COMMANDS[sys.argv[1]]
     try:
         install(requirements)
+        # Here, so that no timed render waits for the compiler. Where it fails numpy does the same work, and says so.
+        subprocess.run([PYTHON, "-m", "inference.kernels"], cwd=ROOT, stdout=subprocess.DEVNULL)
     except subprocess.CalledProcessError as error:
         print(f"Installing {requirements} failed; see pip's message above")
         return error.returncode

@@ -12,20 +12,37 @@ from .network.predictor import predict_multiple
 from .render import render, render_tiles
 from .render_cache import RenderCache
 from .runtime.report import Report
-from .scene import Camera, Cancelled, Environment, Medium, SceneError, Settings, SparseGrid, Sun, Surface, Volume
+from .scene import (
+    AreaLight,
+    Camera,
+    Cancelled,
+    Environment,
+    Medium,
+    PointLight,
+    SceneError,
+    Settings,
+    SparseGrid,
+    SpotLight,
+    Sun,
+    Surface,
+    Volume,
+)
 
 __all__ = [
+    "AreaLight",
     "Camera",
     "Cancelled",
     "Environment",
     "Layer",
     "LitVolume",
     "Medium",
+    "PointLight",
     "RenderCache",
     "Report",
     "SceneError",
     "Settings",
     "SparseGrid",
+    "SpotLight",
     "Sun",
     "Surface",
     "Volume",

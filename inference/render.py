@@ -10,6 +10,7 @@ from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer
+from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
@@ -17,6 +18,7 @@ from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
+from .marching.lamp_march import enclosed_warnings
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
@@ -45,11 +47,12 @@ def render(
     cache: RenderCache | None = None,
     surfaces=(),
 ) -> Layer:
-    """Render volumes lit by suns and environments.
+    """Render volumes lit by suns, lamps and environments.
 
-    volumes: list of (Volume, Medium). lights: list of Sun and Environment. progress: (fraction, message), called on the
-    calling thread; the fraction is of the time. cancelled: () -> bool, asked several times a second. cache: of earlier
-    renders, for what has not changed since; its memory is held until it is dropped. surfaces: Surfaces at which camera
+    volumes: list of (Volume, Medium). lights: list of Sun, PointLight, SpotLight, AreaLight and Environment. progress:
+    (fraction, message), called on the calling thread; the fraction is of the time. cancelled: () -> bool, asked several
+    times a second. cache: of earlier renders, for what has not changed since; its memory is held until it is dropped.
+    surfaces: Surfaces at which camera
     rays end, for a layer that is put over them (but not those of equirectangular cameras), and that keep light from the
     volumes.
 
@@ -93,6 +96,7 @@ def render_tiles(
     report.count("pixels", len(framebuffer.alpha))
     report.count("suns", len(scene.plan.suns))
     report.count("environments", len(scene.plan.environments))
+    report.count("lamps", len(scene.plan.lamps))
     report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
@@ -173,8 +177,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         scene.plan.groups,
         settings.leave_out,
     )
-    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping)
-    return ChannelPass(channels, suns, suns[:1] in ([], [0]), media, march)
+    first = suns[:1] in ([], [0])
+    lamps = prepare_lamp_march(context, scene, channels) if first else None
+    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
+    return ChannelPass(channels, suns, first, media, march, lamps is not None)
 
 
 def load_compiled(settings: Settings, report: Report) -> Kernels | None:
@@ -213,6 +219,12 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
             context.progress.message(f"shadows of {volume.name}")
             sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel, context.kernels))
             context.progress.advance("shadows", count * len(plan.suns))
+    with report.stage("shadows"):
+        context.progress.message("shadows of lamps")
+        lamps = cache.lamps(plan.lamps, grids, surfaces, cancel, context.kernels) if grids else []
+        if plan.predicts_lamps:
+            for lamp in lamps:
+                report.warnings += enclosed_warnings(lamp, plan.volumes)
     see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
@@ -236,7 +248,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         with report.stage("network loading"):
             environment = cache.environment_network(settings.model, settings.provider, cancel)
     return PreparedScene(
-        plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment
+        plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment, lamps
     )
 
 

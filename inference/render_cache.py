@@ -3,18 +3,20 @@
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .grids.grid import Grid
 from .grids.merge import merge
 from .kernels.library import Kernels
+from .marching.lamp_march import LampInMedia, lamp_key, place_lamp
 from .network.environment_network import EnvironmentNetwork, load_environment_network
 from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
 from .runtime.cancellation import NEVER, CancelToken
-from .scene.description import Medium, Volume
+from .scene.description import Medium, Surface, Volume
+from .scene.lamps import Lamp
 from .transport.scattered_emission import ScatteredEmission
 
 # Volumes with their media.
@@ -45,6 +47,7 @@ class RenderCache:
         self._networks: dict[tuple[str, str], System] = {}
         self._environment_networks: dict[tuple[str, str], EnvironmentNetwork] = {}
         self._grids: list[tuple[Volume, Grid]] = []
+        self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
         self._predictors: dict[int, VolumePredictor] = {}
         self._emission: dict[int, tuple[Members, ScatteredEmission]] = {}
@@ -73,6 +76,28 @@ class RenderCache:
                 found.append((volume, known or Grid(volume)))
             self._grids = found
             return [grid for _, grid in found]
+
+    def lamps(
+        self,
+        lamps: Sequence[Lamp],
+        grids: Sequence[Grid],
+        surfaces: Sequence[Surface] = (),
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ) -> list[LampInMedia]:
+        """As `place_lamp`, of each lamp."""
+        with cancel.locked(self._lock):
+            found: list[LampInMedia] = []
+            for lamp in lamps:
+                key = lamp_key(lamp, grids, surfaces)
+                known = (placed for others, placed in self._lamps if placed.key == key and _same_grids(others, grids))
+                placed = next(known, None)
+                if placed is None:
+                    placed = place_lamp(lamp, grids, surfaces, cancel, kernels)
+                # Its power may have changed.
+                found.append(replace(placed, lamp=lamp))
+            self._lamps = [(grids, placed) for placed in found]
+            return found
 
     def group(
         self,
@@ -135,6 +160,10 @@ class RenderCache:
             known = members, merge(grids, [medium for _, medium in members], names, cancel, kernels)
         self._merged[number] = known
         return known[1]
+
+
+def _same_grids(a: Sequence[Grid], b: Sequence[Grid]) -> bool:
+    return len(a) == len(b) and all(one is other for one, other in zip(a, b))
 
 
 def _same_volume(a: Volume, b: Volume) -> bool:

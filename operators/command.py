@@ -80,7 +80,8 @@ def _parser() -> argparse.ArgumentParser:
     for action in (render, bake, report):
         action.add_argument(
             "--strict",
-            action="store_true",
+            action=argparse.BooleanOptionalAction,
+            default=False,
             help="fail where an object cannot be rendered, instead of leaving it out with a warning",
         )
     for action in (compare, report):

@@ -3,9 +3,7 @@
 
 import bpy
 
-from ..mrpnn_addon.scene.unrendered import RENDERED_LIGHTS
 from .engine_panel import EnginePanel, draw_shader
-from .text import draw_text
 
 
 class _LightPanel(EnginePanel):
@@ -22,8 +20,6 @@ class MRPNN_PT_light(_LightPanel, bpy.types.Panel):
     def draw(self, context):
         layout, light = self.layout, context.light
         layout.row().prop(light, "type", expand=True)
-        if light.type not in RENDERED_LIGHTS:
-            draw_text(context, layout, "Left out: only sun lamps and the World light volumes", "INFO")
         layout.use_property_split = True
         column = layout.column()
         # Lights have temperature, exposure and normalization from Blender 4.5 on.

@@ -70,7 +70,7 @@ def measured(name, stage, options) -> dict:
     """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
     from mrpnn import inference
     from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
-    from mrpnn.mrpnn_addon.cycles.reference import PathTracing, render_reference, volumes_and_suns
+    from mrpnn.mrpnn_addon.cycles.reference import PathTracing, render_reference, volumes_and_lights
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -93,7 +93,7 @@ def measured(name, stage, options) -> dict:
         "warnings": list(dict.fromkeys(described.warnings + layer.report.warnings)),
     }
     world = stage.scene.world if described.environment else None
-    objects = volumes_and_suns(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
+    objects = volumes_and_lights(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
     parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
     if any(volume.emission is not None and medium.albedo.any() for volume, medium in described.volumes):
         # Without bounces, Cycles' image still holds emitted light that was scattered once.

@@ -25,7 +25,7 @@ def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, s
 
 
 class FieldLookup:
-    """Features mu and S at the stencil around points, for one sun."""
+    """Features mu and S at the stencil around points, for one sun, or for light from elsewhere at each point."""
 
     def __init__(self, stencil: Stencil, lattices: Lattices, sun: np.ndarray):
         """sun: (3,) unit vector in the cube's frame."""
@@ -42,37 +42,48 @@ class FieldLookup:
         self.begin = (begin - (self.stride * first).sum(axis=0)).astype(np.int32)
         # Fine cells are linear in a point's position, frame and jitter: one product per axis gives those of all points.
         low, count = len(stencil.low), len(stencil.mips)
-        self.terms = np.zeros((3, 6, count), np.float32)
+        self.terms = np.zeros((3, 7, count), np.float32)
         self.terms[:, 0], self.terms[:, 4] = scale, 1.0
         self.terms[:, 1:4, :low] = stencil.low.T * scale[:low]
         towards = np.zeros(count, np.float32)
         towards[low:] = stencil.high * scale[low:]
         self.terms[:, 5] = self.sun[:, None].astype(np.float32) * towards - origin
+        self.terms[:, 6] = towards
 
     def __call__(
-        self, positions: np.ndarray, omega: np.ndarray, view: np.ndarray, jitter: np.ndarray | None = None
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        view: np.ndarray,
+        jitter: np.ndarray | None = None,
+        towards: np.ndarray | None = None,
     ) -> np.ndarray:
         """Features of points: float32 (N, points of the stencil, columns of the lattices).
 
         positions: (N, 3) in the cube's frame. omega: (V, 3) camera-ray directions. view: int (N,), direction of each
         point. jitter: (N, 3) in [-1/2, 1/2), offset of each point's lookups in fine cells; averaged over it, the
-        nearest cell is linear interpolation, and cells leave no bands.
+        nearest cell is linear interpolation, and cells leave no bands. towards: (V, 3), where the light of each
+        direction comes from, if not from the sun.
         """
         count = len(positions)
-        point = np.zeros((3, count, 6), np.float32)
+        point = np.zeros((3, count, 6 if towards is None else 7), np.float32)
         point[..., 0], point[..., 5] = positions.T, 1.0
         if jitter is not None:
             point[..., 4] = jitter.T
-        for axis, rows in enumerate(frames(omega, self.sun).astype(np.float32).transpose(1, 0, 2)):
+        if towards is not None:
+            point[..., 6] = (towards - self.sun).T.take(view, axis=1)
+        turned = frames(omega, self.sun if towards is None else towards).astype(np.float32)
+        for axis, rows in enumerate(turned.transpose(1, 0, 2)):
             point[axis, :, 1:4] = rows.take(view, axis=0)
         features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
+        terms = self.terms[:, : point.shape[2]]
         for start in range(0, count, POINTS_PER_STEP):
             span = slice(start, start + POINTS_PER_STEP)
             # Rows and columns of a level are exact in single precision.
-            cell = np.floor(point[1, span] @ self.terms[1])
+            cell = np.floor(point[1, span] @ terms[1])
             cell *= self.row
-            cell += np.floor(point[2, span] @ self.terms[2])
-            index = (point[0, span] @ self.terms[0]).astype(np.int32)
+            cell += np.floor(point[2, span] @ terms[2])
+            index = (point[0, span] @ terms[0]).astype(np.int32)
             index *= self.stride[0]
             index += cell.astype(np.int32)
             index += self.begin

@@ -75,11 +75,13 @@ class Stencil:
 def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) from the stencil's frame to the cube's.
 
-    omega: (N, 3) unit camera-ray directions. sun: (3,) unit vector towards the sun. Column 2 is omega, column 0 the
-    sun's perpendicular part; where the two are parallel the roll is arbitrary but fixed.
+    omega: (N, 3) unit camera-ray directions. sun: unit vector towards the sun, (3,), or towards the light of each,
+    (N, 3). Column 2 is omega, column 0 the sun's perpendicular part; where the two are parallel the roll is arbitrary
+    but fixed.
     """
     omega = np.asarray(omega, np.float64)
-    x = sun - (omega @ sun)[:, None] * omega
+    along = omega @ sun if np.ndim(sun) == 1 else (omega * sun).sum(axis=1)
+    x = sun - along[:, None] * omega
     # The axis least aligned with omega replaces a perpendicular part that vanishes.
     spare = np.eye(3)[np.abs(omega).argmin(axis=1)]
     spare = spare - np.sum(spare * omega, axis=1, keepdims=True) * omega

@@ -47,6 +47,10 @@ class Cube:
         """World positions (..., 3) in the cube's frame."""
         return (world - self.centre) @ self.rotation / self.edge
 
+    def world(self, positions: np.ndarray) -> np.ndarray:
+        """World positions (..., 3) of those in the cube's frame."""
+        return positions * self.edge @ self.rotation.T + self.centre
+
     def directions(self, world: np.ndarray) -> np.ndarray:
         """World unit vectors (..., 3) in the cube's frame."""
         return world @ self.rotation

@@ -83,7 +83,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(context, scene, counts)
-    shade, parts, features = _Shading(scene, channel_pass, tile.camera), [], []
+    shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
         some = slice(start, start + size)
@@ -93,15 +93,27 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
         _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
+        if segment.lamps is not None:
+            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment.lamps.single)
+            if segment.lamps.features is not None:
+                of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
         weight = segment.sample_weight * rays.share[ray]
         parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
         if segment.sample_features is not None:
             features.append(segment.sample_features.values)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
-    gathered = RayFeatures(np.concatenate(features)) if features else None
     samples = DepthSamples(
-        rays.pixel, rays.batch.origins, rays.batch.directions, rays.offsets, ray, distance, weight, fraction, gathered
+        rays.pixel,
+        rays.batch.origins,
+        rays.batch.directions,
+        rays.offsets,
+        ray,
+        distance,
+        weight,
+        fraction,
+        RayFeatures(np.concatenate(features)) if features else None,
+        RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
     )
     report.count("points", len(samples.ray))
     return samples
@@ -172,6 +184,24 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     part = len(indices) / 3.0
     add_at(framebuffer.alpha, pixel, segment.alpha * weight * part)
     add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * part)
+
+
+def _add_lamps(
+    framebuffer: Framebuffer,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    pixel: np.ndarray,
+    share: np.ndarray,
+    single: np.ndarray,
+) -> None:
+    """Add single scattering of lamps (R, V, K), for albedo 1 and power 1, to the tile.
+
+    pixel, share: (R,), as in _TileRays.
+    """
+    for c in channel_pass.channels.indices:
+        albedo = np.array([medium.albedo[c] for _, medium in scene.plan.volumes])
+        power = np.array([lamp.power[c] for lamp in scene.plan.lamps])
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,v,k,r->r", single, albedo, power, share))
 
 
 class _Shading:

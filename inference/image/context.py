@@ -2,7 +2,7 @@
 """What a render holds while it runs."""
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
+from ..marching.lamp_march import LampInMedia
 from ..marching.marcher import Marcher
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
@@ -54,7 +55,7 @@ class PreparedScene:
     grids: of V volumes. sun_depths: (V, L), of each volume towards each sun of the plan. depth_buffer: of surfaces that
     cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
     None where nothing is predicted. network: None if nothing is predicted at all. environment_network: that predicts
-    the light of environments, or None.
+    the light of environments, or None. lamps: of the plan, with what lies between them and the volumes.
     """
 
     plan: Plan
@@ -66,6 +67,12 @@ class PreparedScene:
     groups: list[ScatteringGroup | None]
     network: System | None = None
     environment_network: EnvironmentNetwork | None = None
+    lamps: list[LampInMedia] = field(default_factory=list)
+
+    @property
+    def lamp_radius(self) -> float:
+        """Distance from lamps within which the coarse transport of any group does not tell their light apart."""
+        return max((group.predictor.lamp_radius for group in self.groups if group is not None), default=0.0)
 
     @functools.cached_property
     def corners(self) -> np.ndarray:
@@ -94,7 +101,7 @@ class ChannelPass:
 
     suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
     does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
-    rays through the media.
+    rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does.
     """
 
     channels: Channels
@@ -102,6 +109,7 @@ class ChannelPass:
     first: bool
     media: list[BoundMedium]
     march: Marcher
+    lamps: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,14 @@ import numpy as np
 
 from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
-from ..network.predictor import POINTS_PER_TASK, Bounds, PreparedPredictor, VolumePredictor
+from ..network.predictor import (
+    POINTS_PER_TASK,
+    Bounds,
+    LampLight,
+    PreparedLampPredictor,
+    PreparedPredictor,
+    VolumePredictor,
+)
 from ..numerics.small_matmul import product
 from ..plan.plan import Channels, distinct_albedos
 from ..runtime.report import Report
@@ -49,14 +56,16 @@ def prepare_prediction(
     camera: Camera,
     view: Sequence[DepthSamples],
 ) -> list["Source"]:
-    """What predicts the multiple scattering of every group and sun of a pass. Raises Cancelled.
+    """What predicts the multiple scattering of every group and sun of a pass, and every lamp. Raises Cancelled.
 
     view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
     any view.
     """
     if not context.settings.multiple:
         return []
-    plan, sources, indices = scene.plan, [], channel_pass.channels.indices
+    plan, indices = scene.plan, channel_pass.channels.indices
+    sources: list[Source] = []
+    prepared: PreparedPredictor | PreparedLampPredictor
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
         with context.report.stage("fields"):
@@ -76,10 +85,31 @@ def prepare_prediction(
                     indices=indices,
                     albedos=distinct_albedos(medium, indices, plan.optimizations),
                     scattered=np.array([plan.volumes[v][1].albedo * sun.irradiance for v in members], np.float32),
-                    suns=len(plan.suns),
+                    suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
                     directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                )
+                sources.append(source)
+            for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
+                with context.progress.stage("lattices", 1):
+                    albedos = [albedo for albedo, _ in distinct_albedos(medium, indices, plan.optimizations)]
+                    light = LampLight(lamp, scene.lamp_radius, albedos)
+                    prepared = group.predictor.prepare_lamp(
+                        float(medium.sigma_t[indices[0]]), light, bounds, scene.occluders, context.tasks
+                    )
+                context.report.count("cells of lookup fields", prepared.lattice_cells)
+                context.cancel.check()
+                source = Source(
+                    group=g,
+                    place=k,
+                    members=members,
+                    indices=indices,
+                    albedos=distinct_albedos(medium, indices, plan.optimizations),
+                    scattered=np.array([plan.volumes[v][1].albedo * lamp.lamp.power for v in members], np.float32),
+                    suns=len(plan.suns) + len(plan.lamps),
+                    voxel=min(scene.grids[v].voxel for v in members),
+                    prepared=prepared,
                 )
                 sources.append(source)
     return sources
@@ -125,13 +155,13 @@ def sample_batches(points: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Source:
-    """One group of volumes in the light of one sun.
+    """One group of volumes in the light of one sun or lamp.
 
-    group: its number. place: of the sun among those that are rendered together. members: numbers of the group's
+    group: its number. place: of the sun or lamp among those that are rendered together. members: numbers of the group's
     volumes. indices: colour channels that are rendered together. albedos: distinct albedos of these channels, and the
-    channels of each. scattered: float32 (V, 3), albedo times irradiance of each of the group's volumes. suns: how many
-    there are altogether. voxel: shortest edge of the group's voxels. prepared: what predicts. directions: in which it
-    sees camera rays.
+    channels of each. scattered: float32 (V, 3), albedo times irradiance, or times a lamp's power, of each of the
+    group's volumes. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's voxels.
+    prepared: what predicts. directions: in which it sees camera rays; None for a lamp.
     """
 
     group: int
@@ -142,8 +172,8 @@ class Source:
     scattered: np.ndarray
     suns: int
     voxel: float
-    prepared: PreparedPredictor
-    directions: EquivalentDirections
+    prepared: PreparedPredictor | PreparedLampPredictor
+    directions: EquivalentDirections | None = None
 
 
 class Estimate(Protocol):
@@ -187,7 +217,9 @@ class _Estimate:
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
         self.fraction = samples.fraction[:, source.members]
-        self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
+        self.directions = samples.directions
+        if source.directions is not None:
+            self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
@@ -218,7 +250,8 @@ class _Estimate:
 
     def _features(self, points: np.ndarray | slice) -> np.ndarray | None:
         """Ray features of some samples, if the network needs them."""
-        features = self.samples.features
+        lamp = self.source.directions is None
+        features = self.samples.lamp_features if lamp else self.samples.features
         return None if features is None else features.of(points, self.source.group, self.source.place)
 
     def pixels_per_voxel(self) -> np.ndarray:

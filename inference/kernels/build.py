@@ -1,12 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compile the kernels for one platform, or for all that the extension supports, with the `ziglang` package.
+"""Compiles the kernels into build/kernels/<platform>-<digest of the sources>/ with the `ziglang` package."""
 
-    .venv/bin/python -m inference.kernels.build [--platform windows-x64 | all]
-
-Prints the library's path, build/kernels/<platform>-<digest of the sources>/.
-"""
-
-import argparse
 import hashlib
 import importlib.util
 import os
@@ -37,7 +31,7 @@ FLAGS = (
 # Kinds of x86-64 processors, in the order of dispatch.c.
 X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"}
 # Files that are compiled once for each kind of processor.
-VARYING = ("columns.c", "march.c", "pyramid.c", "sweeps.c")
+VARYING = ("columns.c", "lamps.c", "march.c", "pyramid.c", "sweeps.c")
 
 
 class BuildError(Exception):
@@ -133,12 +127,3 @@ def _zig(target: Target, folder: Path, *arguments: str | Path) -> None:
     run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     if run.returncode != 0:
         raise BuildError(f"the compiler failed: {(run.stderr or run.stdout).strip()[-2000:]}")
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Compile the kernels.")
-    parser.add_argument("--platform", choices=[*TARGETS, "all"], default=this_platform())
-    wanted = parser.parse_args().platform
-    for each in TARGETS if wanted == "all" else [wanted]:
-        path = build(each)
-        print(f"{path.relative_to(BUILD.parents[1])}  {path.stat().st_size / 1e3:.0f} KB")

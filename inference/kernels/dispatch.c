@@ -23,7 +23,10 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t mean_cells_##variant(const CellMeans *data);                                   \
     int64_t halve_##variant(const Halving *data);                                          \
     int64_t fill_lattice_##variant(const LatticePart *data);                               \
-    int64_t resample_##variant(const Resampling *data);
+    int64_t resample_##variant(const Resampling *data);                                    \
+    int64_t fill_lamp_columns_##variant(const LampSlices *data);                           \
+    int64_t lamp_depths_##variant(const LampDepths *data);                                 \
+    int64_t lamp_beam_##variant(const LampBeam *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
@@ -92,3 +95,6 @@ PREPARE(mean_cells, const CellMeans)
 PREPARE(halve, const Halving)
 PREPARE(fill_lattice, const LatticePart)
 PREPARE(resample, const Resampling)
+PREPARE(fill_lamp_columns, const LampSlices)
+PREPARE(lamp_depths, const LampDepths)
+PREPARE(lamp_beam, const LampBeam)

@@ -167,6 +167,43 @@ class Resampling(Shared):
     ]
 
 
+class LampSlices(Shared):
+    _fields_ = [
+        ("columns", c_void_p),
+        ("pyramid", c_int64),
+        ("begin", c_int64),
+        ("end", c_int64),
+        ("parts", c_int64),
+    ]
+
+
+class LampDepths(Shared):
+    _fields_ = [
+        ("columns", c_void_p),
+        ("points", c_int64),
+        ("index", c_void_p),
+        ("sigma_t", c_double),
+        ("out", c_void_p),
+    ]
+
+
+class LampBeam(Shared):
+    _fields_ = [
+        ("columns", c_void_p),
+        ("emitter", c_void_p),
+        ("shadow_map", c_void_p),
+        ("cells", c_int64),
+        ("count", c_int64),
+        ("numbers", c_void_p),
+        ("parts", c_int64),
+        ("world", c_double * 9),
+        ("offset", c_double * 3),
+        ("sigma", c_double),
+        ("radius", c_double),
+        ("light", c_void_p),
+    ]
+
+
 #: Functions of the library that take one structure.
 FUNCTIONS = {
     "sweep_columns": ColumnSweep,
@@ -178,4 +215,7 @@ FUNCTIONS = {
     "halve": Halving,
     "fill_lattice": LatticePart,
     "resample": Resampling,
+    "fill_lamp_columns": LampSlices,
+    "lamp_depths": LampDepths,
+    "lamp_beam": LampBeam,
 }

@@ -150,4 +150,35 @@ typedef struct {
     int64_t strides[3];
 } Resampling;
 
+/* Slices of the columns around a lamp: LampOpticalDepth. */
+typedef struct {
+    const LampColumns *columns;
+    int64_t pyramid, begin, end; /* the slices to fill, of which none is the first */
+    int64_t parts;               /* into which the way from the slice before is divided */
+} LampSlices;
+
+/* Optical depths from points towards a lamp: LampOpticalDepth. */
+typedef struct {
+    const LampColumns *columns;
+    int64_t points;
+    const float *index;          /* (3, points), continuous */
+    double sigma_t;
+    float *out;
+} LampDepths;
+
+/* Unscattered light of a part of a lamp in cells of the working cube: LampInCube. */
+typedef struct {
+    const LampColumns *columns;  /* through the cells, whose indices they take */
+    const Emitter *emitter;
+    const LampShadowMap *shadow_map;  /* or NULL */
+    int64_t cells;               /* along an edge */
+    int64_t count;
+    const int64_t *numbers;      /* (count), of the cells to fill */
+    int64_t parts;               /* of a cell along each axis, in whose middles the light is sampled */
+    double world[9], offset[3];  /* the world from indices of cells */
+    double sigma;
+    double radius;               /* by which the light is softened */
+    double *light;               /* (cells, cells, cells), added to */
+} LampBeam;
+
 #endif

@@ -10,10 +10,12 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 8
+#define MRPNN_INTERFACE 9
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
+/* Intervals of a tabulated phase function. */
+#define MRPNN_PHASES 8192
 
 /* A grid of trilinear samples, 0 outside: DenseGrid where table is NULL, SparseGrid otherwise. */
 typedef struct {
@@ -59,6 +61,8 @@ typedef struct {
     Grid density;
     Occupancy occupancy;
     const SunColumns *suns;  /* (suns) */
+    const float *phase;      /* (2, MRPNN_PHASES + 1), phase function by the square root of 1 - |cosine|, forwards and
+                                backwards; NULL without lamps */
     double linear[9];        /* continuous indices from world positions */
     double offset[3];
     double sigma_t;
@@ -66,6 +70,56 @@ typedef struct {
     int64_t emission_power;
     double emission_factor;  /* 0: the volume emits nothing */
 } Medium;
+
+/* Optical depths of columns around a lamp, within the pyramid about one direction of an axis: LampOpticalDepth. */
+typedef struct {
+    float *depths;           /* (slices, size[0], size[1]) */
+    const double *starts;    /* (slices), their distances from the lamp along the axis, in voxels, ascending */
+    int64_t slices;          /* 0: the pyramid holds nothing of the grid */
+    int64_t size[2];         /* columns */
+    double first[2];         /* slope of the first column, */
+    double spacing[2];       /* and from one to the next */
+} Pyramid;
+
+/* Optical depth through one grid towards one point. */
+typedef struct {
+    Grid density;
+    Pyramid pyramids[6];     /* around the positive and the negative direction of each axis */
+    double lamp[3];          /* in continuous indices */
+    double world_from_index[9];
+    int64_t integrated;      /* whether the last part of the way is integrated */
+} LampColumns;
+
+/* Distance of the nearest surface in all directions from a point: LampShadowMap. */
+typedef struct {
+    const float *distances;  /* (6, cells, cells) */
+    int64_t cells;
+    double position[3];
+    double frames[54];       /* (6, 3, 3), axes of the faces as columns */
+} LampShadowMap;
+
+/* A part of a lamp of power 1: SphereEmitter, or QuadEmitter where flat. */
+typedef struct {
+    int64_t flat;
+    double position[3];      /* from which its light seems to come */
+    double extent;
+    double centre[3];        /* of the sphere */
+    double radius, intensity, closest;  /* the last is the square of a distance */
+    int64_t soft_falloff;
+    int64_t cone;            /* whether the sphere shines into a cone: */
+    double axis[3], cosine, width;
+    double corners[12], normal[3], radiance, area;  /* of the quadrilateral */
+    double tangent, focus;   /* of half its spread, and the brightness of its axis; tangent 0: diffuse */
+    double focused;          /* what the tangent is divided by for the focus */
+} Emitter;
+
+/* A lamp. */
+typedef struct {
+    int64_t emitters;
+    const Emitter *parts;            /* (emitters) */
+    const LampColumns *const *columns;  /* (emitters, volumes) */
+    const LampShadowMap *shadow_maps;  /* (emitters), or NULL where no surface shadows volumes */
+} Lamp;
 
 /* Height of the highest surface above each cell of a plane that faces a sun. */
 typedef struct {
@@ -75,9 +129,10 @@ typedef struct {
     double offset[3];
 } ShadowMap;
 
-/* Scattered light of each sun in a group of volumes: ScatteredFluence. */
+/* Scattered light of each sun or lamp in a group of volumes: ScatteredFluence. */
 typedef struct {
-    const float *const *lights;     /* (suns) of (cells, cells, cells, 4); NULL for a group without prediction */
+    const float *const *lights;     /* of each (cells, cells, cells, 4); NULL for a group without prediction */
+    const double *scales;           /* of each, its factor; NULL: 1 */
     int64_t cells;
     double linear[9];
     double offset[3];
@@ -93,6 +148,13 @@ typedef struct {
     const int64_t *group_members;    /* numbers of volumes */
     const ShadowMap *shadow_maps;    /* (suns), or NULL where no surface shadows volumes */
     const Fluence *fluence;          /* (groups), or NULL without ray features */
+    int64_t lamps;
+    const Lamp *lamp_list;           /* (lamps) */
+    const Fluence *lamp_fluence;     /* (groups), or NULL without ray features of lamps */
+    double lamp_radius;              /* by which lamps are softened in ray features */
+    double wide;                     /* steps longer than this part of their distance to a lamp are wide; */
+    int64_t wide_count;              /* these take so many nodes in the angle under which it sees them */
+    const double *wide_nodes, *wide_weights;  /* in [0, 1] */
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
     int64_t depth_samples, adaptive, coarse_count;
@@ -124,11 +186,13 @@ typedef struct {
     double *alpha, *depth;               /* (rays) */
     double *optical_depth;               /* (rays, volumes) */
     double *single_scattering;           /* (rays, volumes, suns) */
+    double *lamp_scattering;             /* (rays, volumes, lamps), single scattering of lamps of power 1 */
     double *emission;                    /* (rays, channels), or NULL */
     int64_t *sample_counts;              /* (rays) */
     double *sample_distance, *sample_weight;  /* (rays * depth_samples) */
     float *sample_fraction;              /* (rays * depth_samples, volumes) */
     float *sample_features;              /* (rays * depth_samples, groups, suns, 7), or NULL */
+    float *lamp_features;                /* (rays * depth_samples, groups, lamps, 7), or NULL */
     int64_t samples;
     int64_t blocks;                      /* blocks of steps evaluated */
 } Gathered;

@@ -13,6 +13,7 @@ Each lane is computed by the operations that one number alone would take, so tha
 
 typedef float Floats __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+typedef int64_t Longs __attribute__((vector_size(8 * LANES)));
 /* Two neighbouring floats per lane, moved as if they were one double. */
 typedef double Pairs __attribute__((vector_size(8 * LANES)));
 typedef float PairsOfFloats __attribute__((vector_size(8 * LANES)));
@@ -32,6 +33,8 @@ static inline void store(float *to, Floats values) { memcpy(to, &values, sizeof 
 static inline Ints to_ints(Floats x) { return __builtin_convertvector(x, Ints); }
 
 static inline Floats to_floats(Ints n) { return __builtin_convertvector(n, Floats); }
+
+static inline Longs to_longs(Ints n) { return __builtin_convertvector(n, Longs); }
 
 /* a where the mask is all ones, b where it is 0. */
 static inline Floats choose(Ints mask, Floats a, Floats b) {

@@ -9,6 +9,7 @@ a ray are arrays over its steps. Places on a ray are counted in its coarse steps
 #include <stddef.h>
 
 #include "kernels.h"
+#include "lamp_sampling.h"
 #include "sampling.h"
 #include "variants.h"
 
@@ -47,10 +48,13 @@ typedef struct {
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
     float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
-    float *start, *end;          /* (groups, steps) each, optical depth of a group towards a sun at the ends of steps */
+    float *start, *end;          /* (groups, steps) each, optical depth of a group towards a light at the ends of steps */
     float *whole_start, *whole_end;  /* (steps), of all volumes */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
+    float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
+    double *given, *reference;   /* (steps), fluence of a lamp, and what stands for it in ray features */
+    float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
     double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
@@ -59,6 +63,7 @@ typedef struct {
     Line *lines;                 /* (volumes) */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
+    float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
 } Work;
 
 static inline Line line_in(const double *linear, const double *offset, const Ray *ray) {
@@ -273,8 +278,10 @@ static inline void store_at_edges(const Work *work, int64_t edge, int used, Floa
     }
 }
 
-/* Optical depths of each group and of all volumes towards one sun, at the ends of filled steps. */
-static void look_up_sun_depths(const Scene *scene, int64_t l, int64_t edges, Work *work) {
+/* Optical depths of each group and of all volumes towards one light, at the ends of filled steps.
+
+l: number of the sun. columns: (volumes), around a part of a lamp, or NULL for the sun. */
+static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
     for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
@@ -299,6 +306,10 @@ static void look_up_sun_depths(const Scene *scene, int64_t l, int64_t edges, Wor
                 Floats position[3];
                 for (int axis = 0; axis < 3; axis++) {
                     FOR_LANES(n) position[axis][n] = (float)(place[n] * line->slope[axis] + line->first[axis]);
+                }
+                if (columns) {
+                    if (medium->sigma_t > 0.0) sum += lamp_depth(columns[v], position, (float)medium->sigma_t);
+                    continue;
                 }
                 sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
                                           : sun_depth(scene, medium, medium->suns + l, position, depth);
@@ -350,16 +361,17 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
     }
 }
 
-/* 4 pi times the scattered light of one sun that scatters towards the camera, in the middle of each filled step. */
-static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *ray, Work *work) {
-    const Fluence *fluence = scene->fluence + g;
+/* 4 pi times the scattered light of one light that scatters towards the camera, in the middle of each filled step.
+
+fluence: of group g. l: number of the light. */
+static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g, int64_t l, const Ray *ray, Work *work) {
     const float *tau = work->group_tau + g * STEPS * work->room;
     int64_t steps = STEPS * work->blocks;
     if (!fluence->lights) {
         memset(work->source, 0, (size_t)steps * sizeof *work->source);
         return;
     }
-    const float *light = fluence->lights[l];
+    const float *light = fluence->lights[l], scale = fluence->scales ? (float)fluence->scales[l] : 1.0f;
     Line line = line_in(fluence->linear, fluence->offset, ray);
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
@@ -384,7 +396,7 @@ static void look_up_source(const Scene *scene, int64_t g, int64_t l, const Ray *
         }
         const float *at = light + 4 * cell;
         float found = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
-        work->source[s] = found > 0.0f ? found : 0.0f;
+        work->source[s] = found > 0.0f ? found * scale : 0.0f;
     }
 }
 
@@ -446,39 +458,198 @@ static void sum_groups(const Scene *scene, Work *work) {
     }
 }
 
-/* Ray features of one group and sun at the samples of a ray: integrals of the light ahead, from the ray's end.
+/* One light of one group, at the steps and samples of a ray, as ray features see it. */
+typedef struct {
+    const Fluence *fluence;
+    const float *visible;        /* (steps), what surfaces let through; or NULL */
+    const float *received;       /* (steps), its light without what lies in between; NULL: 1 */
+    const float *unit;           /* (samples), what its light is divided by; NULL: 1 */
+    float *features;             /* of the first sample, */
+    int64_t stride;              /* and from one to the next */
+} Gathering;
 
-The lanes are the integrals: those of the sun's light with each scale, and those of scattered light. */
-static void gather_features(const Scene *scene, int64_t g, int64_t l, int64_t count, Work *work, Gathered *out) {
+/* Ray features of one group and light at the samples of a ray: integrals of the light ahead, from the ray's end.
+
+The lanes are the integrals: those of the light itself with each scale, and those of scattered light. */
+static void gather_features(const Scene *scene, int64_t g, const Gathering *of, int64_t count, const Work *work) {
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
     const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
-    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)scene->fluence[g].reduced_fraction};
+    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)of->fluence->reduced_fraction};
     const Ints of_sun = {-1, -1, -1};
     Floats ahead = in_all(0.0f);
     float tau_ahead = 0.0f;
     int64_t n = count - 1;
     for (int64_t s = steps - 1; s >= from; s--) {
         Floats sun = transmittance(towards_sun * (0.5f * (start[s] + end[s]))), lost;
-        if (scene->shadow_maps) sun *= work->visible[s];
+        if (of->visible) sun *= of->visible[s];
+        if (of->received) sun *= of->received[s];
         Floats light = choose(of_sun, sun, in_all(work->source[s]));
         for (; n >= 0 && work->sample_step[n] == s; n--) {
-            float *values = out->sample_features + (((out->samples + n) * scene->groups + g) * scene->suns + l) * COLUMNS;
+            float *values = of->features + n * of->stride;
             float inside = work->sample_inside[n], rest = (1.0f - inside) * tau[s];
             float sun_tau = start[s] + inside * (end[s] - start[s]), most = (float)scene->max_tau_sun;
             sun_tau = least(sun_tau, most);
-            if (scene->shadow_maps) {
-                float lit = work->visible[s] > 1e-30f ? work->visible[s] : 1e-30f;
+            if (of->visible) {
+                float lit = of->visible[s] > 1e-30f ? of->visible[s] : 1e-30f;
                 sun_tau = least(sun_tau - logf(lit), most);
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
             Floats passed = exp_minus(along_ray * rest, &lost), found = light * lost + passed * ahead;
+            if (of->unit) found = found / of->unit[n];
             memcpy(values + 2, &found, INTEGRALS * sizeof *values);
         }
         Floats passed = exp_minus(along_ray * tau[s], &lost);
         ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];
+    }
+}
+
+/* Phase function, 1/sr, of a lamp's light towards the camera at a point that lies `behind` the place where the ray
+passes the lamp; passing: square of the lamp's distance from the ray, distance: from the point. */
+static inline double scattered_back(const float *phase, double behind, double passing, double distance) {
+    /* The square root of 1 - |cosine|, without cancellation. */
+    double place = sqrt(passing / larger(distance * (distance + fabs(behind)), 1e-60)) * MRPNN_PHASES;
+    const float *table = phase + (behind > 0.0 ? MRPNN_PHASES + 1 : 0);
+    place = place < MRPNN_PHASES ? place : MRPNN_PHASES;
+    int64_t cell = within((int64_t)place, MRPNN_PHASES - 1);
+    return table[cell] + (place - (double)cell) * (table[cell + 1] - table[cell]);
+}
+
+/* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
+function. In steps that are not far shorter than their distance the nodes lie in the angle under which the lamp sees
+the step, in which the inverse square is constant. */
+static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
+                        int64_t stride) {
+    double origin[3], passing = 0.0, nearest, wide = scene->wide * scene->wide;
+    for (int k = 0; k < 3; k++) origin[k] = ray->origin[k] - emitter->position[k];
+    nearest = -dot_of(origin, ray->direction);
+    for (int k = 0; k < 3; k++) {
+        double across = origin[k] + nearest * ray->direction[k];
+        passing += across * across;
+    }
+    double extent = emitter->extent * emitter->extent;
+    for (int64_t first = 0; first < STEPS * work->blocks; first += LANES) {
+        float passed[LANES];
+        Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
+        store(passed, load(work->transmitted + first) * mean_transmittance(start, end));
+        for (int64_t s = first; s < first + LANES && s < STEPS * work->blocks; s++) {
+            double weight = (double)passed[s - first] * (double)work->visible[s];
+            if (!(work->total[s] > 0.0f) || !(weight > 0.0)) continue;
+            double begin = ray->near + place_in(work, s, 0.0) * ray->dt - nearest;
+            double stop = ray->near + place_in(work, s, 1.0) * ray->dt - nearest, length = stop - begin;
+            double middle = 0.5 * (begin + stop), height = 0.0, turn = 0.0, from = 0.0;
+            int64_t count = 2;
+            int bent = length * length > wide * (passing + extent + middle * middle);
+            if (bent) {
+                height = sqrt(passing + extent + 1e-6 * length * length);
+                from = atan2(begin, height), turn = atan2(stop, height) - from;
+                count = scene->wide_count;
+            }
+            for (int64_t node = 0; node < count; node++) {
+                double behind, light, point[3];
+                if (bent) {
+                    behind = height * tan(from + scene->wide_nodes[node] * turn);
+                    light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
+                } else {
+                    behind = begin + (double)GAUSS_NODES[node] * length;
+                    light = 0.5 * length;
+                }
+                for (int k = 0; k < 3; k++) point[k] = emitter->position[k] + origin[k] + (nearest + behind) * ray->direction[k];
+                light *= emitter_fluence(emitter, point) * weight;
+                double distance = sqrt(passing + behind * behind);
+                for (int64_t v = 0; v < scene->volumes; v++) {
+                    float sigma = work->sigma[v * STEPS * work->room + s];
+                    if (!(sigma > 0.0f)) continue;
+                    single[v * stride] += light * sigma * scattered_back(scene->media[v].phase, behind, passing, distance);
+                }
+            }
+        }
+    }
+}
+
+/* What a lamp gives to the steps and samples of a ray without what lies in between. */
+static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t n = 0; n < steps + count; n++) {
+        int64_t s = n < steps ? n : work->sample_step[n - steps];
+        double inside = n < steps ? 0.5 : (double)work->sample_inside[n - steps], point[3], given = 0.0, most = 0.0;
+        if (n < steps && !(work->total[s] > 0.0f)) {
+            work->given[s] = work->reference[s] = 0.0;
+            continue;
+        }
+        double distance = ray->near + place_in(work, s, inside) * ray->dt;
+        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+        for (int64_t e = 0; e < lamp->emitters; e++) {
+            given += emitter_fluence(lamp->parts + e, point);
+            most += brightest(lamp->parts + e, point);
+        }
+        double reference = larger(larger(given, most), 1e-30), coarse = softened(reference, scene->lamp_radius);
+        if (n < steps) {
+            work->given[s] = given, work->reference[s] = reference, work->received[s] = (float)coarse;
+        } else {
+            work->sample_light[n - steps] = (float)larger(coarse, 1e-30);
+        }
+    }
+}
+
+/* Add the transmittance towards a part of a lamp to its mean over all parts, and what surfaces let through of it. */
+static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray, int alone, Work *work) {
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    for (int64_t s = 0; s < steps; s++) {
+        if (!(work->total[s] > 0.0f)) continue;
+        double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
+        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+        double found = emitter_fluence(emitter, point), given = work->given[s];
+        work->light[s] = (float)(given > 1e-30 ? found / given : 0.0);
+        work->lit[s] += (float)(found * (double)work->visible[s] / work->reference[s]);
+    }
+    for (int64_t s = 0; s < steps && !alone; s++) {
+        if (!(work->total[s] > 0.0f)) continue;
+        /* The edge between two steps belongs to the second. */
+        float share = work->light[s], next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? work->light[s + 1] : share;
+        for (int64_t g = 0; g < scene->groups; g++) {
+            work->mean_start[g * room + s] += share * (float)exp(-(double)work->start[g * room + s]);
+            work->mean_end[g * room + s] += next * (float)exp(-(double)work->end[g * room + s]);
+        }
+    }
+}
+
+/* Single scattering and ray features of a lamp of power 1; count: of samples with features. */
+static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edges, int64_t count, Work *work, int64_t r,
+                     Gathered *out) {
+    const Lamp *lamp = scene->lamp_list + k;
+    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    double *single = out->lamp_scattering + r * scene->volumes * scene->lamps + k;
+    for (int64_t v = 0; v < scene->volumes; v++) single[v * scene->lamps] = 0.0;
+    if (count) look_up_fluence(scene, lamp, ray, count, work);
+    for (int64_t s = 0; s < steps; s++) work->lit[s] = 0.0f, work->visible[s] = 1.0f;
+    for (int64_t g = 0; g < scene->groups; g++) {
+        for (int64_t s = 0; s < steps; s++) work->mean_start[g * room + s] = work->mean_end[g * room + s] = 0.0f;
+    }
+    for (int64_t e = 0; e < lamp->emitters; e++) {
+        look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
+        for (int64_t s = 0; s < steps && lamp->shadow_maps; s++) {
+            double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
+            if (!(work->total[s] > 0.0f)) continue;
+            for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + distance * ray->direction[j];
+            work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
+        }
+        add_emitter(scene, lamp->parts + e, ray, work, single, scene->lamps);
+        if (count) add_part(scene, lamp->parts + e, ray, lamp->emitters == 1, work);
+    }
+    for (int64_t g = 0; g < scene->groups && count; g++) {
+        for (int64_t s = g * room; s < g * room + steps && lamp->emitters > 1; s++) {
+            float dark = (float)scene->dark;
+            work->start[s] = least(-logf(work->mean_start[s] > 1e-30f ? work->mean_start[s] : 1e-30f), dark);
+            work->end[s] = least(-logf(work->mean_end[s] > 1e-30f ? work->mean_end[s] : 1e-30f), dark);
+        }
+        look_up_source(scene, scene->lamp_fluence + g, g, k, ray, work);
+        Gathering of = {.fluence = scene->lamp_fluence + g, .visible = work->lit, .received = work->received,
+                        .unit = work->sample_light, .stride = scene->groups * scene->lamps * COLUMNS};
+        of.features = out->lamp_features + out->samples * of.stride + (g * scene->lamps + k) * COLUMNS;
+        gather_features(scene, g, &of, count, work);
     }
 }
 
@@ -541,6 +712,12 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
+    TAKE(mean_start, float, scene->lamps ? groups * steps : 0)
+    TAKE(mean_end, float, scene->lamps ? groups * steps : 0)
+    TAKE(given, double, scene->lamps ? steps : 0)
+    TAKE(reference, double, scene->lamps ? steps : 0)
+    TAKE(lit, float, scene->lamps ? steps : 0)
+    TAKE(received, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)
     TAKE(edge_place, double, 5 * blocks)
     TAKE(edge_depth, float, 5 * blocks)
@@ -549,6 +726,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(lines, Line, volumes)
     TAKE(sample_step, int64_t, scene->depth_samples)
     TAKE(sample_inside, float, scene->depth_samples)
+    TAKE(sample_light, float, scene->depth_samples)
 #undef TAKE
     return used;
 }
@@ -591,17 +769,21 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     for (int64_t n = 0; n < scene->volumes * scene->suns; n++) single[n] = 0.0;
 
     int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
-    int features = out->sample_features && count > 0;
-    if (features) sum_groups(scene, work);
+    int features = out->sample_features && count > 0, of_lamps = out->lamp_features && count > 0;
+    if (features || of_lamps) sum_groups(scene, work);
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
-        look_up_sun_depths(scene, l, edges, work);
+        look_up_depths(scene, l, NULL, edges, work);
         add_single(scene, l, work, single);
         for (int64_t g = 0; g < scene->groups && features; g++) {
-            look_up_source(scene, g, l, &ray, work);
-            gather_features(scene, g, l, count, work, out);
+            look_up_source(scene, scene->fluence + g, g, l, &ray, work);
+            Gathering of = {.fluence = scene->fluence + g, .visible = scene->shadow_maps ? work->visible : NULL};
+            of.stride = scene->groups * scene->suns * COLUMNS;
+            of.features = out->sample_features + out->samples * of.stride + (g * scene->suns + l) * COLUMNS;
+            gather_features(scene, g, &of, count, work);
         }
     }
+    for (int64_t k = 0; k < scene->lamps; k++) add_lamp(scene, k, &ray, edges, of_lamps ? count : 0, work, r, out);
     out->sample_counts[r] = count;
     out->samples += count;
 }

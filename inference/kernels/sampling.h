@@ -49,10 +49,12 @@ static inline Floats sample_dense(const Grid *grid, const Floats *position) {
     }
     /* Whole rows: their number fits into 32 bits, which that of voxels may not. */
     Ints row = cell[0] * (int32_t)grid->size[1] + cell[1];
-    int64_t length = grid->size[2], slab = length * grid->size[1];
+    int64_t length = grid->size[2], slab = length * grid->size[1], first[LANES];
+    Longs voxel = to_longs(row) * length + to_longs(cell[2]);
+    memcpy(first, &voxel, sizeof first);
     Pairs pairs[4];
     FOR_LANES(n) {
-        const float *at = grid->values + (row[n] * length + cell[2][n]);
+        const float *at = grid->values + first[n];
         pairs[0][n] = pair_at(at), pairs[1][n] = pair_at(at + length);
         pairs[2][n] = pair_at(at + slab), pairs[3][n] = pair_at(at + slab + length);
     }
@@ -140,8 +142,11 @@ static inline void columns_around(const SunColumns *sun, const Floats *place, Fl
     }
     int64_t width = sun->size[1];
     if (!sun->table) {
+        Longs column = (to_longs(slice) * sun->size[0] + to_longs(cell[0])) * width + to_longs(cell[1]);
+        int64_t first[LANES];
+        memcpy(first, &column, sizeof first);
         FOR_LANES(n) {
-            const float *at = sun->depths + ((slice[n] * sun->size[0] + cell[0][n]) * width + cell[1][n]);
+            const float *at = sun->depths + first[n];
             corners[0][n] = pair_at(at), corners[1][n] = pair_at(at + width);
         }
         return;

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 8
+INTERFACE = 9
 CHANNELS = 3
+PHASES = 8192
 
 
 class Shared(ctypes.Structure):
@@ -89,12 +90,76 @@ class Medium(Shared):
         ("density", Grid),
         ("occupancy", Occupancy),
         ("suns", c_void_p),
+        ("phase", c_void_p),
         ("linear", c_double * 9),
         ("offset", c_double * 3),
         ("sigma_t", c_double),
         ("emission", Grid * CHANNELS),
         ("emission_power", c_int64),
         ("emission_factor", c_double),
+    ]
+
+
+class Pyramid(Shared):
+    _fields_ = [
+        ("depths", c_void_p),
+        ("starts", c_void_p),
+        ("slices", c_int64),
+        ("size", c_int64 * 2),
+        ("first", c_double * 2),
+        ("spacing", c_double * 2),
+    ]
+
+
+class LampColumns(Shared):
+    _fields_ = [
+        ("density", Grid),
+        ("pyramids", Pyramid * 6),
+        ("lamp", c_double * 3),
+        ("world_from_index", c_double * 9),
+        ("integrated", c_int64),
+    ]
+
+
+class LampShadowMap(Shared):
+    _fields_ = [
+        ("distances", c_void_p),
+        ("cells", c_int64),
+        ("position", c_double * 3),
+        ("frames", c_double * 54),
+    ]
+
+
+class Emitter(Shared):
+    _fields_ = [
+        ("flat", c_int64),
+        ("position", c_double * 3),
+        ("extent", c_double),
+        ("centre", c_double * 3),
+        ("radius", c_double),
+        ("intensity", c_double),
+        ("closest", c_double),
+        ("soft_falloff", c_int64),
+        ("cone", c_int64),
+        ("axis", c_double * 3),
+        ("cosine", c_double),
+        ("width", c_double),
+        ("corners", c_double * 12),
+        ("normal", c_double * 3),
+        ("radiance", c_double),
+        ("area", c_double),
+        ("tangent", c_double),
+        ("focus", c_double),
+        ("focused", c_double),
+    ]
+
+
+class Lamp(Shared):
+    _fields_ = [
+        ("emitters", c_int64),
+        ("parts", c_void_p),
+        ("columns", c_void_p),
+        ("shadow_maps", c_void_p),
     ]
 
 
@@ -111,6 +176,7 @@ class ShadowMap(Shared):
 class Fluence(Shared):
     _fields_ = [
         ("lights", c_void_p),
+        ("scales", c_void_p),
         ("cells", c_int64),
         ("linear", c_double * 9),
         ("offset", c_double * 3),
@@ -130,6 +196,14 @@ class Scene(Shared):
         ("group_members", c_void_p),
         ("shadow_maps", c_void_p),
         ("fluence", c_void_p),
+        ("lamps", c_int64),
+        ("lamp_list", c_void_p),
+        ("lamp_fluence", c_void_p),
+        ("lamp_radius", c_double),
+        ("wide", c_double),
+        ("wide_count", c_int64),
+        ("wide_nodes", c_void_p),
+        ("wide_weights", c_void_p),
         ("nodes", c_void_p),
         ("node_weights", c_void_p),
         ("depth_samples", c_int64),
@@ -174,12 +248,14 @@ class Gathered(Shared):
         ("depth", c_void_p),
         ("optical_depth", c_void_p),
         ("single_scattering", c_void_p),
+        ("lamp_scattering", c_void_p),
         ("emission", c_void_p),
         ("sample_counts", c_void_p),
         ("sample_distance", c_void_p),
         ("sample_weight", c_void_p),
         ("sample_fraction", c_void_p),
         ("sample_features", c_void_p),
+        ("lamp_features", c_void_p),
         ("samples", c_int64),
         ("blocks", c_int64),
     ]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera rays marched by the compiled kernel; `ray_march.march` and `emission.emitted_radiance` are its twins."""
+"""Camera rays marched by the compiled kernel; `ray_march.march`, `lamp_march.march_lamps` and
+`emission.emitted_radiance` are its twins."""
 
 import threading
 from collections.abc import Sequence
-from ctypes import c_int32, c_void_p
+from ctypes import addressof, c_int32, c_void_p
 
 import numpy as np
 
@@ -14,12 +15,15 @@ from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
 from ..kernels import structures
 from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
+from ..scene.description import Medium
 from ..scene.sparse_grid import EDGE
+from ..transport.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
+from .lamp_march import MANY, WIDE, LampInMedia, LampMarch
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
-from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, MarchOptions, RaySegment, optical_depth_behind
+from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, LampSegment, MarchOptions, RaySegment, optical_depth_behind
 from .ray_steps import (
     FINEST,
     PEAK_GROWTH,
@@ -45,8 +49,13 @@ class CompiledMarch:
         options: MarchOptions,
         channels: Sequence[int],
         stop: c_int32,
+        lamps: LampMarch | None = None,
     ):
-        """channels: colour channels, by number. stop: once it is not 0, calls return soon, their result incomplete."""
+        """channels: colour channels, by number. stop: once it is not 0, calls return soon, their result incomplete.
+
+        lamps: whose light is gathered, too; None for none.
+        """
+        self._lamps = lamps
         self._kernels, self._media, self._options = kernels, media, options
         self._channels, self._emits = len(channels), any(medium.emits for medium in media)
         self._stop = stop
@@ -83,17 +92,23 @@ class CompiledMarch:
         fraction, features = np.empty((count * most, volumes), np.float32), None
         if self._options.fluence is not None:
             features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
+        lamps = 0 if self._lamps is None else len(self._lamps.lamps)
+        of_lamps, lamp_features = np.empty((count, volumes, lamps)), None
+        if self._lamps is not None and self._lamps.fluence is not None:
+            lamp_features = np.empty((count * most, len(self._groups), lamps, COLUMNS), np.float32)
         gathered = structures.Gathered(
             alpha=alpha,
             depth=depth,
             optical_depth=optical_depth,
             single_scattering=single,
+            lamp_scattering=of_lamps,
             emission=emission,
             sample_counts=samples,
             sample_distance=distance,
             sample_weight=weight,
             sample_fraction=fraction,
             sample_features=features,
+            lamp_features=lamp_features,
         )
         self._kernels.march(self._scene, batch, gathered)
         end = gathered.samples
@@ -107,9 +122,10 @@ class CompiledMarch:
             distance[:end].copy(),
             weight[:end].copy(),
             fraction[:end].copy(),
-            None if features is None else RayFeatures(features[:end].copy()),
+            _copied(features, end),
             gathered.blocks * STEPS,
             emission,
+            None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
         )
 
     def _scratch(self, max_count: int) -> np.ndarray:
@@ -120,7 +136,8 @@ class CompiledMarch:
         return self._local.scratch
 
     def _describe(self, channels: list[int]) -> structures.Scene:
-        options, most = self._options, self._options.depth_samples
+        options, most, lamps = self._options, self._options.depth_samples, self._lamps
+        wide, wide_weights = np.polynomial.legendre.leggauss(MANY)
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
             nodes[count, :count], weights[count, :count] = options.quadrature(count)
@@ -131,11 +148,19 @@ class CompiledMarch:
             suns=self._suns,
             groups=len(self._groups),
             channels=len(channels),
-            media=structures.array_of([_medium(medium, channels) for medium in self._media]),
+            media=structures.array_of([_medium(medium, channels, lamps is not None) for medium in self._media]),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
             fluence=None if options.fluence is None else structures.array_of([_fluence(f) for f in options.fluence]),
+            lamps=0 if lamps is None else len(lamps.lamps),
+            lamp_list=structures.array_of([_lamp(lamp, self._media) for lamp in lamps.lamps] if lamps else []),
+            lamp_fluence=structures.array_of([_fluence(f) for f in lamps.fluence or []] if lamps else []),
+            lamp_radius=lamps.radius if lamps else 0.0,
+            wide=WIDE,
+            wide_count=MANY,
+            wide_nodes=0.5 + 0.5 * wide,
+            wide_weights=0.5 * wide_weights,
             nodes=nodes,
             node_weights=weights,
             depth_samples=most,
@@ -164,7 +189,31 @@ def _doubles(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, np.float64)
 
 
-def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
+def _copied(features: np.ndarray | None, count: int) -> RayFeatures | None:
+    return None if features is None else RayFeatures(features[:count].copy())
+
+
+def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium]) -> structures.Lamp:
+    columns = [depth.described(medium.sigma_t) for each in lamp.depths for depth, medium in zip(each, media)]
+    pointers = (c_void_p * len(columns))(*map(addressof, columns))
+    shadow_maps = [describe_shadow_map(shadow_map) for shadow_map in lamp.shadow_maps or []]
+    described = structures.Lamp(
+        emitters=len(lamp.emitters),
+        parts=structures.array_of([describe_emitter(emitter) for emitter in lamp.emitters]),
+        columns=pointers,
+        shadow_maps=structures.array_of(shadow_maps),
+    )
+    described.kept += columns
+    return described
+
+
+def _phase_table(medium: Medium) -> np.ndarray:
+    """Phase function float32 (2, PHASES + 1) by the square root of 1 - |cosine|, forwards and backwards."""
+    cosine = 1.0 - (np.arange(structures.PHASES + 1) / structures.PHASES) ** 2
+    return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
+
+
+def _medium(medium: BoundMedium, channels: list[int], lamps: bool) -> structures.Medium:
     grid = medium.grid
     emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
     density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
@@ -172,6 +221,7 @@ def _medium(medium: BoundMedium, channels: list[int]) -> structures.Medium:
         density=density,
         occupancy=occupancy,
         suns=structures.array_of([_sun_columns(depth, medium.sigma_t) for depth in medium.sun_depths]),
+        phase=_phase_table(medium.medium) if lamps else None,
         linear=grid.linear,
         offset=grid.offset,
         sigma_t=medium.sigma_t,
@@ -229,6 +279,7 @@ def _fluence(fluence: ScatteredFluence | None) -> structures.Fluence:
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
     described = structures.Fluence(
         lights=pointers,
+        scales=None if fluence.scales is None else np.array(fluence.scales, np.float64),
         cells=CELLS,
         linear=fluence.linear,
         offset=fluence.offset,

@@ -76,8 +76,8 @@ class DepthSamples:
 
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
     each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), share of each
-    volume in the extinction. features: for networks that need them, or None. number: int32 (M,), of each sample on its
-    ray.
+    volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps. number:
+    int32 (M,), of each sample on its ray.
     """
 
     pixel: np.ndarray
@@ -89,6 +89,7 @@ class DepthSamples:
     weight: np.ndarray
     fraction: np.ndarray
     features: RayFeatures | None = None
+    lamp_features: RayFeatures | None = None
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))

@@ -9,6 +9,7 @@ from ..grids.bound_medium import BoundMedium
 from ..kernels.library import Kernels
 from .compiled_march import CompiledMarch
 from .emission import emitted_radiance
+from .lamp_march import LampMarch, march_lamps
 from .ray_march import MarchOptions, RaySegment, march
 from .ray_steps import RayBatch
 
@@ -17,17 +18,27 @@ Marcher = Callable[[RayBatch], RaySegment]
 
 
 def prepare_march(
-    kernels: Kernels | None, media: Sequence[BoundMedium], options: MarchOptions, channels: Sequence[int], stop: c_int32
+    kernels: Kernels | None,
+    media: Sequence[BoundMedium],
+    options: MarchOptions,
+    channels: Sequence[int],
+    stop: c_int32,
+    lamps: LampMarch | None = None,
 ) -> Marcher:
     """How rays are marched through media, safe to use on several threads.
 
     channels: colour channels, by number. stop: once it is not 0, calls return soon, and what they return is incomplete.
+    lamps: whose light is gathered, too; None for none.
     """
     if kernels is not None:
-        return CompiledMarch(kernels, media, options, channels, stop)
+        return CompiledMarch(kernels, media, options, channels, stop, lamps)
 
     def marched(rays: RayBatch) -> RaySegment:
         emission = emitted_radiance(media, rays, channels, options.optimizations)
-        return dataclasses.replace(march(media, rays, options), emission=emission)
+        segment = dataclasses.replace(march(media, rays, options), emission=emission)
+        if lamps is None:
+            return segment
+        samples = segment.sample_ray, segment.sample_distance
+        return dataclasses.replace(segment, lamps=march_lamps(media, rays, lamps, options, samples))
 
     return marched

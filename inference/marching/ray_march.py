@@ -49,6 +49,18 @@ class MarchOptions:
 
 
 @dataclass(frozen=True)
+class LampSegment:
+    """What a batch of R rays gathered of K lamps of power 1 in V volumes.
+
+    single: (R, V, K), single scattering for albedo 1. features: RayFeatures of samples, their lights the lamps over
+    their softened fluence there, or None.
+    """
+
+    single: np.ndarray
+    features: RayFeatures | None = None
+
+
+@dataclass(frozen=True)
 class RaySegment:
     """What a batch of R rays gathered of V volumes and L suns.
 
@@ -57,7 +69,7 @@ class RaySegment:
     ray of each depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray.
     sample_fraction: (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples,
     or None. steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None
-    where no volume emits light.
+    where no volume emits light. lamps: what they gathered of lamps, or None.
     """
 
     alpha: np.ndarray
@@ -71,6 +83,7 @@ class RaySegment:
     sample_features: RayFeatures | None = None
     steps_evaluated: int = 0
     emission: np.ndarray | None = None
+    lamps: LampSegment | None = None
 
 
 def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.ndarray:
@@ -79,7 +92,7 @@ def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.nd
     return np.exp(-np.minimum(start, end)) * one_minus_exp(x) / x
 
 
-class _MarchedMedium:
+class MarchedMedium:
     """The filled blocks of rays, with extinction and optical depth in their steps.
 
     sigma: float32 (V, P, STEPS), mean extinction of each step. dt: (P, 1), length of steps. total: (P, STEPS), of all
@@ -113,13 +126,13 @@ def optical_depth_behind(options: MarchOptions) -> float:
 def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
     """March rays, whose intervals contain all media, through all of them."""
     cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
-    medium = _MarchedMedium(media, rays, cutting)
+    medium = MarchedMedium(media, rays, cutting)
     lines, blocks, total, dt = medium.lines, medium.blocks, medium.total, medium.dt
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
     alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
     # The middle of a step stands for the mean distance within it.
     scattered = transmitted * one_minus_exp(medium.tau)
-    reached = blocks.sums(_block_sums(scattered * blocks.steps(0.5).astype(np.float32)))
+    reached = blocks.sums(block_sums(scattered * blocks.steps(0.5).astype(np.float32)))
     depth = lines.near + reached * lines.dt / np.maximum(alpha, 1e-30)
 
     sun_depths = _sun_depths(media, medium, total > 0.0)
@@ -133,16 +146,16 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
     features = None
     if options.fluence is not None:
-        sigma, depths = _group_sums(medium.sigma, options.groups), _group_sums(sun_depths, options.groups)
-        source = _scattered_source(options.fluence, rays, sigma, depths.shape[1], medium)
+        sigma, depths = group_sums(medium.sigma, options.groups), group_sums(sun_depths, options.groups)
+        source = scattered_source(options.fluence, rays, sigma, depths.shape[1], medium)
         samples = SampleSteps(block, step, inside)
         features = gather_ray_features(
-            blocks, sigma * dt, depths, source, _reduced_fractions(options.fluence), samples, visibility
+            blocks, sigma * dt, depths, source, reduced_fractions(options.fluence), samples, visibility
         )
     return RaySegment(
         alpha,
         depth,
-        np.stack([blocks.sums(_block_sums(sigma * dt)) for sigma in medium.sigma], axis=1),
+        np.stack([blocks.sums(block_sums(sigma * dt)) for sigma in medium.sigma], axis=1),
         single,
         sample_ray=ray,
         sample_distance=lines.near[ray] + (blocks.place[block] + (step + inside) * blocks.size[block]) * lines.dt[ray],
@@ -157,29 +170,34 @@ def ray_features_at(
     medium: BoundMedium, positions: np.ndarray, directions: np.ndarray, fluence: ScatteredFluence
 ) -> RayFeatures:
     """Ray features at world positions (N, 3) for rays along unit directions (N, 3), in one medium alone."""
-    _, far = medium.grid.interval(positions, directions)
-    far = np.maximum(far, 1e-6 * medium.grid.voxel)
-    rays = RayBatch(positions, directions, np.zeros(len(positions)), far)
-    marched = _MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
+    rays = rays_from(medium, positions, directions)
+    marched = MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
     blocks = marched.blocks
     start = np.flatnonzero(blocks.rank == 0)
     known = marched.total > 0.0
     known[start, 0] = True
     sun_depths = _sun_depths([medium], marched, known, may_be_outside=True)
-    source = _scattered_source([fluence], rays, marched.sigma, sun_depths.shape[1], marched)
+    source = scattered_source([fluence], rays, marched.sigma, sun_depths.shape[1], marched)
     samples = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
     return gather_ray_features(
-        blocks, marched.sigma * marched.dt, sun_depths, source, _reduced_fractions([fluence]), samples
+        blocks, marched.sigma * marched.dt, sun_depths, source, reduced_fractions([fluence]), samples
     )
 
 
-def _block_sums(values: np.ndarray) -> np.ndarray:
+def rays_from(medium: BoundMedium, positions: np.ndarray, directions: np.ndarray) -> RayBatch:
+    """Rays from world positions (N, 3) along unit directions (N, 3) to where they leave a medium."""
+    _, far = medium.grid.interval(positions, directions)
+    far = np.maximum(far, 1e-6 * medium.grid.voxel)
+    return RayBatch(positions, directions, np.zeros(len(positions)), far)
+
+
+def block_sums(values: np.ndarray) -> np.ndarray:
     """Sums (..., P) over the steps of each block, (..., P, STEPS); as a product they take a fifth of the time."""
     return product(values, np.ones(STEPS, values.dtype))
 
 
 def _sample_depths(
-    medium: _MarchedMedium, ray: np.ndarray, opacity: np.ndarray, weight: np.ndarray
+    medium: MarchedMedium, ray: np.ndarray, opacity: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Block, step, position in the step and weight, (M,) each, of the samples of `sample_opacities`."""
     blocks = medium.blocks
@@ -197,7 +215,7 @@ def _sample_depths(
 
 
 def _sun_depths(
-    media: Sequence[BoundMedium], medium: _MarchedMedium, filled: np.ndarray, may_be_outside: bool = False
+    media: Sequence[BoundMedium], medium: MarchedMedium, filled: np.ndarray, may_be_outside: bool = False
 ) -> np.ndarray:
     """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps.
 
@@ -225,20 +243,20 @@ def _sun_depths(
     return depths
 
 
-def _group_sums(values: np.ndarray, groups: list[list[int]] | None) -> np.ndarray:
+def group_sums(values: np.ndarray, groups: list[list[int]] | None) -> np.ndarray:
     """Sums (G, ...) over groups of volumes of values (V, ...)."""
     if groups is None or groups == [[v] for v in range(len(values))]:
         return values
     return np.stack([values[group].sum(axis=0) for group in groups])
 
 
-def _reduced_fractions(fluence: Sequence[ScatteredFluence | None]) -> list[float]:
+def reduced_fractions(fluence: Sequence[ScatteredFluence | None]) -> list[float]:
     """Reduced fraction of scattering of each group; arbitrary for groups without prediction."""
     return [1.0 if one is None else one.reduced_fraction for one in fluence]
 
 
-def _scattered_source(
-    fluence: Sequence[ScatteredFluence | None], rays: RayBatch, sigma: np.ndarray, suns: int, medium: _MarchedMedium
+def scattered_source(
+    fluence: Sequence[ScatteredFluence | None], rays: RayBatch, sigma: np.ndarray, suns: int, medium: MarchedMedium
 ) -> np.ndarray:
     """4 pi times the scattered light of each sun that scatters towards the camera: (G, L, P, STEPS).
 
@@ -263,12 +281,13 @@ def _scattered_source(
         cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
         for l, values in enumerate(one.lights):
             found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
-            source[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0))
+            scale = np.float32(1.0 if one.scales is None else one.scales[l])
+            source[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0)) * scale
         known += 1
     return source
 
 
-def _visibility(shadow_maps: Sequence[ShadowMap], medium: _MarchedMedium, rays: RayBatch) -> np.ndarray:
+def _visibility(shadow_maps: Sequence[ShadowMap], medium: MarchedMedium, rays: RayBatch) -> np.ndarray:
     """Visibility of each sun (L, P, STEPS) at the middle of each filled step."""
     lines = RayLines(shadow_maps, rays, medium.lines.count)
     filled = np.flatnonzero(medium.total)
@@ -281,7 +300,7 @@ def _visibility(shadow_maps: Sequence[ShadowMap], medium: _MarchedMedium, rays: 
 
 
 def _single(
-    medium: _MarchedMedium, sun_depths: np.ndarray, transmitted: np.ndarray, visibility: np.ndarray | None
+    medium: MarchedMedium, sun_depths: np.ndarray, transmitted: np.ndarray, visibility: np.ndarray | None
 ) -> np.ndarray:
     """Single scattering (R, V, L) by volume and sun, for albedo, irradiance and phase function 1."""
     volumes, suns = sun_depths.shape[:2]
@@ -293,5 +312,5 @@ def _single(
         if visibility is not None:
             light *= visibility[l]
         for v in range(volumes):
-            single[:, v, l] = medium.blocks.sums(_block_sums(medium.sigma[v] * light))
+            single[:, v, l] = medium.blocks.sums(block_sums(medium.sigma[v] * light))
     return single

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..occluders.shadow_map import ShadowMap
+from ..transport.lamp_beam import LampInCube
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """One optical thickness and one sun, in the frame of a volume's working cube.
+    """One optical thickness and one sun or lamp, in the frame of a volume's working cube.
 
     sigma_hat: extinction per unit density times the cube's edge. sun: (3,) unit vector towards it. bounds: lowest and
     highest (3,) of the points to predict at. shadow_map: of the sun, in the cube's frame, or None. triangles: (T, 3, 3)
     of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of those that shadow_map and triangles
-    stand for.
+    stand for. lamp: that takes the sun's place, or None.
     """
 
     sigma_hat: float
@@ -24,6 +25,7 @@ class Conditions:
     shadow_map: ShadowMap | None = None
     triangles: np.ndarray | None = None
     occluders: bytes = b""
+    lamp: LampInCube | None = None
 
     @property
     def bounds_key(self) -> tuple[float, ...]:

@@ -2,8 +2,8 @@
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,20 +12,28 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.working_cube import Cube, fit_cube
 from ..kernels.library import Kernels
+from ..marching.lamp_march import LampInMedia, lamp_features_at, place_lamp, softened
 from ..marching.ray_march import ray_features_at
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
+from ..plan.lights import LAMP_MODELS
 from ..plan.plan import distinct_albedos, in_range
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Medium, Sun, Volume
 from ..scene.environment import Environment
+from ..scene.errors import SceneError
+from ..scene.lamps import LAMPS, Lamp
 from ..scene.phase_function import henyey_greenstein
+from ..transport.discrete_ordinates import CELLS
 from ..transport.environment_light import image_in_frame
+from ..transport.lamp_beam import LampInCube
 from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
+from .lamp_nearby import LampNearby, transport_share
 from .network import load_network
+from .stencil_predictor import PreparedLampRays
 
 # Points per network call.
 POINTS_PER_TASK = 2048
@@ -169,6 +177,64 @@ class VolumePredictor:
         )
         return EnvironmentPredictor(prepared, self.cube)
 
+    @property
+    def lamp_radius(self) -> float:
+        """Distance from a lamp, in world units, within which the coarse transport does not tell its light apart."""
+        return self.cube.edge / CELLS
+
+    def prepare_lamp(
+        self,
+        sigma_t: float,
+        light: "LampLight",
+        bounds: Bounds,
+        occluders: Occluders = NO_OCCLUDERS,
+        tasks: AnyTasks = SERIAL,
+    ) -> "PreparedLampPredictor":
+        """What predicts the light of a lamp for one extinction. Raises Cancelled.
+
+        bounds: as for `prepare`.
+        """
+        lamp, nearby = light.lamp, None
+        conditions = self._lamp_conditions(sigma_t, lamp, bounds, occluders)
+        prepared = self._predictor.prepare_lamp(conditions, tasks)
+        share = transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
+        if share > 0.0:
+            conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
+            nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, tasks)
+        peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
+        return PreparedLampPredictor(
+            prepared,
+            self.cube,
+            self.network.albedo_range,
+            self._used(sigma_t),
+            np.float32(MAX_FLUENCE * peak),
+            lamp,
+            light.radius,
+            nearby,
+        )
+
+    def lamp_fluence(
+        self,
+        sigma_t: float,
+        lamps: Sequence[LampInMedia],
+        occluders: Occluders = NO_OCCLUDERS,
+        tasks: AnyTasks = SERIAL,
+    ) -> ScatteredFluence:
+        """Scattered light of lamps of power 1 for lookups along camera rays. Raises Cancelled."""
+        anywhere = np.full(3, -0.5), np.full(3, 0.5)
+        return self._predictor.lamp_fluence(
+            [self._lamp_conditions(sigma_t, lamp, anywhere, occluders) for lamp in lamps], tasks
+        )
+
+    def _lamp_conditions(self, sigma_t: float, lamp: LampInMedia, bounds: Bounds, occluders: Occluders) -> Conditions:
+        sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
+        triangles = self.cube.positions(occluders.triangles) if occluders else None
+        in_cube = LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key)
+        away = self.cube.directions(in_cube.centre - self.cube.centre)
+        length = np.linalg.norm(away)
+        sun = away / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+        return Conditions(sigma_hat, sun, bounds, None, triangles, occluders.key, in_cube)
+
     def _conditions(self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
         sun = self.cube.directions(direction)
@@ -218,15 +284,105 @@ class PreparedPredictor:
         RayFeatures, for networks that need them.
         """
         x, omega = self.cube.positions(positions), self.cube.directions(directions)
-        if ray_features is not None and self.used != 1.0:
-            # Outside the network's range the features belong to the optical thickness used: depths are proportional to
-            # it, and so is the little light that a thin medium scatters.
-            ray_features = np.concatenate(
-                [ray_features[:, :2] * self.used, ray_features[:, 2:] * max(self.used, 1.0)], axis=1
-            )
+        ray_features = _in_range(ray_features, self.used)
         scale = np.float32(min(1.0 / self.used, 1.0))
         radiance = self.prediction.predict(x, omega, np.clip(albedos, *self.albedo_range), jitter, ray_features)
         return np.minimum(radiance, self.most) * scale
+
+
+def _in_range(ray_features: np.ndarray | None, used: float) -> np.ndarray | None:
+    """Ray features of the optical thickness that the network knows; used: as in PreparedPredictor.
+
+    Depths are proportional to it, and so is the little light that a thin medium scatters.
+    """
+    if ray_features is None or used == 1.0:
+        return ray_features
+    return np.concatenate([ray_features[:, :2] * used, ray_features[:, 2:] * max(used, 1.0)], axis=1)
+
+
+@dataclass(frozen=True)
+class LampLight:
+    """A lamp of power 1 whose light is to be predicted.
+
+    radius: by which its light is softened. albedos: distinct ones of the medium.
+    """
+
+    lamp: LampInMedia
+    radius: float
+    albedos: Sequence[float]
+
+
+@dataclass(frozen=True)
+class PreparedLampPredictor:
+    """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
+
+    used, most: as in PreparedPredictor, `most` for an irradiance of 1. radius: by which the lamp's light is softened.
+    nearby: what replaces the network in part or altogether, or None.
+    """
+
+    prediction: PreparedLampRays
+    cube: Cube
+    albedo_range: tuple[float, float]
+    used: float
+    most: np.float32
+    lamp: LampInMedia
+    radius: float
+    nearby: LampNearby | None = None
+
+    @property
+    def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
+        return self.prediction.lattice_cells
+
+    def predict(
+        self,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedPredictor; the ray features are those of `march_lamps`."""
+        away = self.lamp.centre - positions
+        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
+        irradiance = softened(self.lamp.reference(positions), self.radius)
+        x, omega, towards = self.cube.positions(positions), self.cube.directions(directions), self.cube.directions(away)
+        if self.nearby is None:
+            return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+        assert ray_features is not None
+        share, depth = self.nearby.share, ray_features[:, 0].astype(np.float64)
+        found = np.stack(
+            [self.nearby.radiance(albedo, x, omega, towards, irradiance, depth) for albedo in albedos]
+        ).astype(np.float32)
+        if share < 1.0:
+            found *= share
+            found += (1.0 - share) * self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+        return found
+
+    def _of_network(
+        self,
+        x: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None,
+        ray_features: np.ndarray | None,
+    ) -> np.ndarray:
+        """As `predict`, by the network alone; x, omega, towards: in the cube's frame."""
+        radiance = self.prediction.predict(
+            x,
+            omega,
+            towards,
+            irradiance,
+            np.clip(albedos, *self.albedo_range),
+            jitter,
+            _in_range(ray_features, self.used),
+        )
+        # No point scatters more than the most that the brightest of the light can become.
+        bound = self.most * np.maximum(irradiance, self.prediction.scale)
+        scale = min(1.0 / self.used, 1.0)
+        return np.minimum(radiance * irradiance, bound).astype(np.float32) * np.float32(scale)
 
 
 @dataclass(frozen=True)
@@ -255,39 +411,84 @@ class EnvironmentPredictor:
 
 
 def predict_multiple(
-    volume: Volume, medium: Medium, sun: Sun, positions: np.ndarray, directions: np.ndarray, model: str = "mrpnn"
+    volume: Volume,
+    medium: Medium,
+    light: Sun | Lamp,
+    positions: np.ndarray,
+    directions: np.ndarray,
+    model: str = "mrpnn",
 ) -> np.ndarray:
     """Multiple-scattered in-scattered radiance at points, as the network predicts it.
 
-    positions, directions: (N, 3) world positions and unit camera-ray directions. Returns float32 (N, 3), W/(m^2 sr) for
-    the sun's irradiance, without the factor of the local albedo. Raises SceneError as `render` does.
+    light: a Sun, PointLight, SpotLight or AreaLight. positions, directions: (N, 3) world positions and unit camera-ray
+    directions. Returns float32 (N, 3), W/(m^2 sr) for the light's irradiance or power, without the factor of the local
+    albedo. Raises SceneError as `render` does, and for a lamp and a network that knows suns alone.
     """
     positions = np.asarray(positions, np.float64).reshape(-1, 3)
     directions = np.asarray(directions, np.float64).reshape(-1, 3)
     result = np.zeros((len(positions), 3), np.float32)
     if not len(positions):
         return result
+    if isinstance(light, LAMPS) and model not in LAMP_MODELS:
+        raise SceneError(f"{light.name}: the network {model} knows suns alone")
     network = load_network(model)
     volume, medium = in_range(volume, medium)
     predictor, grid = VolumePredictor(network, volume, medium.anisotropy), Grid(volume)
-    sun_depths = grid.sun_depths([sun.direction])
+    bounds = predictor.bounds(positions)
+    colour = light.irradiance if isinstance(light, Sun) else light.power
     for sigma_t in map(float, np.unique(medium.sigma_t[medium.sigma_t > 0.0])):
         members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
         albedos = distinct_albedos(medium, members)
         if not albedos:
             continue
-        prepared = predictor.prepare(sigma_t, sun.direction, predictor.bounds(positions))
-        bound = BoundMedium(grid, medium, sigma_t, sun_depths)
-        fluence = predictor.fluence(sigma_t, [sun.direction]) if network.needs_ray_features else None
+        prepared: PreparedPredictor | PreparedLampPredictor
+        if isinstance(light, Sun):
+            prepared, features_at = _prepare_sun(predictor, grid, medium, sigma_t, light, bounds)
+        else:
+            prepared, features_at = _prepare_lamp(predictor, grid, medium, sigma_t, light, bounds)
         for start in range(0, len(positions), POINTS_PER_TASK):
             span = slice(start, start + POINTS_PER_TASK)
-            features = None
-            if fluence is not None:
-                features = ray_features_at(bound, positions[span], directions[span], fluence).of(slice(None), 0, 0)
+            features = features_at(positions[span], directions[span])
             radiance = prepared.predict(
                 positions[span], directions[span], [albedo for albedo, _ in albedos], ray_features=features
             )
             for (_, channels), row in zip(albedos, radiance):
                 for c in channels:
-                    result[span, c] = row * sun.irradiance[c]
+                    result[span, c] = row * colour[c]
     return result
+
+
+# Ray features at positions (N, 3) for directions (N, 3), if the network needs any.
+FeaturesAt = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
+
+
+def _prepare_sun(
+    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, sun: Sun, bounds: Bounds
+) -> tuple[PreparedPredictor, FeaturesAt]:
+    """What predicts the light of a sun, and the ray features that it needs."""
+    prepared = predictor.prepare(sigma_t, sun.direction, bounds)
+    fluence = predictor.fluence(sigma_t, [sun.direction]) if predictor.network.needs_ray_features else None
+    bound = BoundMedium(grid, medium, sigma_t, grid.sun_depths([sun.direction]))
+
+    def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+        if fluence is None:
+            return None
+        return ray_features_at(bound, positions, directions, fluence).of(slice(None), 0, 0)
+
+    return prepared, features_at
+
+
+def _prepare_lamp(
+    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, lamp: Lamp, bounds: Bounds
+) -> tuple[PreparedLampPredictor, FeaturesAt]:
+    """As `_prepare_sun`, of a lamp of power 1."""
+    placed, radius = place_lamp(lamp, [grid]), predictor.lamp_radius
+    albedos = [albedo for albedo, _ in distinct_albedos(medium, [c for c in range(3) if medium.sigma_t[c] == sigma_t])]
+    light = LampLight(placed, radius, albedos)
+    prepared = predictor.prepare_lamp(sigma_t, light, bounds)
+    fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
+
+    def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+        return lamp_features_at(bound, positions, directions, placed, fluence, radius).of(slice(None), 0, 0)
+
+    return prepared, features_at

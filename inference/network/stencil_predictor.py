@@ -2,6 +2,7 @@
 """How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,10 +33,11 @@ from ..transport.environment_light import (
     ordinate_radiance,
     solve_environment,
 )
-from ..transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
+from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
+from .lamp_nearby import MIN_ALBEDO, MIN_FLUENCE, LampNearby
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -142,6 +144,7 @@ class RayPredictor(StencilPredictor):
         self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
+        self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: np.ndarray | None = None
         self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
@@ -217,6 +220,59 @@ class RayPredictor(StencilPredictor):
             cells = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
         return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
 
+    def prepare_lamp(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedLampRays":
+        """What predicts the light of the conditions' lamp. Raises Cancelled."""
+        assert conditions.lamp is not None
+        with tasks.cancel.locked(self._lock):
+            lattices = self._density_lattices(conditions, tasks)
+            cells, scale = self._solve_lamp(conditions, tasks.cancel)
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), scale, self.anisotropy)
+
+    def lamp_fluence(self, lamps: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
+        """Scattered light of several lamps of power 1 for lookups along camera rays. Raises Cancelled."""
+        with tasks.cancel.locked(self._lock):
+            if lamps:
+                self._solver(lamps[0])
+            solved = list(tasks.each(lambda lamp: self._solve_lamp(lamp, tasks.cancel), lamps))
+        lights, scales = [fluence_and_flux(cells) for cells, _ in solved], [scale for _, scale in solved]
+        return ScatteredFluence.in_cube(self.cube, lights, self.anisotropy, scales)
+
+    def lamp_nearby(
+        self, conditions: Conditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
+    ) -> LampNearby:
+        """The transport of the conditions' lamp for some albedos; share: as in LampNearby. Raises Cancelled."""
+        with tasks.cancel.locked(self._lock):
+            solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
+        lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
+        return LampNearby(share, lights, self.anisotropy)
+
+    def _solve_lamp(
+        self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None
+    ) -> tuple[np.ndarray, float]:
+        """`fluence_lattice` of the transport of a lamp, over a factor, and the factor: of a lamp of power 1.
+
+        albedo: for which it is solved; None for the lattice that networks read, for albedo 1.
+        """
+        lamp = conditions.lamp
+        assert lamp is not None
+        key = conditions.sigma_hat, lamp.key, conditions.occluders, albedo
+        found = self._lamps.get(key)
+        if found is None:
+            if len(self._lamps) >= MAX_LATTICES:
+                self._lamps.clear()
+            solver = self._solver(conditions) if albedo is None else self._new_solver(conditions, albedo)
+            light = solver.lamp(lamp, cancel, exact=albedo is not None)
+            # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
+            scale = max(float(light[0].max()), 1e-30)
+            light /= np.float32(scale)
+            if albedo is None:
+                found = fluence_lattice(light, solver.boundaries), scale
+            else:
+                found = fluence_lattice(light, solver.boundaries, MIN_FLUENCE, np.float32), scale
+            self._lamps[key] = found
+        return found
+
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
         """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
@@ -234,11 +290,13 @@ class RayPredictor(StencilPredictor):
         """Solver of the transport; all suns of a render share their optical thickness and occluders."""
         key = conditions.sigma_hat, conditions.occluders
         if self._transport is None or self._transport[0] != key:
-            solver = DiscreteOrdinates(
-                self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels
-            )
-            self._transport = key, solver
+            self._transport = key, self._new_solver(conditions)
         return self._transport[1]
+
+    def _new_solver(self, conditions: Conditions, albedo: float = 1.0) -> DiscreteOrdinates:
+        return DiscreteOrdinates(
+            self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels, albedo
+        )
 
 
 @dataclass(frozen=True)
@@ -267,6 +325,51 @@ class PreparedRays:
         around = self.light.read(positions, omega, sun, self.anisotropy)
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
+        ray = np.concatenate([ray_features, around], axis=1)
+        return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+
+    @property
+    def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
+        return self.lookup.lattices.values.size
+
+
+@dataclass(frozen=True)
+class PreparedLampRays:
+    """A RayPredictor for one lamp under certain conditions. Immutable.
+
+    light: scattered light of a lamp of power 1, over `scale`.
+    """
+
+    network: Any
+    lookup: FieldLookup
+    light: FluenceLattice
+    scale: float
+    anisotropy: float
+
+    def predict(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Radiance float32 (A, N) as if a sun of irradiance 1 stood in the lamp's place, as PreparedPrediction.
+
+        positions, omega: (N, 3) in the cube's frame. towards: (N, 3), unit vectors towards the lamp. irradiance: (N,),
+        of the lamp of power 1, over which the ray features are given. Raises ValueError without them.
+        """
+        if ray_features is None:
+            raise ValueError(f"the network {self.network.name} needs ray features")
+        view = np.arange(len(positions), dtype=np.int32)
+        stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
+        gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
+        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
+        around = self.light.read(positions, omega, towards, self.anisotropy)
+        around[:, : PROBES + 1] += np.log(self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)[:, None]
         ray = np.concatenate([ray_features, around], axis=1)
         return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
 

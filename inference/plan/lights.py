@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which lights a render computes as suns, and which as light from everywhere."""
+"""Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
 from collections.abc import Sequence
 
 from ..scene.description import Sun
 from ..scene.environment import Environment
+from ..scene.lamps import LAMPS, Lamp
 from ..scene.settings import Settings
 from .directional_lights import directional_lights
 
-Light = Sun | Environment
+Light = Sun | Lamp | Environment
 
 #: Networks beside which there is one for light from everywhere.
 ENVIRONMENT_MODELS = frozenset({"mrpnn"})
+#: Networks that know lamps: those that read the light along camera rays.
+LAMP_MODELS = frozenset({"mrpnn"})
 #: Why environments are computed as suns where a scene has surfaces.
 SURFACES_SHADOW = "surfaces shadow it"
 # Parallel lights that represent an environment where it is not computed as a whole.
@@ -49,3 +52,10 @@ def split_lights(
         else:
             environments.append(rest)
     return suns, environments
+
+
+def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
+    """Lamps that emit light; adds sentences about the others to `left_out`."""
+    lamps = [light for light in lights if isinstance(light, LAMPS)]
+    left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
+    return [lamp for lamp in lamps if lamp.power.any()]

@@ -4,10 +4,13 @@
 import numpy as np
 
 from ..scene.description import Sun, Volume
+from ..scene.lamps import Lamp
 from ..scene.sparse_grid import SparseGrid
 from .resolution import LEVEL0_CELLS, refinement
 from .sun_columns import column_bytes
 
+# Columns and slices, along an edge, of the optical depths towards a lamp, at most.
+LAMP_EDGE = 384
 # Bytes of the lookup lattices and the coarse transport of one volume, whatever its resolution.
 FIELD_BYTES = 42 * LEVEL0_CELLS**3
 # Bytes of the lattices of environments' light in one group of volumes, while they are solved for.
@@ -36,6 +39,14 @@ def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
     # One row of blocks as an array, and the cells that rays skip.
     blocks = volume.density.table.shape
     return depths + SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
+
+
+def lamp_bytes(volume: Volume, lamps: list[Lamp]) -> int:
+    """Bytes of the optical depths in a volume towards lamps, at most."""
+    edge = min(max(volume.density.shape) * (1 if isinstance(volume.density, SparseGrid) else
+                                            refinement(volume.density.shape)), LAMP_EDGE)  # fmt: skip
+    # Three of six pyramids of a lamp in the middle are a cube of columns; the columns of several emitters are fewer.
+    return len(lamps) * 3 * 4 * edge**3
 
 
 def ray_bytes(depth_samples: int, volumes: int, suns: int) -> int:

@@ -11,11 +11,12 @@ from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Volume
 from ..scene.environment import Environment
 from ..scene.errors import SceneError
+from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .lights import Light, split_lights
-from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, ray_bytes
+from .lights import LAMP_MODELS, Light, needed_lamps, split_lights
+from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -56,7 +57,7 @@ class Plan:
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
     (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
-    peaks.
+    peaks. lamps: that emit light. predicts_lamps: whether the network knows lamps.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -71,6 +72,8 @@ class Plan:
     memory: int = 0
     tiles: list[tuple[int, int, int, int]] = field(default_factory=list)
     environments: list[Environment] = field(default_factory=list)
+    lamps: list[Lamp] = field(default_factory=list)
+    predicts_lamps: bool = True
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -97,8 +100,9 @@ class Plan:
         # One sun remains even if all are dark; its single scattering is 0.
         suns = [self.suns[n] for n in numbers] or self.suns[:1]
         dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
+        lit = bool(numbers or self.lamps or self.environments)
         return replace(
-            self, suns=suns, multiple=[one and bool(numbers) for one in self.multiple], left_out=[*self.left_out, dark]
+            self, suns=suns, multiple=[one and lit for one in self.multiple], left_out=[*self.left_out, dark]
         )
 
 
@@ -196,7 +200,7 @@ def make_plan(
     if not volumes:
         raise SceneError("there is no volume to render")
     if not lights and not any(emits(*pair) for pair in volumes):
-        raise SceneError("there is no sun and no environment: without light the image would be black")
+        raise SceneError("there is no sun, no lamp and no environment: without light the image would be black")
     planned: list[str] = []
     left_out: list[str] = []
     volumes = [in_range(volume, medium) for volume, medium in volumes]
@@ -210,13 +214,17 @@ def make_plan(
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     groups, _ = overlapping([volume for volume, _ in rendered])
     suns, environments = split_lights(lights, settings, parallel, planned, left_out)
-    merged = _needed_suns(suns, settings, left_out)
+    merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
+    predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
+    planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
+    if lamps and settings.multiple and not predicts_lamps:
+        left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
     for group in groups:
-        members, lit = [rendered[v] for v in group], bool(merged or environments)
+        members, lit = [rendered[v] for v in group], bool(merged or environments or (lamps and predicts_lamps))
         predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
         # The network for environments predicts their single scattering, too.
         predicted |= bool(environments) and _scatters(members, settings)
@@ -227,7 +235,8 @@ def make_plan(
     memory += (
         sum(len(group) > 1 for group in groups) * MERGED_BYTES + bool(environments) * len(groups) * ENVIRONMENT_BYTES
     )
-    tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged), memory)
+    memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
+    tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
     if needed > settings.memory_limit:
@@ -249,6 +258,8 @@ def make_plan(
         needed,
         tiles,
         environments,
+        lamps,
+        predicts_lamps,
     )
 
 

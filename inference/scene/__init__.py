@@ -6,19 +6,23 @@ from .camera import Camera
 from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, Volume
 from .environment import Environment
 from .errors import SceneError
+from .lamps import AreaLight, PointLight, SpotLight
 from .settings import Settings
 from .sparse_grid import SparseGrid
 
 __all__ = [
     "MAX_ANISOTROPY",
     "MAX_IRRADIANCE",
+    "AreaLight",
     "Camera",
     "Cancelled",
     "Environment",
     "Medium",
+    "PointLight",
     "SceneError",
     "Settings",
     "SparseGrid",
+    "SpotLight",
     "Sun",
     "Surface",
     "Volume",

@@ -15,9 +15,9 @@ function of G'. The part of the fluence that a sweep still lacks follows from a 
     D = 1 / (3 sigma_hat (1 - w G)) + numerical diffusion of the cells,
 
 so that a few sweeps suffice where light scatters a thousand times (diffusion synthetic acceleration). Light leaves
-through the faces of the cube. That of a sun does not enter there, because its beam is known; that of an environment
-does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a feature for
-the network, which otherwise knows a point's surroundings in outline only.
+through the faces of the cube. That of a sun or a lamp does not enter there, because its beam is known; that of an
+environment does, and phi and F then hold unscattered light too. The solution is too coarse to be the answer; it is a
+feature for the network, which otherwise knows a point's surroundings in outline only.
 """
 
 import functools
@@ -43,6 +43,8 @@ WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 # Cells along an edge from which on the light is first solved on cells twice as large. At most so many sweeps without
 # and after that; they end when less than the fraction CONVERGED of the scattered light changes.
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
+# The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
+EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-4
 # Tolerance and maximal iterations of the diffusion solver, which works on cells twice as large.
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
@@ -62,6 +64,8 @@ def _directions(axis: int) -> np.ndarray:
 
 # Phase function of the beam along the steps of an axis, and along their opposites.
 Phases = tuple[np.ndarray, np.ndarray]
+# Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
+Beam = Callable[["DiscreteOrdinates", CancelToken], tuple[np.ndarray, np.ndarray]]
 
 # With their opposites, all 26 directions.
 STEPS = [_directions(axis) for axis in range(3)]
@@ -185,6 +189,66 @@ class DiscreteOrdinates:
             self._correct(field, change, cancel)
         return swept
 
+    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER, exact: bool = False) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
+
+        beam: of the lamp, on any number of cells. exact: whether it is the answer, and not a feature of networks, which
+        have learnt from few sweeps. Raises Cancelled.
+        """
+        n = len(self.density)
+        light, towards = beam(self, cancel)
+        # Of the beam along each direction, so that none of it is lost whatever the quadrature of the phase function.
+        field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
+        beams = self._beams(light.astype(np.float32), towards.astype(np.float32))
+        one = np.ones(1)
+        follow = [
+            self._follower(axis, sign, one, field, swept, None, slice(k, k + 1))
+            for axis, steps in enumerate(STEPS)
+            for sign in (1, -1)
+            for k in range(len(steps))
+        ]
+        if self.coarser is not None:
+            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel, exact)]
+            sweeps = FINE_SWEEPS
+        sweeps, converged = (EXACT_SWEEPS, EXACTLY_CONVERGED) if exact else (sweeps, CONVERGED)
+        for number in range(sweeps):
+            if self.boundaries is not None:
+                field *= ~self.boundaries.inside
+            swept.fill(0.0)
+            for along, of_beam in zip(follow, beams):
+                cancel.check()
+                field[4] = of_beam
+                along()
+            change = self.albedo * self.extinction * (swept[0] - field[0])
+            if self.boundaries is not None:
+                change *= ~self.boundaries.inside
+            if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
+                break
+            field[:4] = swept
+            self._correct(field, change, cancel)
+        return swept
+
+    def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).
+
+        light: float32 (x, y, z). towards: float32 (3, x, y, z), unit vectors against the beam.
+        """
+        beams = np.zeros((len(ORDINATES), *light.shape), np.float32)
+        lit = np.flatnonzero(light)
+        x, y, z = towards.reshape(3, -1)[:, lit]
+        # Henyey and Greenstein's phase function but for a factor, which the quadrature divides out.
+        g = np.float32(abs(self.anisotropy))
+        turned = (np.copysign(1.0, self.anisotropy) * ORDINATES).astype(np.float32)
+        phases = []
+        for a, b, c in turned:
+            square = (1 - g) ** 2 + 2 * g * np.maximum(1 - (a * x + b * y + c * z), np.float32(0.0))
+            phases.append(1 / (square * np.sqrt(square)))
+        total = sum(weight * phase for weight, phase in zip(ORDINATE_WEIGHTS.astype(np.float32), phases))
+        share = light.reshape(-1)[lit] / (total * np.float32(4.0 * np.pi))
+        for beam, phase in zip(beams, phases):
+            beam.reshape(-1)[lit] = share * phase
+        return beams
+
     def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.
 
@@ -260,14 +324,15 @@ class DiscreteOrdinates:
         field: np.ndarray,
         swept: np.ndarray,
         entering: np.ndarray | None = None,
+        some: slice = slice(None),
     ) -> Callable[[], object]:
         """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
 
         phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam. entering:
-        float32 (D,), radiance at the faces of the cube, or None.
+        float32 (D,), radiance at the faces of the cube, or None. some: of the steps, D of them.
         """
-        steps = sign * STEPS[axis]
-        links = None if self.links is None else self.links[axis][sign]
+        steps = sign * STEPS[axis][some]
+        links = None if self.links is None else np.ascontiguousarray(self.links[axis][sign][:, some])
         emit, gather = self._weights(steps, phase)
         if self.kernels is None:
             return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links, entering)

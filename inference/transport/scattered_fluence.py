@@ -23,18 +23,23 @@ MIN_SHARE = 0.02
 MIN_REDUCED_FRACTION = 0.05
 
 
-def fluence_lattice(light: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
-    """The logarithm of the fluence, and the flux over the fluence: float16 (66, 66, 66, 4).
+def fluence_lattice(
+    light: np.ndarray,
+    boundaries: CellBoundaries | None = None,
+    least: float = MIN_FLUENCE,
+    dtype: type[np.floating] = np.float16,
+) -> np.ndarray:
+    """The logarithm of the fluence, and the flux over the fluence: (66, 66, 66, 4) of a dtype.
 
-    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. The outermost cells
-    are repeated once beyond each face.
+    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. least: added to the
+    fluence. The outermost cells are repeated once beyond each face.
     """
     fluence, flux = light[0], light[1:]
-    logs = np.log(fluence + np.float32(MIN_FLUENCE))
+    logs = np.log(fluence + np.float32(least))
     if boundaries is not None:
         logs = boundaries.extrapolate_inside(logs)
-    values = np.concatenate([logs[None], flux / (fluence + np.float32(MIN_FLUENCE))])
-    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(np.float16)
+    values = np.concatenate([logs[None], flux / (fluence + np.float32(least))])
+    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(dtype)
 
 
 def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
@@ -60,10 +65,10 @@ class FluenceLattice:
     def read(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float) -> np.ndarray:
         """Features float32 (N, 7).
 
-        positions, omega: (N, 3) in the cube's frame. sun: (3,). anisotropy: G. Columns: the logarithm of the fluence at
-        the point, ahead of and behind it on its ray, and towards the sun; the logarithm of 4 pi times the light
-        scattered towards the camera, phi - 3 G' F . omega; and the flux over the fluence, along the ray and towards the
-        sun.
+        positions, omega: (N, 3) in the cube's frame. sun: (3,), or (N, 3) of each point. anisotropy: G. Columns: the
+        logarithm of the fluence at the point, ahead of and behind it on its ray, and towards the sun; the logarithm of
+        4 pi times the light scattered towards the camera, phi - 3 G' F . omega; and the flux over the fluence, along
+        the ray and towards the sun.
         """
         out = np.empty((len(positions), COLUMNS), np.float32)
         at, along = positions.T, np.ascontiguousarray(omega.T, np.float32)
@@ -71,7 +76,7 @@ class FluenceLattice:
         here = _interpolate(self._cells, index, self._edge)
         out[:, 0] = here[:, 0]
         step = np.float32(REACH * CELLS)
-        towards = np.broadcast_to(sun.astype(np.float32)[:, None], along.shape)
+        towards = np.broadcast_to(np.reshape(sun, (-1, 3)).T.astype(np.float32), along.shape)
         probes = np.concatenate([index + step * along, index - step * along, index + step * towards], axis=1)
         out[:, 1:PROBES] = _interpolate(self._logs, probes, self._edge).reshape(PROBES - 1, -1).T
         flux = here[:, 1:].T
@@ -101,19 +106,22 @@ class ScatteredFluence:
     """Scattered light of each sun in one volume, for lookups along camera rays.
 
     linear: (3, 3) and offset: (3,), indices from world positions. lights: `fluence_and_flux` of each sun, float16
-    (64, 64, 64, 4). anisotropy: G.
+    (64, 64, 64, 4). anisotropy: G. scales: factor of each of them, or None for suns.
     """
 
     linear: np.ndarray
     offset: np.ndarray
     lights: list[np.ndarray]
     anisotropy: float
+    scales: list[float] | None = None
 
     @classmethod
-    def in_cube(cls, cube: Cube, lights: list[np.ndarray], anisotropy: float) -> "ScatteredFluence":
+    def in_cube(
+        cls, cube: Cube, lights: list[np.ndarray], anisotropy: float, scales: list[float] | None = None
+    ) -> "ScatteredFluence":
         """From the solution in the working cube of a volume."""
         linear = cube.rotation.T * (CELLS / cube.edge)
-        return cls(linear, 0.5 * CELLS - linear @ cube.centre, lights, anisotropy)
+        return cls(linear, 0.5 * CELLS - linear @ cube.centre, lights, anisotropy, scales)
 
     @property
     def reduced_fraction(self) -> float:

@@ -15,7 +15,7 @@ from ...inference.network.baselines import OCTAVES, SINGLE, register_baselines
 from ...inference.scene import SceneError, Settings
 from ..cycles.pass_store import Job, PassStore, scene_key
 from ..cycles.process import CyclesProcess
-from ..cycles.reference import read_image, volumes_and_suns
+from ..cycles.reference import read_image, volumes_and_lights
 from ..scene.reader import read_scene, require_volumes
 from . import report as comparison_report
 from .job import ComparisonJob
@@ -67,7 +67,7 @@ class ComparisonRun:
             require_volumes(self.description)
             process = CyclesProcess(
                 context.scene,
-                volumes_and_suns(depsgraph, self.description.left_out),
+                volumes_and_lights(depsgraph, self.description.left_out),
                 options.bounces,
                 context.scene.world if self.description.environment else None,
             )

@@ -73,6 +73,8 @@ def scene_key(description, bounces: int, version: str) -> str:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
         for array in sun.spread or ():
             digest.update(np.ascontiguousarray(array))
+    for lamp in description.lamps:
+        digest.update(repr(sorted((name, np.asarray(value).tolist()) for name, value in vars(lamp).items())).encode())
     for environment in description.environments:
         digest.update(environment.radiance.tobytes())
     camera = asdict(description.camera)

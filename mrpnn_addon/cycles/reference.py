@@ -62,25 +62,25 @@ def render_reference(scene, objects, tracing=DEFAULTS, world=None, seed=0, progr
     return Reference(*halves, time.perf_counter() - start, tracing.samples, tracing.bounces, bpy.app.version_string)
 
 
-def volumes_and_suns(depsgraph, left_out=frozenset()) -> list:
+def volumes_and_lights(depsgraph, left_out=frozenset()) -> list:
     """The objects that the layer shows, or that instance them: the contents of a reference.
 
     left_out: see `SceneDescription`.
 
-    Raises SceneError where one object instances volumes together with surfaces or other lights, which the reference
+    Raises SceneError where one object instances volumes together with surfaces or hidden lights, which the reference
     would show too.
     """
     sources, others = {}, {}
     for shown in visible_objects(depsgraph):
         volume = shows_volume(shown.object) and shown.object.visible_camera
-        sun = shown.object.type == "LIGHT" and shown.object.data.type == "SUN" and shown.object.visible_volume_scatter
-        if (volume or sun) and shown.name not in left_out:
+        light = shown.object.type == "LIGHT" and shown.object.visible_volume_scatter
+        if (volume or light) and shown.name not in left_out:
             sources[shown.source.name] = shown.source
         elif shown.object.type in SURFACES or shown.object.type == "LIGHT" or shown.name in left_out:
             others[shown.source.name] = shown.source
     for name in sources.keys() & others.keys():
         raise SceneError(
-            f'object "{name}" instances a volume or sun together with something that is not '
+            f'object "{name}" instances a volume or light together with something that is not '
             "rendered; Cycles' image would show both, so they cannot be compared"
         )
     return list(sources.values())

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sun lamps as `Sun`s; a soft sun as several."""
+"""Lamps as `Sun`s, of which a soft sun is several, and as point, spot and area lights."""
 
 import math
 
 import numpy as np
 from mathutils import Vector
 
-from ...inference.scene import SceneError, Sun
+from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun
 from ..nodes.evaluation import constant
 from ..nodes.sockets import Unsupported, active_output, linked_node
 from .placement import placement_problem
@@ -33,10 +33,7 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
         raise SceneError(f"{name}: {problem}")
     if not shown.matrix[:3, 2].any():
         raise SceneError(f"{name}: it has scale 0 and shines in no direction")
-    irradiance = lamp.energy * np.array(lamp.color, dtype=np.float64)
-    irradiance *= 2.0 ** getattr(lamp, "exposure", 0.0)
-    if getattr(lamp, "use_temperature", False):
-        irradiance *= np.array(lamp.temperature_color)
+    irradiance = _strength(lamp)
     if not getattr(lamp, "normalize", True) and lamp.angle > 0.0:
         # Strength is then radiance, over the projected solid angle of the disc.
         irradiance *= math.pi * math.sin(lamp.angle / 2.0) ** 2
@@ -50,6 +47,67 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
         for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)
     ]
     return suns, _warnings(shown, name)
+
+
+Lamp = PointLight | SpotLight | AreaLight
+
+
+def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
+    """The light that a visible point, spot or area lamp is, and warnings; None for one that is left out.
+
+    Power x colour in W, times 2^exposure, the colour of the lamp's temperature and the value of its nodes where this
+    version of Blender has them. Without Normalize the power is that per unit of the lamp's surface.
+
+    Raises SceneError, naming the lamp, for nodes that cannot be evaluated and for placements without a place.
+    """
+    lamp, name = shown.object.data, f'{shown.object.data.type.lower()} light "{shown.name}"'
+    problem = placement_problem(shown.matrix)
+    if problem:
+        raise SceneError(f"{name}: {problem}")
+    power, matrix = _strength(lamp) * _node_factor(lamp, name), np.array(shown.matrix, np.float64)
+    warnings = _warnings(shown, name)
+    if lamp.type == "AREA":
+        if getattr(getattr(lamp, "cycles", None), "is_portal", False):
+            return None, [f"{name} is a portal, which gives no light of its own; it is left out"]
+        # Of squares and disks one size holds.
+        size = (lamp.size, lamp.size if lamp.shape in {"SQUARE", "DISK"} else lamp.size_y)
+        if not all(size) or not np.cross(matrix[:3, 0], matrix[:3, 1]).any():
+            return None, [*warnings, f"{name} has no area and is left out"]
+        # Only its direction counts; a lamp may be flat.
+        matrix[:3, 2] = _across(matrix)
+        found = AreaLight(matrix, lamp.shape.lower(), size, 1.0, lamp.spread, name)
+        found.power = power * (1.0 if getattr(lamp, "normalize", True) else found.area)
+        return found, warnings
+    radius = float(lamp.shadow_soft_size)
+    if not getattr(lamp, "normalize", True) and radius > 0.0:
+        power = power * (4.0 * math.pi * radius**2)
+    # Before 4.2 every soft lamp was what soft falloff is.
+    soft = bool(getattr(lamp, "use_soft_falloff", True)) and radius > 0.0
+    position = matrix[:3, 3]
+    if lamp.type == "POINT":
+        return PointLight(position, power, radius, name, soft), warnings
+    if not matrix[:3, 2].any():
+        raise SceneError(f"{name}: it has scale 0 and shines in no direction")
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if np.ptp(lengths) > 1e-3 * lengths.max():
+        warnings.append(f"{name} is scaled unevenly; its cone is rendered as round")
+    return SpotLight(position, -matrix[:3, 2], power, lamp.spot_size, lamp.spot_blend, radius, name, soft), warnings
+
+
+def _across(matrix: np.ndarray) -> np.ndarray:
+    """The normal (3,) of an area lamp, on the side of its +Z axis."""
+    normal = np.cross(matrix[:3, 0], matrix[:3, 1])
+    normal /= np.linalg.norm(normal)
+    return -normal if normal @ matrix[:3, 2] < 0.0 else normal
+
+
+def _strength(lamp) -> np.ndarray:
+    """Strength or power times colour, float64 (3,)."""
+    strength = lamp.energy * np.array(lamp.color, dtype=np.float64)
+    strength *= 2.0 ** getattr(lamp, "exposure", 0.0)
+    if getattr(lamp, "use_temperature", False):
+        strength *= np.array(lamp.temperature_color)
+    return strength
 
 
 def disc_directions(frame: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:

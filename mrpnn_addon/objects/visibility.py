@@ -142,6 +142,6 @@ def require_evaluated(depsgraph) -> None:
 def _rendered_kind(candidate) -> str | None:
     if shows_volume(candidate):
         return "volume"
-    if candidate.type == "LIGHT" and candidate.data.type == "SUN":
-        return "sun"
+    if candidate.type == "LIGHT":
+        return "sun" if candidate.data.type == "SUN" else "light"
     return None

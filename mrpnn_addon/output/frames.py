@@ -10,12 +10,12 @@ from ...inference.scene import SceneError
 
 # Blender's largest frame.
 MAX_FRAMES = 1 << 20
-# "12", "1-10" and Blender's "1..10"; frames may be negative.
-_RANGE = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+))?")
+# "12", "1-10", Blender's "1..10" and, every third, "1-10:3"; frames may be negative.
+_RANGE = re.compile(r"(-?\d+)(?:(?:\.\.|-)(-?\d+)(?::0*([1-9]\d*))?)?")
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frames of e.g. "1-10,15,20..25", without repetitions, in the order given.
+    """Frames of e.g. "1-10,15,20..25,30-50:5", without repetitions, in the order given.
 
     Raises SceneError for anything else.
     """
@@ -30,7 +30,7 @@ def parse_frames(text: str) -> list[int]:
             raise SceneError(f"frames {part.strip()} run backwards; write {last}-{first}")
         if last - first >= MAX_FRAMES:
             raise SceneError(f"{part.strip()} has more than {MAX_FRAMES} frames")
-        frames += range(first, last + 1)
+        frames += range(first, last + 1, int(match[3] or 1))
     return list(dict.fromkeys(frames))
 
 

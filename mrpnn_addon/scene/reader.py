@@ -4,10 +4,18 @@
 import functools
 from dataclasses import dataclass, field
 
-from ...inference.scene import Camera, Environment, Medium, SceneError, Sun, Surface, Volume
+from ...inference.scene import (
+    Camera,
+    Environment,
+    Medium,
+    SceneError,
+    Sun,
+    Surface,
+    Volume,
+)
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
-from ..objects.lights import read_suns
+from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
 from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
 from ..objects.workload import Box, Workload, estimate_workload
@@ -16,7 +24,7 @@ from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import read_world
 from .overlap_warnings import overlap_warnings
 
-NO_LIGHT = "the scene shows no sun, and its World gives no light; add a sun (Add > Light > Sun)"
+NO_LIGHT = "the scene shows no sun and no lamp, and its World gives no light; add a sun (Add > Light > Sun)"
 
 
 @dataclass
@@ -26,7 +34,8 @@ class SceneDescription:
     volumes, lights, camera, surfaces: arguments of `inference.render`. opaque: meshes of the surfaces.
     crop: whether the image has the region's size instead of the full frame's.
     view_layer: its name. frame: its number.
-    environments: the World's light without its discs, which are among the suns. environment: whether the World shines.
+    lamps: point, spot and area lights. environments: the World's light without its discs, which are among the suns.
+    environment: whether the World shines.
     warnings: what is left out or approximated, naming each object.
     left_out: names of visible volumes and lights that are not in the description.
     unseen: which volumes are invisible, and why. empty: those among them that are empty in this frame; a scene of only
@@ -37,6 +46,7 @@ class SceneDescription:
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
+    lamps: list[Lamp] = field(default_factory=list)
     environments: list[Environment] = field(default_factory=list)
     camera: Camera = None
     opaque: list[OpaqueMesh] = field(default_factory=list)
@@ -57,9 +67,9 @@ class SceneDescription:
         return estimate_workload(boxes, self.camera, len(self.lights), depth_samples, max(channels))
 
     @property
-    def lights(self) -> list[Sun | Environment]:
+    def lights(self) -> list[Sun | Lamp | Environment]:
         """Everything that lights the volumes, but for what they emit."""
-        return [*self.suns, *self.environments]
+        return [*self.suns, *self.lamps, *self.environments]
 
     @functools.cached_property
     def surfaces(self) -> list[Surface]:
@@ -171,17 +181,19 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer)
     kind = shown.object.type
     if shows_volume(shown.object):
         _add_volume(description, shown, reader, view_layer)
+    elif kind == "LIGHT" and not shown.object.visible_volume_scatter:
+        # Cycles' ray visibility of a lamp: it lights surfaces only.
+        lamp = shown.object.data.type.lower()
+        light = "sun" if lamp == "sun" else f"{lamp} light"
+        description.warnings.append(f'{light} "{shown.name}" is hidden from volume scattering and left out')
     elif kind == "LIGHT" and shown.object.data.type == "SUN":
-        # Cycles' ray visibility of a lamp: otherwise the sun lights surfaces only.
-        if not shown.object.visible_volume_scatter:
-            description.warnings.append(f'sun "{shown.name}" is hidden from volume scattering and left out')
-            return
         suns, warnings = read_suns(shown)
         description.suns += suns
         description.warnings += warnings
     elif kind == "LIGHT":
-        lamp = shown.object.data.type.lower()
-        description.warnings.append(f'light "{shown.name}" ({lamp}) is left out; only suns and the World light volumes')
+        light, warnings = read_lamp(shown)
+        description.lamps += [light] if light else []
+        description.warnings += warnings
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
         description.opaque += [surface] if surface else []

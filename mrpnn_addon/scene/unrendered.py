@@ -6,22 +6,17 @@ from dataclasses import dataclass, field
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.visibility import visible_objects
 
-RENDERED_LIGHTS = {"SUN"}
-
 
 @dataclass
 class Unrendered:
-    """Names of objects and instances: lights that are left out, and surfaces that only hide and shade volumes."""
+    """Names of objects and instances: surfaces that only hide and shade volumes."""
 
-    lights: list[str] = field(default_factory=list)
     surfaces: list[str] = field(default_factory=list)
 
     @property
     def lines(self) -> list[str]:
         """One line per kind; none without objects."""
         found = []
-        if self.lights:
-            found.append(f"Left out: {_names(self.lights, 'light')}. Only suns and the World light volumes")
         if self.surfaces:
             found.append(f"Not rendered: {_names(self.surfaces, 'surface')}. Surfaces only hide and shade volumes")
         return found
@@ -29,8 +24,7 @@ class Unrendered:
     @property
     def summary(self) -> str:
         """All in a few words, or ""."""
-        found = [_names(self.lights, "light")] if self.lights else []
-        found += [_names(self.surfaces, "surface")] if self.surfaces else []
+        found = [_names(self.surfaces, "surface")] if self.surfaces else []
         return f"Not rendered: {', '.join(found)}" if found else ""
 
     @property
@@ -41,7 +35,7 @@ class Unrendered:
 
     def names(self, text: str) -> bool:
         """Whether a text mentions one of them."""
-        return any(f'"{name}"' in text for name in (*self.lights, *self.surfaces))
+        return any(f'"{name}"' in text for name in self.surfaces)
 
 
 def composited(scene) -> bool:
@@ -54,9 +48,7 @@ def unrendered(depsgraph) -> Unrendered:
     found = Unrendered()
     for shown in visible_objects(depsgraph):
         kind = shown.object.type
-        if kind == "LIGHT" and shown.object.data.type not in RENDERED_LIGHTS:
-            found.lights.append(shown.name)
-        elif kind in SURFACES and not shows_volume(shown.object):
+        if kind in SURFACES and not shows_volume(shown.object):
             found.surfaces.append(shown.name)
     return found
 

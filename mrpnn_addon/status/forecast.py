@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...inference.plan.plan import merge_parallel
-from ...inference.scene import SceneError
+from ...inference.scene import SceneError, Sun
 from ..nodes.material import shows_volume
 from ..objects.camera import read_camera
-from ..objects.lights import read_suns
+from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
@@ -22,10 +22,10 @@ from .cost_model import estimate_seconds, is_rough
 
 @dataclass
 class Forecast:
-    """volumes, suns: numbers of each; soft suns count as several suns, the World as one. pixels: inside the bounds of
-    volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera and suns. problem:
-    why the scene cannot be rendered, or "". lamps: sun lamps. world: whether the World lights the volumes. rough:
-    whether the density of the volumes is a guess because they have not been read.
+    """volumes, suns: numbers of each; soft suns count as several suns, other lamps and the World as one. pixels: inside
+    the bounds of volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera and
+    lights. problem: why the scene cannot be rendered, or "". lamps: of all kinds. world: whether the World lights the
+    volumes. rough: whether the density of the volumes is a guess because they have not been read.
     """
 
     volumes: int
@@ -40,12 +40,24 @@ class Forecast:
     rough: bool = False
 
 
+def _read_light(shown) -> tuple[list[Sun], int, list[str]]:
+    """Bright suns and the number of bright lamps that a light is, and warnings."""
+    try:
+        if shown.object.data.type == "SUN":
+            suns, noted = read_suns(shown)
+            return [sun for sun in suns if np.any(sun.irradiance > 0.0)], 0, noted
+        lamp, noted = read_lamp(shown)
+        return [], int(lamp is not None and bool(np.any(lamp.power > 0.0))), noted
+    except SceneError as problem:
+        return [], 0, [f"{problem} (left out)"]
+
+
 def forecast(depsgraph) -> Forecast:
     """Estimate the render without reading volumes."""
     settings = depsgraph.scene.mrpnn.settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        boxes, channels, lamps, lights = [], 1, 0, []
+        boxes, channels, lamps, lights, placed = [], 1, 0, [], 0
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (
@@ -56,20 +68,16 @@ def forecast(depsgraph) -> Forecast:
                     box, different = box_around(shown)
                     boxes.append(box)
                     channels = max(channels, different)
-            elif shown.object.type == "LIGHT" and shown.object.data.type == "SUN":
-                try:
-                    suns, noted = read_suns(shown)
-                except SceneError as problem:
-                    suns, noted = [], [f"{problem} (left out)"]
-                if shown.object.visible_volume_scatter:
-                    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
-                    lamps += bool(bright)
-                    lights += bright
-                    warnings += noted
+            elif shown.object.type == "LIGHT" and shown.object.visible_volume_scatter:
+                suns, others, noted = _read_light(shown)
+                lamps += bool(suns or others)
+                lights += suns
+                placed += others
+                warnings += noted
         world = lights_volumes(depsgraph.scene.world)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    suns = len(merge_parallel(lights)) + world
+    suns = len(merge_parallel(lights)) + placed + world
     workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = workload.window * settings.depth_samples * suns
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())

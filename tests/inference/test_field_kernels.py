@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, Settings, Sun, Volume, render
+from inference import Camera, Medium, Settings, Sun, Surface, Volume, render
 from inference.features.mip_lattices import (
     SunLevels,
     build_lattices,
@@ -17,19 +17,22 @@ from inference.features.mip_lattices import (
 from inference.grids import working_cube
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
+from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.grids.merge import merge, resampled
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.sun_optical_depth import SunOpticalDepth
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import Cube, fit_cube, level0_density
 from inference.kernels.library import Kernels, load_kernels
 from inference.network.network import load_network
+from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
+from inference.transport.lamp_beam import LampInCube
 from inference.transport.radiance_sweep import sweep_radiance
-from tests.support.marches import random_density
+from tests.support.marches import LAMPS, random_density, random_lamp
 from tests.support.volumes import SUN, cloud
 
 KERNELS = load_kernels()
@@ -78,6 +81,38 @@ def test_sun_columns(kind, direction):
             else:
                 assert_close(expected.depths, found.depths)
     assert_close(sun_optical_depth(density, direction, 0.5), sun_optical_depth(density, direction, 0.5, KERNELS))
+
+
+@pytest.mark.parametrize("lamp", [(0.9, 0.6, 0.5), (0.52, 0.0, 0.1), (0.1, -0.05, 0.12), (-7.0, 3.0, 0.4)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_optical_depths_around_lamps(kind, lamp):
+    matrix, density = np.linalg.inv(MATRICES["sheared"])[:3, :3], some_density(kind)
+    linear, offset = 30.0 * matrix, np.array([19.0, 16.0, 13.0])
+    points = np.random.default_rng(1).uniform(-5.0, 45.0, (3, 500)).astype(np.float32)
+    for grid in (DenseGrid(density), SparseGrid.of_dense(density)):
+        expected = LampOpticalDepth(grid, linear, offset, np.array(lamp))
+        for kernels in variants():
+            found = LampOpticalDepth(grid, linear, offset, np.array(lamp), kernels=kernels)
+            for one, other in zip(expected.pyramids, found.pyramids, strict=True):
+                assert_close(one.depths, other.depths)
+            for sigma_t in (1e-3, 50.0):
+                assert_close(expected(points, sigma_t), found(points, sigma_t))
+
+
+@pytest.mark.parametrize("kind", LAMPS)
+@pytest.mark.parametrize("shadows", [False, True])
+def test_light_of_lamps_in_cells(kind, shadows):
+    random, roof = np.random.default_rng(8), [Surface(np.random.default_rng(4).normal(size=(4, 3, 3)) * 0.2)]
+    cube = Cube(np.linalg.qr(random.normal(size=(3, 3)))[0], np.full(3, 0.05), 1.1, np.zeros(3), np.ones(3))
+    emitters = random_lamp(random, kind).emitters(np.full(3, -0.5), np.full(3, 0.5), 4)
+    shadow_maps = [LampShadowMap(roof, emitter.position, 64) for emitter in emitters] if shadows else None
+    lamp, density = LampInCube(emitters, cube, shadow_maps, b""), some_density("lumps", (32,) * 3)
+    expected, towards = lamp(DiscreteOrdinates(density, 20.0, 0.4))
+    assert expected.max() > 0.0
+    for kernels in variants():
+        found = lamp(DiscreteOrdinates(density, 20.0, 0.4, None, kernels))
+        assert_close(expected, found[0])
+        np.testing.assert_array_equal(towards, found[1])
 
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (1e5, 0.857)])

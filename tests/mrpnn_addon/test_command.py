@@ -171,6 +171,7 @@ def test_frames_are_written_to_the_patterns_files(command, blend):
 def test_lists_of_frames_and_their_files(addon):
     frames = addon.mrpnn_addon.output.frames
     assert frames.parse_frames("1-3, 7,2..4") == [1, 2, 3, 7, 4]
+    assert frames.parse_frames("1-7:2,10") == [1, 3, 5, 7, 10]
     assert frames.parse_frames("-2..1") == frames.parse_frames("-2-1") == [-2, -1, 0, 1]
     assert frames.frame_path("/a#/b_##.png", 7, many=False) == "/a#/b_07.png"
     assert frames.frame_path("/a/b.png", 7, many=False) == "/a/b.png"
@@ -279,7 +280,8 @@ def test_a_view_layer_may_be_chosen(command, blend, capsys):
 
 
 def test_report_states_what_a_render_would_do(command, blend, capsys):
-    blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp = blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.visible_volume_scatter = False
     assert command(["report", "--frame", "2", "--json", str(blend.parent / "plan.json")]) == 0
     said = capsys.readouterr()
     assert "frame 2, 20 x 16 pixels" in said.out and 'volume "Cloud"' in said.out and '"Lamp"' in said.err
@@ -316,9 +318,10 @@ def test_compare_measures_against_cycles(command, blend, capsys):
 
 
 def test_warnings_go_to_stderr(command, blend, capsys):
-    blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp = blender_scenes.add_object(bpy.context.scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.visible_volume_scatter = False
     assert command(["render", "--output", str(blend.parent / "a.exr")]) == 0
-    assert 'mrpnn: warning: light "Lamp"' in capsys.readouterr().err
+    assert 'mrpnn: warning: point light "Lamp"' in capsys.readouterr().err
 
 
 def test_help_is_status_0(command, capsys):

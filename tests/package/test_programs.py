@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The installed extension in whole Blender programs, which MRPNN_BLENDER names.
-
-Paths are separated as in PATH. Installs the built zip into a folder of its own and uses it as a render
-farm would.
-"""
+"""The installed extension in whole Blender programs."""
 
 import json
 import os
@@ -14,97 +10,12 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-import py_mini_racer
 import pytest
 from scipy.ndimage import map_coordinates
 
-from tests.support.paths import ROOT
+from tests.support.programs import BLENDERS, MARKS
 
-BLENDERS = [path for path in os.environ.get("MRPNN_BLENDER", "").split(os.pathsep) if path]
-
-pytestmark = [
-    pytest.mark.blender,
-    pytest.mark.slow,
-    pytest.mark.skipif(not BLENDERS, reason="MRPNN_BLENDER names no Blender program"),
-]
-
-SCENE = """
-    import bpy, numpy, pathlib, sys
-    folder = pathlib.Path(sys.argv[-1])
-    try:
-        import openvdb
-    except ImportError:
-        import pyopenvdb as openvdb
-    bpy.ops.wm.read_homefile(use_empty=True)
-    scene = bpy.context.scene
-    grid = openvdb.FloatGrid()
-    axis = numpy.linspace(-1, 1, 16)
-    radius = numpy.sqrt(sum(a**2 for a in numpy.meshgrid(axis, axis, axis)))
-    grid.copyFromArray(numpy.clip(1 - radius, 0, None).astype(numpy.float32), ijk=(-8, -8, -8))
-    grid.name, grid.transform = "density", openvdb.createLinearTransform(1 / 8)
-    openvdb.write(str(folder / "ball.vdb"), grids=[grid])
-    volume = bpy.data.volumes.new("Ball")
-    volume.filepath = str(folder / "ball.vdb")
-    lens = bpy.data.cameras.new("Camera")
-    for name, data in (("Ball", volume), ("Sun", bpy.data.lights.new("Sun", "SUN")), ("Camera", lens)):
-        scene.collection.objects.link(bpy.data.objects.new(name, data))
-    scene.camera = bpy.data.objects["Camera"]
-    scene.camera.location.z = 5
-    scene.render.resolution_x = scene.render.resolution_y = 16
-    scene.frame_start, scene.frame_end = 1, 2
-    scene.mrpnn.depth_samples = 1
-    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
-    # Absorbs alone, so that its frames need no network and are there at once.
-    absorbing = bpy.data.materials.new("Absorbing")
-    absorbing.use_nodes = True
-    absorbing.node_tree.nodes.clear()
-    output = absorbing.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    principled = absorbing.node_tree.nodes.new("ShaderNodeVolumePrincipled")
-    principled.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
-    absorbing.node_tree.links.new(principled.outputs["Volume"], output.inputs["Volume"])
-    volume.materials.append(absorbing)
-    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "absorbing.blend"), copy=True)
-    volume.filepath = str(folder / "gone.vdb")
-    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "broken.blend"), copy=True)
-"""
-
-
-@pytest.fixture(scope="module", params=BLENDERS, ids=lambda path: Path(path).name)
-def program(request, linux_zip, tmp_path_factory):
-    """blender(*arguments) -> CompletedProcess, the extension installed; blender.folder holds the scenes.
-
-    blender.start(*arguments) gives the running process instead.
-    """
-    folder = tmp_path_factory.mktemp("program")
-    shutil.copy(linux_zip, folder / "mrpnn.zip")
-    shutil.copy(ROOT / "docs" / "farm" / "mrpnn_script.py", folder)
-    # A matrix library's threads that wait for each other take long on a busy machine.
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "resources"), "OPENBLAS_NUM_THREADS": "1"}
-
-    def start(*arguments):
-        return subprocess.Popen(
-            [request.param, *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env=environment,
-        )
-
-    def blender(*arguments):
-        process = start(*arguments)
-        out, error = process.communicate(timeout=300)
-        return subprocess.CompletedProcess(arguments, process.returncode, out, error)
-
-    blender.folder, blender.start = folder, start
-    installed = blender(
-        "--command", "extension", "install-file", "--repo", "user_default", "--enable", folder / "mrpnn.zip"
-    )
-    assert installed.returncode == 0, installed.stdout + installed.stderr
-    (folder / "scene.py").write_text(textwrap.dedent(SCENE))
-    made = blender("-b", "--python-exit-code", "1", "--python", folder / "scene.py", "--", folder)
-    assert made.returncode == 0, made.stdout + made.stderr
-    return blender
+pytestmark = MARKS
 
 
 def test_an_animation_from_the_command_line(program):
@@ -193,63 +104,6 @@ def test_composite_over_cycles_works_in_this_versions_compositor(program):
         "-b", folder / "scene.blend", "--python-exit-code", "1", "--python", folder / "composite.py", "--", folder
     )
     assert run.returncode == 0 and "composed" in run.stdout, run.stdout + run.stderr
-
-
-# What Flamenco's Manager gives a job type, which its Worker then runs command by command. Frames are cut into
-# chunks as it writes them: 1-3, two as 4,5, one as 6.
-MANAGER = """
-    const tasks = [];
-    const author = {
-        Task: (name, type) => ({name, type, commands: [], addCommand(command) { this.commands.push(command); }}),
-        Command: (name, parameters) => ({name, parameters}),
-    };
-    function frameChunker(frames, size) {
-        const [first, last] = frames.split("-").map(Number), chunks = [];
-        for (let a = first; a <= last; a += size) {
-            const b = Math.min(a + size - 1, last);
-            chunks.push(a === b ? `${a}` : b === a + 1 ? `${a},${b}` : `${a}-${b}`);
-        }
-        return chunks;
-    }
-"""
-
-
-def compiled_tasks(settings):
-    """The tasks that the job type compiles from a job's settings; missing ones take its defaults."""
-    engine = py_mini_racer.MiniRacer()
-    engine.eval(textwrap.dedent(MANAGER) + (ROOT / "docs" / "farm" / "mrpnn_render.js").read_text())
-    found = json.loads(engine.eval("JSON.stringify(JOB_TYPE.settings)"))
-    assert set(settings) <= {setting["key"] for setting in found}
-    defaults = {setting["key"]: setting["default"] for setting in found if "default" in setting}
-    job = json.dumps({**defaults, **settings})
-    return json.loads(
-        engine.eval(f"compileJob({{settings: {job}, addTask(task) {{ tasks.push(task); }}}}); JSON.stringify(tasks)")
-    )
-
-
-def test_the_flamenco_job_types_tasks_render_their_chunks(program):
-    folder = program.folder
-    tasks = compiled_tasks(
-        {
-            "frames": "1-5",
-            "chunk_size": 3,
-            "blendfile": str(folder / "absorbing.blend"),
-            "output": str(folder / "farm" / "######.exr"),
-        }
-    )
-    assert [(task["name"], task["type"]) for task in tasks] == [("render-1-3", "blender"), ("render-4,5", "blender")]
-    for task in tasks:
-        (command,) = task["commands"]
-        given = command["parameters"]
-        # Flamenco's own values of these variables.
-        assert (command["name"], given["exe"], given["exeArgs"]) == ("blender-render", "{blender}", "{blenderArgs}")
-        run = program("-b", "-y", *given["argsBefore"], given["blendfile"], *given["args"])
-        assert run.returncode == 0 and run.stdout.count("Saved: '") in (2, 3), run.stdout + run.stderr
-    assert {path.name for path in (folder / "farm").iterdir()} == {f"{frame:06}.exr" for frame in range(1, 6)}
-    # A task that is started again has nothing left to do.
-    (folder / "farm" / "000005.exr").unlink()
-    again = program("-b", "-y", given["blendfile"], *given["args"])
-    assert again.returncode == 0 and again.stdout.count("Saved: '") == again.stdout.count("is there already") == 1
 
 
 def test_a_killed_render_leaves_no_half_file(program):

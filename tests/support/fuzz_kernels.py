@@ -11,10 +11,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from inference import Surface
 from inference.features.mip_lattices import Between
 from inference.grids import working_cube
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.halving import halve
+from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.grids.occupancy import Occupancy
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.resampling import Placement, resample
@@ -25,11 +27,13 @@ from inference.kernels.field_structures import LatticePart
 from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.ray_steps import RayBatch
+from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
+from inference.transport.lamp_beam import LampInCube
 from inference.transport.radiance_sweep import sweep_radiance
-from tests.support.marches import MarchScene, Recipe, random_scene
+from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
 STRANGE = np.array([np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, -0.0, 2.0**31, -(2.0**31), 2.0**63, 0.5])
@@ -53,6 +57,7 @@ def random_recipe(random: np.random.Generator) -> Recipe:
         depth_samples=int(random.integers(1, 40)),
         optimizations=frozenset(random.choice(["faint_rays", "empty_space", "behind_opaque"], 2).tolist()),
         kind=str(random.choice(["lumps", "solid", "voxels", "magnitudes"])),
+        lamps=tuple(random.choice(LAMPS, random.integers(0, 3)).tolist()),
     )
 
 
@@ -81,6 +86,12 @@ def contents(scene: MarchScene) -> list[np.ndarray]:
     found += [shadow_map.heights for shadow_map in scene.options.shadow_maps or []]
     for fluence in scene.options.fluence or []:
         found += fluence.lights if fluence is not None else []
+    if scene.lamps is not None:
+        for lamp in scene.lamps.lamps:
+            found += [pyramid.depths for each in lamp.depths for depth in each for pyramid in depth.pyramids]
+            found += [shadow_map.distances for shadow_map in lamp.shadow_maps or []]
+        for fluence in scene.lamps.fluence or []:
+            found += fluence.lights if fluence is not None else []
     return found
 
 
@@ -95,8 +106,8 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
 
 def march(kernels: Kernels, random: np.random.Generator) -> None:
     """Rays through a scene of any kind."""
-    scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
-    march = CompiledMarch(kernels, scene.media, scene.options, scene.channels, ctypes.c_int32(0))
+    scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8, kernels)
+    march = CompiledMarch(kernels, scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)
     for array in contents(scene):
         if random.random() < 0.6:
             spoil(random, array)
@@ -221,7 +232,31 @@ def resampling(kernels: Kernels, random: np.random.Generator) -> None:
     )
 
 
-KINDS = (march, columns, transport, pyramid, resampling)
+def lamps(kernels: Kernels, random: np.random.Generator) -> None:
+    """Optical depths around a lamp, at points anywhere, and its light in coarse cells."""
+    grid, linear = random_grid(random), np.diag(random.uniform(1.0, 40.0, 3))
+    if random.random() < 0.3:
+        linear += random.normal(size=(3, 3))
+    spoil_blocks(random, grid)
+    depth = LampOpticalDepth(grid, linear, random.normal(size=3), random.normal(size=3), 60, kernels=kernels)
+    for pyramid in depth.pyramids:
+        if random.random() < 0.3:
+            spoil(random, pyramid.depths)
+    depth(spoiled(random, (3, int(random.integers(1, 200)))), float(10.0 ** random.uniform(-3.0, 5.0)))
+    cube = Cube(np.linalg.qr(random.normal(size=(3, 3)))[0], random.normal(size=3), 1.5, np.zeros(3), np.ones(3))
+    low, high = np.full(3, -0.5), np.full(3, 0.5)
+    emitters = random_lamp(random, str(random.choice(LAMPS))).emitters(low, high, 4)
+    shadow_maps = None
+    if random.random() < 0.3:
+        roof = [Surface(random.normal(size=(2, 3, 3)))]
+        shadow_maps = [LampShadowMap(roof, emitter.position, 32) for emitter in emitters]
+        spoil(random, shadow_maps[0].distances)
+    n = int(random.choice([4, 8, 16]))
+    solver = DiscreteOrdinates(spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0)), 0.3, None, kernels)
+    LampInCube(emitters, cube, shadow_maps, b"")(solver)
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random scenes for camera rays: media bound to grids, and rays through them."""
+"""Random scenes for camera rays: media bound to grids, lamps, and rays through them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from inference import Medium, Surface, Volume
+from inference import AreaLight, Medium, PointLight, SpotLight, Surface, Volume
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
+from inference.kernels.library import Kernels
+from inference.marching.lamp_march import LampMarch, place_lamp
 from inference.marching.ray_march import MarchOptions
 from inference.marching.ray_steps import RayBatch
 from inference.occluders.shadow_map import ShadowMap
+from inference.scene.lamps import Lamp
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.discrete_ordinates import CELLS
@@ -19,12 +22,13 @@ from inference.transport.scattered_fluence import ScatteredFluence
 
 @dataclass(frozen=True)
 class MarchScene:
-    """Media, what is gathered of them, colour channels whose emission is, and rays."""
+    """Media, what is gathered of them, colour channels whose emission is, rays, and lamps or None."""
 
     media: list[BoundMedium]
     options: MarchOptions
     channels: list[int]
     rays: RayBatch
+    lamps: LampMarch | None = None
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Recipe:
     """What a random scene is made of.
 
     voxels: along each axis of a volume. thickness: optical, of a volume whose density is 1. shear: of the voxels.
-    projection: of the rays. emission: power of the emission, 0 for none.
+    projection: of the rays. emission: power of the emission, 0 for none. lamps: kinds of LAMPS.
     """
 
     volumes: int = 1
@@ -49,6 +53,25 @@ class Recipe:
     depth_samples: int = 4
     optimizations: frozenset[str] = ALL - {"faint_rays"}
     kind: str = "lumps"
+    lamps: tuple[str, ...] = ()
+
+
+#: Kinds of lamps.
+LAMPS = ("point", "sphere", "soft spot", "square", "disk")
+
+
+def random_lamp(random: np.random.Generator, kind: str) -> Lamp:
+    """A lamp around the origin, or near it."""
+    position = random.normal(size=3) * random.choice([0.1, 0.6])
+    if kind == "point":
+        return PointLight(position, 1.0)
+    if kind == "sphere":
+        return PointLight(position, 1.0, random.uniform(0.01, 0.4), soft_falloff=random.random() < 0.3)
+    if kind == "soft spot":
+        return SpotLight(position, random.normal(size=3), 1.0, random.uniform(0.2, 3.0), random.random(), 0.05)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.linalg.qr(random.normal(size=(3, 3)))[0], position
+    return AreaLight(matrix, kind, random.uniform(0.01, 0.5), 1.0, random.choice([np.pi, 1.0]))
 
 
 def random_density(random: np.random.Generator, shape: tuple[int, int, int], kind: str) -> np.ndarray:
@@ -69,8 +92,8 @@ def random_density(random: np.random.Generator, shape: tuple[int, int, int], kin
     return density.astype(np.float32)
 
 
-def random_scene(seed: int, recipe: Recipe, rays: int = 64) -> MarchScene:
-    """A scene that a seed and a recipe determine."""
+def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | None = None) -> MarchScene:
+    """A scene that a seed and a recipe determine; kernels: that prepare lamps, or None."""
     random = np.random.default_rng(seed)
     directions = random.normal(size=(recipe.suns, 3))
     # Also along an axis of the voxels.
@@ -90,7 +113,22 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64) -> MarchScene:
         if len(groups) > 1:
             fluence[-1] = None
     options = MarchOptions(recipe.depth_samples, fluence, shadow_maps, recipe.groups, recipe.optimizations)
-    return MarchScene(media, options, [0, 1, 2] if seed % 2 else [1], batch)
+    lamps = _lamps(random, recipe, media, kernels) if recipe.lamps else None
+    return MarchScene(media, options, [0, 1, 2] if seed % 2 else [1], batch, lamps)
+
+
+def _lamps(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium], kernels: Kernels | None) -> LampMarch:
+    surfaces = [Surface(random.normal(size=(2, 3, 3)) * 0.5)] if recipe.shadows else []
+    grids = [medium.grid for medium in media]
+    lamps = [place_lamp(random_lamp(random, kind), grids, surfaces, kernels=kernels) for kind in recipe.lamps]
+    fluence = None
+    if recipe.features:
+        groups = recipe.groups or [[v] for v in range(recipe.volumes)]
+        fluence = [_fluence(random, len(lamps)) for _ in groups]
+        fluence[0].scales = random.uniform(0.1, 5.0, len(lamps)).tolist()
+        if len(groups) > 1:
+            fluence[-1] = None
+    return LampMarch(lamps, fluence, random.uniform(0.0, 0.05))
 
 
 def _medium(random: np.random.Generator, recipe: Recipe, directions: np.ndarray, v: int) -> BoundMedium:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Suns and Worlds."""
+"""Suns, lamps and Worlds."""
 
 import math
 
@@ -86,7 +86,48 @@ def voronoi_world(stage):
     tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
 
+OUTSIDE, EDGE, INSIDE = (1.5, -1.3, 0.9), (0.75, -0.35, 0.45), (0.15, -0.1, 0.1)
+
+
+def add_lamp(stage, kind, location, power=150.0, **values):
+    """A lamp that looks at the cloud."""
+    lamp = bpy.data.lights.new(kind.title(), kind)
+    lamp.energy = power
+    for name, value in values.items():
+        setattr(lamp, name, value)
+    shown = stage.link(kind.title(), lamp)
+    shown.location = location
+    shown.rotation_euler = shown.location.to_track_quat("Z", "Y").to_euler()
+
+
+def lamp_alone(kind, location=OUTSIDE, power=150.0, **values):
+    def alone(stage):
+        bpy.data.objects.remove(stage.sun)
+        add_lamp(stage, kind, location, power, **values)
+
+    return alone
+
+
+def three_lamps(stage):
+    bpy.data.objects.remove(stage.sun)
+    add_lamp(stage, "POINT", OUTSIDE, shadow_soft_size=0.1, color=(1.0, 0.6, 0.3))
+    add_lamp(stage, "SPOT", (-1.6, -0.8, 0.6), 200.0, spot_size=0.7, spot_blend=0.3, color=(0.3, 0.5, 1.0))
+    add_lamp(stage, "AREA", (0.0, 0.4, 2.0), 60.0, size=1.0)
+
+
 MEASURED = {
+    "Point light": lamp_alone("POINT", shadow_soft_size=0.1),
+    "Point light, G 0.857": forward(lamp_alone("POINT", shadow_soft_size=0.1)),
+    "Point light at the edge": lamp_alone("POINT", EDGE, 30.0, shadow_soft_size=0.1),
+    "Point light at the edge, G 0.857": forward(lamp_alone("POINT", EDGE, 30.0, shadow_soft_size=0.1)),
+    "Point light inside": lamp_alone("POINT", INSIDE, 20.0, shadow_soft_size=0.1),
+    "Point light inside, G 0.857": forward(lamp_alone("POINT", INSIDE, 20.0, shadow_soft_size=0.1)),
+    "Spot light": lamp_alone("SPOT", spot_size=0.7, spot_blend=0.3, shadow_soft_size=0.1),
+    "Spot light, G 0.857": forward(lamp_alone("SPOT", spot_size=0.7, spot_blend=0.3, shadow_soft_size=0.1)),
+    "Area light": lamp_alone("AREA", size=1.0),
+    "Area light, G 0.857": forward(lamp_alone("AREA", size=1.0)),
+    "Area light of a spread of 60 degrees": lamp_alone("AREA", size=1.0, spread=math.radians(60.0)),
+    "Point, spot and area light": three_lamps,
     "Two suns": two_suns,
     "Sun of a temperature and an exposure": warm_sun,
     "Sun of 10 degrees": sun_of(10.0),

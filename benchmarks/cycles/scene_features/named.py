@@ -7,13 +7,6 @@ from ...support.shaders import add_shader
 from .stage import cube_mesh
 
 
-def lamp_of(kind):
-    def lamp(stage):
-        stage.link(kind.title(), bpy.data.lights.new(kind.title(), kind))
-
-    return lamp
-
-
 def world_fog(stage):
     tree = stage.scene.world.node_tree
     scatter = tree.nodes.new("ShaderNodeVolumeScatter")
@@ -65,9 +58,6 @@ def missing_frame(stage):
 
 
 NAMED = {
-    "Point light": lamp_of("POINT"),
-    "Spot light": lamp_of("SPOT"),
-    "Area light": lamp_of("AREA"),
     "World volume": world_fog,
     "Light linking": linked_sun,
     "Opaque mesh": surface,

@@ -13,6 +13,7 @@ from inference.kernels.library import Kernels, Unavailable, load_kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.depth_samples import possible_counts, sample_counts
 from inference.marching.emission import emitted_radiance
+from inference.marching.lamp_march import march_lamps
 from inference.marching.ray_march import RaySegment, march
 from inference.scene.optimizations import ALL
 from tests.support.marches import MarchScene, Recipe, random_scene
@@ -46,18 +47,29 @@ SCENES = {
     "without optimizations": Recipe(optimizations=frozenset(), emission=1, thickness=30.0),
     "without ray features": Recipe(features=False, thickness=100.0),
     "many depth samples": Recipe(depth_samples=96),
+    "a point light": Recipe(lamps=("point",)),
+    "a point light in dense smoke": Recipe(lamps=("point",), thickness=200.0),
+    "a soft spot": Recipe(lamps=("soft spot",), sparse=True, voxels=BIG),
+    "soft lamps": Recipe(lamps=("sphere", "disk", "square"), projection="inside"),
+    "lamps with shadows": Recipe(lamps=("point", "square"), shadows=True),
+    "lamps and volumes in groups": Recipe(lamps=("point", "disk"), volumes=3, groups=[[0, 2], [1]], shear=0.2),
 }
 
 
 def compiled(scene: MarchScene, variant: int | None = None) -> RaySegment:
     kernels = KERNELS if variant is None else Kernels(KERNELS.path, variant)
     stop = ctypes.c_int32(0)
-    return CompiledMarch(kernels, scene.media, scene.options, scene.channels, stop)(scene.rays)
+    return CompiledMarch(kernels, scene.media, scene.options, scene.channels, stop, scene.lamps)(scene.rays)
 
 
 def twin(scene: MarchScene) -> RaySegment:
     emission = emitted_radiance(scene.media, scene.rays, scene.channels, scene.options.optimizations)
-    return dataclasses.replace(march(scene.media, scene.rays, scene.options), emission=emission)
+    segment = dataclasses.replace(march(scene.media, scene.rays, scene.options), emission=emission)
+    if scene.lamps is None:
+        return segment
+    samples = segment.sample_ray, segment.sample_distance
+    lamps = march_lamps(scene.media, scene.rays, scene.lamps, scene.options, samples)
+    return dataclasses.replace(segment, lamps=lamps)
 
 
 def quantities(segment: RaySegment) -> dict[str, np.ndarray]:
@@ -68,6 +80,11 @@ def quantities(segment: RaySegment) -> dict[str, np.ndarray]:
     if segment.sample_features is not None:
         for column, values in enumerate(np.moveaxis(segment.sample_features.values, -1, 0)):
             found[f"feature {column}"] = values
+    if segment.lamps is not None:
+        found["lamps"] = segment.lamps.single
+        if segment.lamps.features is not None:
+            for column, values in enumerate(np.moveaxis(segment.lamps.features.values, -1, 0)):
+                found[f"feature {column} of lamps"] = values
     return found
 
 

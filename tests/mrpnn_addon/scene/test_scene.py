@@ -137,7 +137,7 @@ def test_instances_are_volumes_of_their_own(addon, scene, tmp_path):
     )
     # A reference needs what makes the instances.
     reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
-    shown = reference.volumes_and_suns(blender_scenes.depsgraph())
+    shown = reference.volumes_and_lights(blender_scenes.depsgraph())
     assert {item.name for item in shown} == {"At -2", "At 2", "Sun"}
 
 
@@ -307,7 +307,8 @@ def test_a_volume_without_a_file_says_so(addon, scene):
 
 def test_what_is_not_rendered_is_named(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
-    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp = blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.visible_volume_scatter = False
     ground = bpy.data.meshes.new("Ground")
     ground.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
     blender_scenes.add_object(scene, "Ground", ground)

@@ -434,7 +434,7 @@ def test_f12_and_the_operator_render_the_rest_and_name_what_is_missing(addon, sc
 def test_a_comparison_shows_cycles_what_the_layer_shows(addon, scene, cloud, tmp_path):
     unsupported_node(scene, tmp_path)
     described = read(addon)
-    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph(), described.left_out)
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_lights(blender_scenes.depsgraph(), described.left_out)
     assert {item.name for item in shown} == {"Cloud", "Sun"}
 
 

@@ -149,7 +149,7 @@ def test_smoke_that_scatters_its_own_emission_equals_cycles(addon, scene, fire, 
     described = read(addon)
     assert not described.warnings
     layer = render(described.volumes, [], described.camera, Settings(depth_samples=8))
-    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_lights(blender_scenes.depsgraph())
     reference = addon.mrpnn_addon.cycles.reference
     found = reference.render_reference(scene, shown, reference.PathTracing(samples=32))
     a, b, mask = found.a[..., :3], found.b[..., :3], layer.alpha > 0.02

@@ -129,7 +129,7 @@ def test_a_mesh_that_nodes_turn_into_a_volume_is_only_that_volume(addon, scene):
     edges = np.linalg.norm(grid.world_from_index[:3, :3], axis=0) * grid.density.shape
     np.testing.assert_allclose(edges, 3.0, rtol=0.2)
     # A comparison's reference shows the same.
-    shown = addon.mrpnn_addon.cycles.reference.volumes_and_suns(blender_scenes.depsgraph())
+    shown = addon.mrpnn_addon.cycles.reference.volumes_and_lights(blender_scenes.depsgraph())
     assert {item.name for item in shown} == {"Cube", "Sun"}
 
 

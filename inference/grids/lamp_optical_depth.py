@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Optical depth from any point of a grid towards a lamp, which may be inside.
+
+Around the lamp, space is divided into six pyramids, by the index axis along which a point is farthest from it. Each
+stores optical depths from the lamp on slices across its axis, in columns along the lamp's rays, which start from one
+point: the columns of a slice are those of the next one, closer together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kernels import structures
+from ..kernels.field_structures import LampDepths, LampSlices
+from ..kernels.library import Kernels
+from ..numerics.interpolation import lerp_into
+from ..numerics.small_matmul import inverse
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.sparse_grid import SparseGrid
+from .dense_grid import DenseGrid
+from .described import describe_grid
+
+# Largest number of columns along each axis of a slice, and of slices of a pyramid.
+MAX_COLUMNS, MAX_SLICES = 384, 384
+# Optical thickness of a voxel above which the last part of the way is integrated.
+THIN_VOXEL = 0.35
+GAUSS_NODES = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
+# Distance in voxels to which the lamp is moved away from slices.
+CLOSEST = 1e-6
+
+
+@dataclass(frozen=True)
+class _Pyramid:
+    """Optical depths around one direction of an axis.
+
+    axis: along which it extends. sign: of that direction. others: the other axes. starts: (slices,), distances of the
+    slices from the lamp in voxels, ascending; at the first the depth is 0. first: (2,), slopes of the first columns.
+    spacing: (2,), of their slopes. depths: float32 (slices, b, c), integrals of density over the distance along the
+    axis.
+    """
+
+    axis: int
+    sign: float
+    others: list[int]
+    starts: np.ndarray
+    first: np.ndarray
+    spacing: np.ndarray
+    depths: np.ndarray
+
+    @property
+    def number(self) -> int:
+        """Its place among the six."""
+        return 2 * self.axis + (self.sign < 0.0)
+
+    @property
+    def parts(self) -> np.ndarray:
+        """int (slices - 1,), into how many parts the way from each slice to the next one is divided."""
+        return np.maximum(np.round(np.diff(self.starts)), 1.0).astype(int)
+
+    def described(self) -> structures.Pyramid:
+        """As compiled kernels read it."""
+        return structures.Pyramid(
+            depths=self.depths,
+            starts=self.starts,
+            slices=len(self.starts),
+            size=np.array(self.depths.shape[1:]),
+            first=self.first,
+            spacing=self.spacing,
+        )
+
+
+class LampOpticalDepth:
+    """Optical depth through one grid towards a point, for an extinction of 1 per unit density and world unit.
+
+    grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from world positions. position:
+    (3,), of the lamp in the world. columns: most of them along an axis of a slice. kernels: compiled ones, or None.
+    Raises Cancelled.
+    """
+
+    def __init__(
+        self,
+        grid: DenseGrid | SparseGrid,
+        linear: np.ndarray,
+        offset: np.ndarray,
+        position: np.ndarray,
+        columns: int = MAX_COLUMNS,
+        cancel: CancelToken = NEVER,
+        kernels: Kernels | None = None,
+    ):
+        self.grid, self.world_from_index, self.kernels = grid, inverse(linear), kernels
+        self.lamp = linear @ position + offset
+        self.longest = float(np.linalg.norm(self.world_from_index, axis=0).max())
+        self._most = columns
+        found = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
+        self.pyramids = [pyramid for pyramid in found if pyramid is not None]
+        if kernels is None:
+            for pyramid in self.pyramids:
+                self._fill(pyramid, cancel)
+            return
+        described = self.described(1.0)
+        for pyramid in self.pyramids:
+            for number, parts in enumerate(pyramid.parts, 1):
+                cancel.check()
+                data = LampSlices(columns=described, pyramid=pyramid.number, begin=number, end=number + 1, parts=parts)
+                kernels.prepare("fill_lamp_columns", data)
+
+    def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
+        """One of the six, to be filled, or None where it holds nothing of the grid."""
+        low, high = np.full(3, -1.0) - self.lamp, np.array(self.grid.shape, np.float64) - self.lamp
+        near, far = sorted((sign * low[axis], sign * high[axis]))
+        if far <= CLOSEST:
+            return None
+        near, others = max(near, CLOSEST), [other for other in range(3) if other != axis]
+        slopes = []
+        for other in others:
+            least = low[other] / (near if low[other] < 0.0 else far)
+            most = high[other] / (near if high[other] > 0.0 else far)
+            slopes.append((max(least, -1.0), min(most, 1.0)))
+        if any(least >= most for least, most in slopes):
+            return None
+        first = np.array([least for least, _ in slopes])
+        width = np.array([most - least for least, most in slopes])
+        count = np.clip(np.ceil(width * far).astype(int) + 1, 2, self._most)
+        spacing = width / (count - 1)
+        # Slices lie on voxel centres, between which density is smooth.
+        slices = min(int(np.ceil(far - near)) + 1, MAX_SLICES)
+        begin = np.ceil(near + sign * self.lamp[axis]) - sign * self.lamp[axis]
+        step = max((far - begin) / max(slices - 1, 1), 1.0)
+        places = np.append(begin + step * np.arange(max(int(np.ceil((far - begin) / step)), 0)), far)
+        starts = np.append(0.0 if near == CLOSEST else near, places)
+        starts = starts[np.append(True, np.diff(starts) > 1e-9)]
+        return _Pyramid(axis, sign, others, starts, first, spacing, np.zeros((len(starts), *count), np.float32))
+
+    def _fill(self, pyramid: _Pyramid, cancel: CancelToken) -> None:
+        depths, starts, count = pyramid.depths, pyramid.starts, pyramid.depths.shape[1:]
+        u, v = (pyramid.first[k] + pyramid.spacing[k] * np.arange(count[k]) for k in (0, 1))
+        slope = np.zeros((3, count[0] * count[1]), np.float32)
+        slope[pyramid.axis] = pyramid.sign
+        slope[pyramid.others[0]], slope[pyramid.others[1]] = np.repeat(u, count[1]), np.tile(v, count[0])
+        lamp = self.lamp[:, None].astype(np.float32)
+        for number, parts in enumerate(pyramid.parts, 1):
+            cancel.check()
+            ends = np.linspace(starts[number - 1], starts[number], parts + 1)
+            total = np.zeros(slope.shape[1], np.float32)
+            for start, end in zip(ends[:-1], ends[1:]):
+                for node in GAUSS_NODES:
+                    total += self.grid.sample(lamp + np.float32(start + node * (end - start)) * slope)
+            depths[number] = depths[number - 1] + (total * np.float32(0.5 * (ends[1] - ends[0]))).reshape(count)
+
+    def described(self, sigma_t: float) -> structures.LampColumns:
+        """As compiled kernels read it, for an extinction per unit density and world unit."""
+        pyramids = [structures.Pyramid() for _ in range(6)]
+        for pyramid in self.pyramids:
+            pyramids[pyramid.number] = pyramid.described()
+        found = structures.LampColumns(
+            density=describe_grid(self.grid),
+            pyramids=(structures.Pyramid * 6)(*pyramids),
+            lamp=self.lamp,
+            world_from_index=self.world_from_index,
+            integrated=self._thick(sigma_t),
+        )
+        found.kept += pyramids
+        return found
+
+    def _thick(self, sigma_t: float) -> bool:
+        """Whether voxels are so thick that the last part of the way is integrated."""
+        return bool(self.grid.peak * sigma_t * self.longest > THIN_VOXEL)
+
+    def outwards(self, sigma_t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Optical depths (N,) from the lamp out of the grid, and the share (N,) of all directions that each stands for.
+
+        The shares add up to less than 1 where some of the lamp's rays miss the grid.
+        """
+        depths, shares = [np.zeros(0)], [np.zeros(0)]
+        for pyramid in self.pyramids:
+            u, v = (
+                first + space * np.arange(n)
+                for first, space, n in zip(pyramid.first, pyramid.spacing, pyramid.depths.shape[1:])
+            )
+            way = np.zeros((3, len(u), len(v)))
+            way[pyramid.axis] = pyramid.sign
+            way[pyramid.others[0]], way[pyramid.others[1]] = u[:, None], v
+            length = np.linalg.norm(np.tensordot(self.world_from_index, way, 1), axis=0)
+            depths.append((sigma_t * pyramid.depths[-1] * length).ravel())
+            # Solid angles in the frame of the voxels; columns at an edge stand for half.
+            angle = (way**2).sum(axis=0) ** -1.5 * np.prod(pyramid.spacing) / (4.0 * np.pi)
+            angle[[0, -1]] *= 0.5
+            angle[:, [0, -1]] *= 0.5
+            shares.append(angle.ravel())
+        return np.concatenate(depths), np.concatenate(shares)
+
+    def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
+        """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid."""
+        if self.kernels is not None:
+            depth = np.empty(index.shape[1], np.float32)
+            index = np.ascontiguousarray(index, np.float32)
+            columns = self.described(sigma_t)
+            data = LampDepths(columns=columns, points=len(depth), index=index, sigma_t=sigma_t, out=depth)
+            self.kernels.prepare("lamp_depths", data)
+            return depth
+        away = index - self.lamp[:, None].astype(np.float32)
+        size = np.abs(away)
+        main = size.argmax(axis=0)
+        depth = np.zeros(index.shape[1], np.float32)
+        thick = self._thick(sigma_t)
+        for pyramid in self.pyramids:
+            inside = np.flatnonzero((main == pyramid.axis) & (np.sign(away[pyramid.axis]) == pyramid.sign))
+            if len(inside):
+                depth[inside] = self._within(pyramid, away[:, inside], thick)
+        return depth * np.float32(sigma_t)
+
+    def _within(self, pyramid: _Pyramid, away: np.ndarray, thick: bool) -> np.ndarray:
+        """Depths (N,) at displacements (3, N) from the lamp, all in one pyramid."""
+        along = np.abs(away[pyramid.axis])
+        slices, b, c = pyramid.depths.shape
+        cells, parts, outside = [], [], np.zeros(len(along), bool)
+        for k, size in enumerate((b, c)):
+            place = (away[pyramid.others[k]] / along - np.float32(pyramid.first[k])) / np.float32(pyramid.spacing[k])
+            outside |= (place < -1e-3) | (place > size - 1 + 1e-3)
+            place = np.clip(place, np.float32(0.0), np.float32(size - 1))
+            cells.append(np.minimum(place.astype(np.int32), size - 2))
+            parts.append(place - cells[-1])
+        number = np.clip(np.searchsorted(pyramid.starts, along, side="right") - 1, 0, slices - 2)
+        before, after = pyramid.starts[number], pyramid.starts[number + 1]
+        flat, base = pyramid.depths.reshape(-1), (number * b + cells[0]) * np.intp(c) + cells[1]
+
+        def on_slice(offset: int) -> np.ndarray:
+            corners = [flat[offset + more :].take(base) for more in (0, 1, c, c + 1)]
+            return lerp_into(
+                lerp_into(corners[0], corners[1], parts[1]), lerp_into(corners[2], corners[3], parts[1]), parts[0]
+            )
+
+        share = np.clip((along - before) / (after - before), 0.0, 1.0).astype(np.float32)
+        depth = on_slice(0)
+        if thick:
+            way = (share * (after - before)).astype(np.float32)
+            total = np.zeros(len(along), np.float32)
+            lamp = self.lamp[:, None].astype(np.float32)
+            for node in GAUSS_NODES:
+                total += self.grid.sample(lamp + away * ((before + node * way) / along).astype(np.float32))
+            depth += np.float32(0.5) * total * way
+        else:
+            depth += share * (on_slice(b * c) - depth)
+        length = np.linalg.norm(self.world_from_index.astype(np.float32) @ (away / along), axis=0)
+        return np.where(outside, np.float32(0.0), depth * length)

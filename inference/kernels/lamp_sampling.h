@@ -1,0 +1,208 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* Light of lamps at points; the twins are LampOpticalDepth, LampShadowMap and scene/lamps.py. */
+
+#ifndef MRPNN_LAMP_SAMPLING_H
+#define MRPNN_LAMP_SAMPLING_H
+
+#include "sampling.h"
+
+#define PI 3.14159265358979323846
+
+/* Part of a place between columns beyond the outermost of them that counts as rounding. */
+#define COLUMN_ROUNDING 1e-3f
+/* Distance squared over area from which a flat emitter is as good as a point: lamps.FAR. */
+#define FAR_EMITTER 1e4
+
+/* The nodes of Gauss and Legendre in [0, 1]. */
+static const float GAUSS_NODES[2] = {0.21132486540518713f, 0.78867513459481287f};
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
+static inline double dot_of(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Number of the slice in front of a distance. */
+static inline int64_t slice_before(const Pyramid *pyramid, double along) {
+    const double *starts = pyramid->starts;
+    int64_t last = pyramid->slices - 2, low = 0, high = last;
+    /* Slices are evenly spaced, but for the first and the last. */
+    if (last > 1) {
+        double guess = (along - starts[1]) / (starts[2] - starts[1]);
+        int64_t number = guess > 0.0 ? (guess < (double)last ? (int64_t)guess + 1 : last) : 0;
+        number = within(number, last);
+        if (along >= starts[number] && (number == last || along < starts[number + 1])) return number;
+    }
+    while (low < high) {
+        int64_t middle = (low + high + 1) / 2;
+        if (along >= starts[middle]) low = middle; else high = middle - 1;
+    }
+    return low;
+}
+
+/* Optical depths towards a lamp at continuous indices. */
+static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
+    static const float zeros[2] = {0.0f, 0.0f};
+    Floats away[3], part[2], begin, share, span, length, along;
+    Pairs near[2], far[2];
+    Ints inside = {0};
+    for (int axis = 0; axis < 3; axis++) {
+        away[axis] = clamped_to(index[axis] - (float)lamp->lamp[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+    }
+    FOR_LANES(n) {
+        float size[3] = {fabsf(away[0][n]), fabsf(away[1][n]), fabsf(away[2][n])};
+        int axis = size[1] > size[0] ? 1 : 0;
+        if (size[2] > size[axis]) axis = 2;
+        const Pyramid *pyramid = lamp->pyramids + 2 * axis + (away[axis][n] < 0.0f);
+        int others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
+        near[0][n] = near[1][n] = far[0][n] = far[1][n] = pair_at(zeros);
+        part[0][n] = part[1][n] = begin[n] = share[n] = span[n] = length[n] = 0.0f;
+        along[n] = size[axis];
+        if (pyramid->slices < 2 || !(along[n] > 0.0f)) continue;
+        int64_t cell[2];
+        int outside = 0;
+        for (int k = 0; k < 2; k++) {
+            float place = (away[others[k]][n] / along[n] - (float)pyramid->first[k]) / (float)pyramid->spacing[k];
+            float last = (float)(pyramid->size[k] - 1);
+            outside |= place < -COLUMN_ROUNDING || place > last + COLUMN_ROUNDING;
+            place = clamped(place, 0.0f, last);
+            cell[k] = within((int64_t)place, pyramid->size[k] - 2);
+            part[k][n] = place - (float)cell[k];
+        }
+        if (outside) continue;
+        inside[n] = -1;
+        int64_t slice = slice_before(pyramid, along[n]), width = pyramid->size[1], step = pyramid->size[0] * width;
+        double start = pyramid->starts[slice], whole = pyramid->starts[slice + 1] - start;
+        double passed = ((double)along[n] - start) / whole;
+        begin[n] = (float)start;
+        share[n] = (float)(passed > 0.0 ? smaller(passed, 1.0) : 0.0);
+        span[n] = (float)(larger(smaller(passed, 1.0), 0.0) * whole);
+        const float *at = pyramid->depths + slice * step + cell[0] * width + cell[1];
+        near[0][n] = pair_at(at), near[1][n] = pair_at(at + width);
+        far[0][n] = pair_at(at + step), far[1][n] = pair_at(at + step + width);
+        double square = 0.0;
+        for (int i = 0; i < 3; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < 3; j++) sum += lamp->world_from_index[3 * i + j] * (double)(away[j][n] / along[n]);
+            square += sum * sum;
+        }
+        length[n] = (float)sqrt(square);
+    }
+    if (!any_lane(inside)) return in_all(0.0f);
+    Floats depth = lerp_lanes(lerp_pairs(near[0], part[1]), lerp_pairs(near[1], part[1]), part[0]);
+    if (lamp->integrated) {
+        Floats total = in_all(0.0f);
+        for (int node = 0; node < 2; node++) {
+            Floats place[3], scale = (begin + GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
+            for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] + away[axis] * scale;
+            total = total + sample_grid(&lamp->density, place);
+        }
+        depth = depth + 0.5f * total * span;
+    } else {
+        Floats after = lerp_lanes(lerp_pairs(far[0], part[1]), lerp_pairs(far[1], part[1]), part[0]);
+        depth = lerp_lanes(depth, after, share);
+    }
+    return choose(inside, depth * length, in_all(0.0f)) * sigma_t;
+}
+
+/* Visibility of a lamp from 0 to 1 at a world point, by percentage-closer filtering. */
+static inline double lamp_visibility(const LampShadowMap *map, const double *point) {
+    double away[3], local[3];
+    int axis = 0;
+    for (int k = 0; k < 3; k++) away[k] = point[k] - map->position[k];
+    if (fabs(away[1]) > fabs(away[0])) axis = 1;
+    if (fabs(away[2]) > fabs(away[axis])) axis = 2;
+    int64_t face = 2 * axis + (away[axis] < 0.0);
+    const double *frame = map->frames + 9 * face;
+    for (int j = 0; j < 3; j++) local[j] = frame[j] * away[0] + frame[3 + j] * away[1] + frame[6 + j] * away[2];
+    float distance = (float)sqrt(dot_of(away, away));
+    double depth = larger(-local[2], 1e-30), half = 0.5 * (double)map->cells;
+    double column = (local[0] / depth + 1.0) * half - 0.5, row = (1.0 - local[1] / depth) * half - 0.5, lit = 0.0;
+    column = column > -1.0 ? smaller(column, 2.0 * half) : -1.0;
+    row = row > -1.0 ? smaller(row, 2.0 * half) : -1.0;
+    double left = floor(column), top = floor(row), u = column - left, v = row - top;
+    for (int n = 0; n < 4; n++) {
+        int64_t i = within((int64_t)left + (n >> 1), map->cells - 1), j = within((int64_t)top + (n & 1), map->cells - 1);
+        double weight = (n >> 1 ? u : 1.0 - u) * (n & 1 ? v : 1.0 - v);
+        if (distance <= map->distances[(face * map->cells + j) * map->cells + i]) lit += weight;
+    }
+    return lit;
+}
+
+/* Solid angle of a triangle seen from the origin, as a half. */
+static inline double half_solid_angle(const double *a, const double *b, const double *c, double x, double y, double z) {
+    double volume = (a[1] * b[2] - a[2] * b[1]) * c[0] + (a[2] * b[0] - a[0] * b[2]) * c[1] +
+                    (a[0] * b[1] - a[1] * b[0]) * c[2];
+    return atan2(fabs(volume), x * y * z + dot_of(a, b) * z + dot_of(a, c) * y + dot_of(b, c) * x);
+}
+
+static inline double spread_factor(const Emitter *emitter, double cosine) {
+    if (!(cosine > 0.0)) return 0.0;
+    double tangent = sqrt(larger(1.0 - cosine * cosine, 0.0)) / larger(cosine, 1e-9);
+    return larger(emitter->tangent - tangent, 0.0) / emitter->focused;
+}
+
+static inline double quad_fluence(const Emitter *emitter, const double *point, const double *away) {
+    double square = larger(dot_of(away, away), 1e-60), rise = dot_of(away, emitter->normal);
+    if (!(rise > 0.0)) return 0.0;
+    double angle = emitter->area * rise / (square * sqrt(square));
+    if (square < FAR_EMITTER * emitter->area) {
+        double corners[4][3], length[4];
+        for (int k = 0; k < 4; k++) {
+            for (int j = 0; j < 3; j++) corners[k][j] = emitter->corners[3 * k + j] - point[j];
+            length[k] = sqrt(dot_of(corners[k], corners[k]));
+        }
+        angle = 2.0 * (half_solid_angle(corners[0], corners[1], corners[2], length[0], length[1], length[2]) +
+                       half_solid_angle(corners[0], corners[2], corners[3], length[0], length[2], length[3]));
+    }
+    if (emitter->tangent > 0.0) {
+        double total = 0.0;
+        for (int n = 0; n < 9; n++) {
+            double u = (1 + 2 * (n / 3)) / 6.0, v = (1 + 2 * (n % 3)) / 6.0, from[3];
+            const double *c = emitter->corners;
+            for (int j = 0; j < 3; j++) {
+                from[j] = point[j] - ((1.0 - v) * ((1.0 - u) * c[j] + u * c[3 + j]) + v * ((1.0 - u) * c[9 + j] + u * c[6 + j]));
+            }
+            total += spread_factor(emitter, dot_of(from, emitter->normal) / larger(sqrt(dot_of(from, from)), 1e-30));
+        }
+        angle *= total / 9.0;
+    }
+    return emitter->radiance * angle;
+}
+
+/* Fluence of a part of a lamp of power 1 if it faced a world point. */
+static inline double brightest(const Emitter *emitter, const double *point) {
+    double away[3];
+    const double *from = emitter->flat ? emitter->position : emitter->centre;
+    for (int k = 0; k < 3; k++) away[k] = point[k] - from[k];
+    double square = dot_of(away, away);
+    if (emitter->flat) {
+        return emitter->radiance * emitter->focus * emitter->area / (square + emitter->extent * emitter->extent);
+    }
+    double area = emitter->radius * emitter->radius;
+    square = larger(square, emitter->closest);
+    if (emitter->soft_falloff) {
+        double slant = square + area;
+        return 2.0 * emitter->intensity / (slant + sqrt(square * slant));
+    }
+    if (!(square > area)) return 4.0 * emitter->intensity / larger(area, 1e-60);
+    return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
+}
+
+/* Fluence of a part of a lamp of power 1 at a world point. */
+static inline double emitter_fluence(const Emitter *emitter, const double *point) {
+    double away[3];
+    for (int k = 0; k < 3; k++) away[k] = point[k] - emitter->position[k];
+    if (emitter->flat) return quad_fluence(emitter, point, away);
+    double found = brightest(emitter, point);
+    if (!emitter->cone) return found;
+    double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
+    double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
+    return found * inside * inside * (3.0 - 2.0 * inside);
+}
+
+/* Fluence of a lamp of power 1 as if it were no nearer than a distance. */
+static inline double softened(double fluence, double radius) {
+    return fluence / (1.0 + fluence * (4.0 * PI * radius * radius));
+}
+
+#endif

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which points surfaces shadow from a lamp."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.camera import Camera
+from ..scene.description import Surface
+from .depth_buffer import SAMPLES, DepthBuffer
+
+#: Distances along an edge of each of the six faces of the cube around a lamp.
+CELLS = 1024
+
+
+class LampShadowMap:
+    """Distance of the nearest surface from a point, in all directions, on the faces of a cube around it.
+
+    distances: float32 (6, n, n), infinity where there is none.
+    """
+
+    def __init__(
+        self, surfaces: Sequence[Surface], position: np.ndarray, cells: int = CELLS, cancel: CancelToken = NEVER
+    ):
+        """position: (3,) in the world. cells: n, a multiple of `depth_buffer.SAMPLES`. Raises Cancelled."""
+        self.position, size = np.asarray(position, np.float64), cells // SAMPLES
+        self.frames = []
+        faces = []
+        for axis in range(3):
+            for sign in (1.0, -1.0):
+                # A camera that looks along its -Z.
+                columns = [sign * np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3], -sign * np.eye(3)[axis]]
+                matrix = np.eye(4)
+                matrix[:3, :3], matrix[:3, 3] = np.stack(columns, axis=1), position
+                self.frames.append(matrix[:3, :3])
+                camera = Camera(matrix, resolution=(size, size), fov=np.pi / 2.0)
+                found = DepthBuffer(surfaces, camera, cancel).distances(camera.window, cancel)
+                found = found.reshape(size, size, SAMPLES, SAMPLES).transpose(0, 2, 1, 3)
+                faces.append(found.reshape(cells, cells))
+        self.distances = np.stack(faces).astype(np.float32)
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no surface in any direction."""
+        return bool(np.isinf(self.distances).all())
+
+    def visibility(self, points: np.ndarray) -> np.ndarray:
+        """Visibility float32 (N,) of the lamp from 0 to 1 at world points (N, 3), by percentage-closer filtering.
+
+        Interpolates the outcome of the shadow test between the four nearest directions.
+        """
+        away = np.asarray(points, np.float64) - self.position
+        axis = np.abs(away).argmax(axis=1)
+        along = np.take_along_axis(away, axis[:, None], 1)[:, 0]
+        face = 2 * axis + (along < 0.0)
+        distance = np.linalg.norm(away, axis=1).astype(np.float32)
+        cells, share = self.distances.shape[1], np.zeros(len(away), np.float32)
+        local = np.einsum("nij,ni->nj", np.stack(self.frames)[face], away)
+        depth = np.maximum(-local[:, 2], 1e-30)
+        column = (local[:, 0] / depth + 1.0) * (0.5 * cells) - 0.5
+        row = (1.0 - local[:, 1] / depth) * (0.5 * cells) - 0.5
+        left, top = np.floor(column), np.floor(row)
+        u, v = (column - left).astype(np.float32), (row - top).astype(np.float32)
+        for i, x in ((left, 1.0 - u), (left + 1.0, u)):
+            for j, y in ((top, 1.0 - v), (top + 1.0, v)):
+                place = (face, np.clip(j, 0, cells - 1).astype(int), np.clip(i, 0, cells - 1).astype(int))
+                share += x * y * (distance <= self.distances[place])
+        return share

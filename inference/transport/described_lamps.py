@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts of lamps, and their shadows, as the structures that compiled kernels read."""
+
+import numpy as np
+
+from ..kernels import structures
+from ..occluders.lamp_shadow_map import LampShadowMap
+from ..scene.lamps import CLOSEST, FULL_SPREAD, Emitter, SphereEmitter
+
+
+def describe_emitter(emitter: Emitter) -> structures.Emitter:
+    """A part of a lamp."""
+    common = dict(position=np.float64(emitter.position), extent=float(emitter.extent))
+    if isinstance(emitter, SphereEmitter):
+        cone = emitter.axis is not None
+        return structures.Emitter(
+            flat=0,
+            centre=np.float64(emitter.centre),
+            radius=emitter.radius,
+            intensity=emitter.share / (4.0 * np.pi),
+            closest=CLOSEST * float(np.abs(emitter.centre).max(initial=1e-3)) ** 2,
+            soft_falloff=emitter.soft_falloff,
+            cone=cone,
+            axis=np.float64(emitter.axis) if cone else np.zeros(3),
+            cosine=emitter.cosine,
+            width=max((1.0 - emitter.cosine) * emitter.blend, 1e-9),
+            **common,
+        )
+    half = max(0.5 * emitter.spread, 1e-4)
+    diffuse = emitter.spread >= FULL_SPREAD
+    tangent, focused = float(np.tan(half)), float(np.tan(half) - half)
+    return structures.Emitter(
+        flat=1,
+        corners=np.float64(emitter.corners),
+        normal=np.float64(emitter.normal),
+        radiance=emitter.radiance,
+        area=emitter.area,
+        tangent=0.0 if diffuse else tangent,
+        focus=1.0 if diffuse else tangent / focused,
+        focused=1.0 if diffuse else focused,
+        **common,
+    )
+
+
+def describe_shadow_map(shadow_map: LampShadowMap) -> structures.LampShadowMap:
+    """Distances of the surfaces around a part of a lamp."""
+    return structures.LampShadowMap(
+        distances=np.ascontiguousarray(shadow_map.distances, np.float32),
+        cells=shadow_map.distances.shape[1],
+        position=shadow_map.position,
+        frames=np.stack(shadow_map.frames),
+    )

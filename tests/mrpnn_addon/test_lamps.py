@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's point, spot and area lamps: what they light is what Cycles lights."""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from inference import AreaLight, PointLight, Settings, SpotLight, render
+from tests.support import blender_scenes
+
+
+def read(addon):
+    return addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+def add_lamp(scene, kind, location=(1.3, -0.9, 0.6), **values):
+    """A lamp that looks at the origin."""
+    lamp = bpy.data.lights.new("Lamp", kind)
+    lamp.energy = 50.0
+    for name, value in values.items():
+        setattr(lamp, name, value)
+    added = blender_scenes.add_object(scene, "Lamp", lamp)
+    added.location = location
+    added.rotation_euler = added.location.to_track_quat("Z", "Y").to_euler()
+    return added
+
+
+def smoke(scene, folder, density=1.0, anisotropy=0.0):
+    """A small cloud of edge 2 at the origin without a sun."""
+    path = blender_scenes.write_vdb(folder, blender_scenes.blob(), blender_scenes.centred(16, 2.0))
+    blender_scenes.add_volume(scene, path, Density=density, Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=anisotropy)
+    blender_scenes.add_camera(scene)
+    scene.render.resolution_x = scene.render.resolution_y = 16
+
+
+SHAPES = {
+    "point": ("POINT", dict(shadow_soft_size=0.0)),
+    "soft point": ("POINT", dict(shadow_soft_size=0.5, use_soft_falloff=True)),
+    "sphere": ("POINT", dict(shadow_soft_size=0.5, use_soft_falloff=False)),
+    "inside": ("POINT", dict(shadow_soft_size=0.1, location=(0.1, 0.2, 0.1), energy=5.0)),
+    "spot": ("SPOT", dict(shadow_soft_size=0.0, spot_size=0.8, spot_blend=0.4)),
+    "soft spot": ("SPOT", dict(shadow_soft_size=0.2, spot_size=0.8, spot_blend=0.4)),
+    "square": ("AREA", dict(size=0.8)),
+    "rectangle": ("AREA", dict(shape="RECTANGLE", size=1.2, size_y=0.3)),
+    "disk": ("AREA", dict(shape="DISK", size=0.8)),
+    "ellipse": ("AREA", dict(shape="ELLIPSE", size=0.9, size_y=0.4)),
+    "spread": ("AREA", dict(size=0.8, spread=math.radians(60.0))),
+    "coloured": ("POINT", dict(color=(1.0, 0.5, 0.2), shadow_soft_size=0.0)),
+}
+# Not in every version of Blender.
+NEWER = {
+    "warm": ("POINT", dict(use_temperature=True, temperature=3000.0, exposure=1.5, shadow_soft_size=0.0)),
+    "per surface": ("POINT", dict(normalize=False, shadow_soft_size=0.3)),
+    "per area": ("AREA", dict(normalize=False, shape="DISK", size=0.7)),
+}
+FINE = ("inside", "spot", "soft spot")
+
+
+@pytest.mark.parametrize("name", [*SHAPES, *NEWER])
+def test_single_scattering_is_that_of_cycles(addon, scene, tmp_path, name):
+    kind, values = {**SHAPES, **NEWER}[name]
+    if name in NEWER and "normalize" not in bpy.types.Light.bl_rna.properties:
+        pytest.skip("this Blender's lamps have neither")
+    smoke(scene, tmp_path, density=4.0, anisotropy=0.4)
+    add_lamp(scene, kind, **values)
+    # Light that varies within a pixel is compared in means over several.
+    pixels = 3 if name in FINE else 1
+    scene.render.resolution_x = scene.render.resolution_y = 16 * pixels
+    described = read(addon)
+    layer = render(described.volumes, described.lights, described.camera, Settings(multiple=False))
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=512 if pixels == 1 else 256)[..., :3]
+    assert not described.warnings
+    found, expected = (image.reshape(16, pixels, 16, pixels, 3).mean(axis=(1, 3)) for image in (layer.rgb, reference))
+    # Limited spread is a sum over a few points of the lamp.
+    rel = 0.03 if name == "spread" else 0.02
+    assert found.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=rel)
+    # The reference is noisy.
+    assert np.abs(found - expected).mean() < 0.08 * expected.mean()
+
+
+def test_a_lamp_inside_smoke_is_that_of_cycles(addon, scene, tmp_path):
+    smoke(scene, tmp_path, density=12.0)
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    add_lamp(scene, "POINT", (0.1, 0.2, 0.1), energy=5.0, shadow_soft_size=0.1)
+    described = read(addon)
+    layer = render(described.volumes, described.lights, described.camera, Settings(depth_samples=16))
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=400, bounces=1024)[..., :3]
+    assert layer.multiple.mean() > 0.5 * reference.mean()
+    assert layer.rgb.mean() == pytest.approx(reference.mean(), rel=0.15)
+
+
+def test_each_kind_becomes_its_light(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    for kind, light in (("POINT", PointLight), ("SPOT", SpotLight), ("AREA", AreaLight)):
+        lamp = add_lamp(scene, kind)
+        (found,) = read(addon).lights
+        assert isinstance(found, light) and '"Lamp"' in found.name
+        bpy.data.objects.remove(lamp)
+
+
+def test_scaled_and_turned_area_lamps_keep_their_power(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    lamp = add_lamp(scene, "AREA", size=0.5)
+    lamp.scale = (2.0, -1.0, 3.0)
+    (found,) = read(addon).lights
+    assert found.area == pytest.approx(0.5)
+    assert found.power == pytest.approx(50.0)
+    # Towards the origin.
+    assert found.normal @ -np.array(lamp.location) > 0.0
+
+
+def test_a_flat_area_lamp_shines(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    add_lamp(scene, "AREA", size=0.5).scale = (1.0, 1.0, 0.0)
+    (found,) = read(addon).lights
+    assert found.area == pytest.approx(0.25)
+
+
+def test_hidden_and_empty_lamps_are_left_out_by_name(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    blender_scenes.add_sun(scene)
+    add_lamp(scene, "POINT").visible_volume_scatter = False
+    described = read(addon)
+    assert not described.lamps
+    assert described.warnings == ['point light "Lamp" is hidden from volume scattering and left out']
+
+
+def test_the_default_scene_needs_nothing_deleted(addon, tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=False)
+    scene = bpy.context.scene
+    path = blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 2.0))
+    blender_scenes.add_volume(scene, path, Density=4.0)[0].location = (0.0, 0.0, 2.2)
+    described = read(addon)
+    (lamp,) = described.lamps
+    assert lamp.power == pytest.approx(1000.0) and described.environments
+    scene.render.resolution_x, scene.render.resolution_y = 48, 27
+    described = read(addon)
+    layer = render(
+        described.volumes, described.lights, described.camera, Settings(depth_samples=4), surfaces=described.surfaces
+    )
+    assert layer.report.counts["lamps"] == 1 and layer.single.max() > 0.02 and layer.multiple.max() > 0.02
