@@ -21,6 +21,7 @@ from ..scene.description import Medium, Surface, Volume
 from ..scene.settings import Settings
 from .directions import fit_directions, make_lobe
 from .environment_radiance import EnvironmentRadiance
+from .lamp_radiance import LampRadiance
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
 from .lit_volume import DETAIL_SHARPNESS, BakedView, LitVolume
 from .point_radiance import PointRadiance
@@ -31,7 +32,7 @@ _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
 
-Source = PointRadiance | EnvironmentRadiance
+Source = PointRadiance | LampRadiance | EnvironmentRadiance
 
 
 def bake(
@@ -47,7 +48,8 @@ def bake(
     """Bake the light that volumes scatter more than once into emission, one LitVolume per volume.
 
     A renderer that shows the volumes with single scattering and adds this emission, attenuated by them, shows what
-    `render` does. Overlapping volumes share the light; each has the emission of its own scattering.
+    `render` does, in the light of suns, lamps and environments alike. Overlapping volumes share the light; each has the
+    emission of its own scattering.
 
     volumes, lights, progress, cancelled, cache, surfaces: as for `render`; surfaces keep light from the volumes and
     absorb what these scatter, but hide no voxel. camera: from which light is baked exactly; other directions are right
@@ -128,10 +130,12 @@ class _Bake:
         }
 
     def _sources(self, g: int, channels: Channels) -> list[Source]:
-        """What predicts the light of suns and of environments that a group scatters."""
+        """What predicts the light of suns, lamps and environments that a group scatters."""
         found: list[Source] = []
         if self.scene.plan.suns:
             found.append(PointRadiance(self.context, self.scene, g, channels))
+        if self.scene.lamps and self.scene.plan.predicts_lamps:
+            found.append(LampRadiance(self.context, self.scene, g, channels))
         if self.scene.environment_network is not None:
             found.append(EnvironmentRadiance(self.context, self.scene, g, channels))
         return found
@@ -152,7 +156,7 @@ class _Bake:
     def _expect(self) -> None:
         """Tell the progress what there is to do."""
         progress, plan = self.context.progress, self.scene.plan
-        lights = len(plan.suns) + bool(plan.environments)
+        lights = len(plan.suns) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
         jobs = lights * len(plan.channels)
         points = sum(float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices)))
         if self.context.settings.directional:
@@ -160,7 +164,7 @@ class _Bake:
         needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
         progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
         progress.expect("lattices", jobs * len(plan.groups))
-        marched = needs_fluence or bool(plan.environments)
+        marched = needs_fluence or bool(plan.environments or plan.lamps)
         progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
         progress.expect("network", points * jobs)
 

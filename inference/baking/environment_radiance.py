@@ -7,9 +7,8 @@ from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_march import MarchOptions
-from ..marching.ray_steps import RayBatch
-from ..network.predictor import POINTS_PER_TASK
 from ..plan.plan import Channels, distinct_albedos
+from .point_radiance import rays_outwards, spans
 
 
 class EnvironmentRadiance:
@@ -46,7 +45,7 @@ class EnvironmentRadiance:
             return span, predictor.predict(positions[span], directions[span], along[span], albedos)
 
         with context.report.stage("network"), context.progress.stage("network"):
-            for span, values in context.tasks.map(task, _spans(len(positions))):
+            for span, values in context.tasks.map(task, spans(len(positions))):
                 # The first is single scattering, which belongs to the renderer that shows the light.
                 for (_, indices), row in zip(self.albedos, values[1:]):
                     for c in indices:
@@ -58,10 +57,7 @@ class EnvironmentRadiance:
     def _depths(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Optical depths float32 (N,) of the group from points outwards."""
         context = self._context
-        ends = [medium.grid.interval(positions, directions)[1] for medium in self._media if medium.matters]
-        # Points at the very end of a volume have nothing ahead of them.
-        least = 1e-6 * min(medium.grid.voxel for medium in self._media)
-        batch = RayBatch(positions, directions, np.zeros(len(positions)), np.maximum(np.max(ends, axis=0), least))
+        batch = rays_outwards(self._media, positions, directions)
         depths = np.zeros(len(positions), np.float32)
 
         def task(span: slice) -> tuple[slice, np.ndarray, int]:
@@ -69,12 +65,8 @@ class EnvironmentRadiance:
             return span, segment.optical_depth.sum(axis=1), segment.steps_evaluated
 
         with context.report.stage("march"), context.progress.stage("march"):
-            for span, found, steps in context.tasks.map(task, _spans(len(positions))):
+            for span, found, steps in context.tasks.map(task, spans(len(positions))):
                 depths[span] = found
                 context.report.count("steps evaluated", steps)
                 context.progress.advance("march", steps)
         return depths
-
-
-def _spans(count: int) -> list[slice]:
-    return [slice(start, start + POINTS_PER_TASK) for start in range(0, count, POINTS_PER_TASK)]

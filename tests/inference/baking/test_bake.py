@@ -11,6 +11,7 @@ from inference import (
     Cancelled,
     Environment,
     Medium,
+    PointLight,
     RenderCache,
     SceneError,
     Settings,
@@ -152,6 +153,19 @@ def test_an_environment_that_surfaces_shadow_is_baked_as_parallel_light():
     [free] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT)
     # The floor keeps away what comes from below.
     assert 0.6 * free.emission.mean() < lit.emission.mean() < 0.95 * free.emission.mean()
+
+
+@pytest.mark.parametrize("place, error", [((0.9, 0.6, 0.5), 0.08), ((0.1, -0.05, 0.12), 0.15)])
+def test_light_of_a_lamp_is_baked(place, error):
+    volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
+    lamp = PointLight(place, (3.0, 5.0, 4.0))
+    [lit] = bake([(volume, medium)], [lamp], view, Settings(directional=False))
+    layer = render([(volume, medium)], [lamp], view, Settings(16))
+    found = seen_through(volume, medium, lit, view)
+    # Within its voxel, light of a lamp inside has a peak that no voxel holds.
+    around = layer.multiple.max(axis=2) < 0.5 * layer.multiple.max()
+    assert relative(found[around], layer.multiple[around]) < error
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), layer.multiple.mean(axis=(0, 1)), rtol=0.03)
 
 
 @pytest.mark.slow
