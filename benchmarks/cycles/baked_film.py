@@ -19,17 +19,17 @@ from inference.scene.optimizations import ALL
 
 from ..support.provenance import commit, weights_checksum
 
-# The camera's path about the cloud.
-DEGREES, DISTANCE = 40.0, 6.0
+# The camera's path about the cloud: degrees per frame, and distance.
+DEGREES, DISTANCE = 0.85, 6.0
 
 
-def path(scene, frame: int, frames: int) -> None:
+def path(scene, frame: int) -> None:
     """Put the camera where it is in a frame."""
     from mathutils import Matrix
 
     from .baked_surroundings import towards
 
-    angle = np.radians(DEGREES) * frame / max(frames - 1, 1)
+    angle = np.radians(DEGREES) * frame
     eye = DISTANCE * np.array([np.sin(angle), 0.0, np.cos(angle)])
     scene.camera.matrix_world = Matrix(towards(eye, np.zeros(3)).tolist())
 
@@ -75,16 +75,16 @@ def main() -> None:
         exact = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
         layers = []
         for frame in range(options.frames):
-            path(scene, frame, options.frames)
+            path(scene, frame)
             found = read_scene(scenes.depsgraph())
             layers.append(render(found.volumes, found.lights, found.camera, exact).rgb.mean(axis=2))
         print(f"layer: flicker {flicker(np.array(layers)):.4f}", flush=True)
         for often in (False, True):
-            path(scene, options.frames // 2, options.frames)
+            path(scene, options.frames // 2)
             bpy.ops.mrpnn.bake_light(folder=folder)
             noisy, a, b = [], [], []
             for frame in range(options.frames):
-                path(scene, frame, options.frames)
+                path(scene, frame)
                 if often:
                     bpy.ops.mrpnn.bake_light(folder=folder, everything=True)
                 noisy.append(picture(Path(folder), options.samples, 3 * frame))
