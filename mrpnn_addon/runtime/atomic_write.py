@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def atomic_write(path: str):
-    """A binary file to write, renamed to `path` when the `with` block ends. Its folder is made if need be.
+    """A binary file to write, renamed to `path` when the `with` block ends.
 
     Raises OSError, naming the file and the reason, where it cannot be written. An earlier file at `path` is then
     unchanged, and no partial file is left.
@@ -17,7 +17,6 @@ def atomic_write(path: str):
     # opened.
     unfinished = os.path.join(os.path.dirname(os.path.abspath(path)), f".mrpnn-{secrets.token_hex(8)}.part")
     try:
-        os.makedirs(os.path.dirname(unfinished), exist_ok=True)
         with open(unfinished, "xb") as file:
             yield file
             file.flush()
