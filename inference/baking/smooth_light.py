@@ -65,15 +65,17 @@ def continued(light: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     known: bool (nx, ny, nz). A line is that through the means of the known voxels within one and two voxels.
     """
-    sums = np.concatenate([light, known[..., None]], axis=3).astype(np.float32)
-    sums[~known] = 0.0
-    near = _around_sums(sums)
-    shell = np.nonzero(~known & (near[..., 3] > 0.0))
-    far = _around_sums(near)[shell]
-    near = near[shell]
-    near, far = near[:, :3] / near[:, 3:], far[:, :3] / far[:, 3:]
+    counts = _around_sums(known.astype(np.float32))
+    shell = np.nonzero(~known & (counts > 0.0))
+    counts, far_counts = counts[shell], _around_sums(counts)[shell]
     found = np.where(known[..., None], light, np.float32(0.0))
-    found[shell] = np.clip(near + (near - far), LEAST * near, MOST * near)
+    for c in range(3):
+        if c and np.array_equal(light[..., c], light[..., c - 1]):
+            found[(*shell, c)] = found[(*shell, c - 1)]
+            continue
+        sums = _around_sums(np.ascontiguousarray(found[..., c]))
+        near, far = sums[shell] / counts, _around_sums(sums)[shell] / far_counts
+        found[(*shell, c)] = np.clip(near + (near - far), LEAST * near, MOST * near)
     return found
 
 
