@@ -3,6 +3,7 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from .image.framebuffer import Framebuffer
 from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
+from .image.reflected_light import middle, open_volume, reflected_environment
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
@@ -23,10 +25,9 @@ from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
-from .plan.lights import SURFACES_SHADOW
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
-from .render_cache import RenderCache
+from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
 from .runtime.progress import Progress
 from .runtime.report import Report, process_peak_memory
@@ -52,9 +53,8 @@ def render(
     volumes: list of (Volume, Medium). lights: list of Sun, PointLight, SpotLight, AreaLight and Environment. progress:
     (fraction, message), called on the calling thread; the fraction is of the time. cancelled: () -> bool, asked several
     times a second. cache: of earlier renders, for what has not changed since; its memory is held until it is dropped.
-    surfaces: Surfaces at which camera
-    rays end, for a layer that is put over them (but not those of equirectangular cameras), and that keep light from the
-    volumes.
+    surfaces: Surfaces at which camera rays end, for a layer that is put over them (but not those of equirectangular
+    cameras), that keep light from the volumes, and whose own light shines into them.
 
     The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
     Cancelled when asked to stop.
@@ -82,7 +82,7 @@ def render_tiles(
     settings, report = settings or Settings(), Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings, SURFACES_SHADOW if surfaces else "")
+            plan = make_plan(volumes, lights, camera, settings, surfaces=surfaces)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
             kernels = load_compiled(settings, report)
@@ -229,7 +229,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
     extended_lights = ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None
-    cache.keep_groups(len(plan.groups))
+    cache.keep_groups((1 + (plan.reflects or bool(plan.sky))) * len(plan.groups))
     context.progress.message("density pyramids")
     with report.stage("fields"):
         groups = [
@@ -244,12 +244,36 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
     environment = None
-    if plan.environments and any(group is not None for group in groups):
+    if (plan.environments or plan.reflects) and any(group is not None for group in groups):
         with report.stage("network loading"):
             environment = cache.environment_network(settings.model, settings.provider, cancel)
-    return PreparedScene(
+    scene = PreparedScene(
         plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment, lamps
     )
+    if not plan.reflects and not plan.sky:
+        return scene
+    scene = replace(scene, open_groups=_open_groups(context, scene, surfaces))
+    with report.stage("surfaces"):
+        reflected = reflected_environment(scene, surfaces, cancel) if plan.reflects else None
+    return scene if reflected is None else replace(scene, plan=plan.with_environment(reflected))
+
+
+def _open_groups(context: RenderContext, scene: PreparedScene, surfaces) -> list[ScatteringGroup | None]:
+    """The scene's groups without what surfaces hide from the middle of the volumes; none where they cut no volume."""
+    opened: list[ScatteringGroup | None] = []
+    if scene.network is None or not len(scene.occluders.triangles):
+        return opened
+    stopping, eye, cancel = [surface for surface in surfaces if surface.stops], middle(scene), context.cancel
+    for number, group in enumerate(scene.groups, len(scene.groups)):
+        if group is None:
+            opened.append(None)
+            continue
+        with context.report.stage("surfaces"):
+            visible = open_volume(group.volume, stopping, eye, cancel)
+        with context.report.stage("fields"):
+            members = [(visible, group.medium)]
+            opened.append(context.cache.group(scene.network, members, [], number, cancel, context.kernels))
+    return opened
 
 
 def _load_network(context: RenderContext, plan: Plan):

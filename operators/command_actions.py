@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import bpy
 
-from ..inference.plan.lights import SURFACES_SHADOW
 from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
@@ -149,7 +148,7 @@ def report(options, console, found: dict) -> None:
             description.lights,
             description.camera,
             settings,
-            SURFACES_SHADOW if description.surfaces else "",
+            surfaces=description.surfaces,
         )
     width, height = description.camera.resolution
     found["plan"] = {

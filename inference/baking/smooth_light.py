@@ -13,8 +13,12 @@ import numpy as np
 STRIDES = (4, 2, 1)
 # Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
 TOLERANCE = 0.015
+# So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
+FEW = 4096
 # Optical thickness of a voxel, times this, from which it counts in full.
 THIN = 10.0
+# Light beyond the edge of a volume, as a share of that near by: limits of its continuation.
+LEAST, MOST = np.float32(0.3), np.float32(2.0)
 
 
 def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
@@ -35,6 +39,7 @@ def radiance_in_voxels(
     """
     predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
     known = np.zeros((0, 0, 0), bool)
+    interpolate = interpolate and np.count_nonzero(wanted) > FEW
     for stride in STRIDES if interpolate else (1,):
         here = wanted[::stride, ::stride, ::stride]
         between, near = _upsampled(values, known, here.shape)
@@ -53,6 +58,38 @@ def radiance_in_voxels(
         error = np.where(chosen & near, np.abs(values.mean(axis=3) - between.mean(axis=3)), np.float32(0.0))
         known = here
     return values, predicted
+
+
+def continued(light: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Light (nx, ny, nz, 3) with the neighbours of known voxels filled in, as straight lines through these go on.
+
+    known: bool (nx, ny, nz). A line is that through the means of the known voxels within one and two voxels.
+    """
+    counts = _around_sums(known.astype(np.float32))
+    shell = np.nonzero(~known & (counts > 0.0))
+    counts, far_counts = counts[shell], _around_sums(counts)[shell]
+    found = np.where(known[..., None], light, np.float32(0.0))
+    for c in range(3):
+        if c and np.array_equal(light[..., c], light[..., c - 1]):
+            found[(*shell, c)] = found[(*shell, c - 1)]
+            continue
+        sums = _around_sums(np.ascontiguousarray(found[..., c]))
+        near, far = sums[shell] / counts, _around_sums(sums)[shell] / far_counts
+        found[(*shell, c)] = np.clip(near + (near - far), LEAST * near, MOST * near)
+    return found
+
+
+def _around_sums(values: np.ndarray) -> np.ndarray:
+    """Sums over each voxel and its 26 neighbours."""
+    for axis in range(3):
+        total = values.copy()
+        before, after = (
+            tuple(cut if a == axis else slice(None) for a in range(3)) for cut in (slice(None, -1), slice(1, None))
+        )
+        total[after] += values[before]
+        total[before] += values[after]
+        values = total
+    return values
 
 
 def _upsampled(values: np.ndarray, known: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -56,6 +56,7 @@ class PreparedScene:
     cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
     None where nothing is predicted. network: None if nothing is predicted at all. environment_network: that predicts
     the light of environments, or None. lamps: of the plan, with what lies between them and the volumes.
+    open_groups: as groups, without what surfaces hide from the middle of the volumes; empty where they hide nothing.
     """
 
     plan: Plan
@@ -68,6 +69,7 @@ class PreparedScene:
     network: System | None = None
     environment_network: EnvironmentNetwork | None = None
     lamps: list[LampInMedia] = field(default_factory=list)
+    open_groups: list[ScatteringGroup | None] = field(default_factory=list)
 
     @property
     def lamp_radius(self) -> float:

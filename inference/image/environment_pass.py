@@ -46,9 +46,11 @@ def prepare_environment(
         members = plan.groups[g]
         context.progress.message(f"light from everywhere in {plan.group_name(g)}")
         with context.report.stage("fields"):
-            bounds = lattice_bounds(context, members, group.predictor, view)
+            # The light of surfaces begins at them: what they hide neither dims nor scatters it.
+            opened = (scene.open_groups[g] if scene.open_groups else None) or group
+            bounds = lattice_bounds(context, members, opened.predictor, view)
             sigma_t = float(group.medium.sigma_t[indices[0]])
-            predictor = group.predictor.prepare_environment(
+            predictor = opened.predictor.prepare_environment(
                 scene.environment_network, plan.environments, sigma_t, bounds, context.tasks
             )
             context.cancel.check()

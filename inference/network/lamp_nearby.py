@@ -6,10 +6,15 @@ nearby is not: it falls with the square of the distance, comes from all around, 
 leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
 itself holds the light: with its fluence phi and flux F, what scatters towards the camera is
 
-    (phi - 3 G F . omega) / (4 pi) + p(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
+    (phi - 3 G F . omega) / (4 pi) + q(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
 
 where the second term is the light of the lamp, of irradiance E behind an optical depth tau, that has scattered into the
-phase function's forward peak, which the transport counts as unscattered.
+phase function's forward peak, which the transport counts as unscattered. With its phase function
+
+    q(mu) = (p(mu; G^2) - (1 - G^2) (1 + 3 G G' mu) / (4 pi)) / G^2
+
+both terms together are exact, in all directions, for light that has scattered twice on one line from the lamp: what the
+transport knows to the first order is taken from what two Henyey-Greenstein functions of G make, one of G^2.
 """
 
 from collections.abc import Mapping
@@ -18,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene.phase_function import henyey_greenstein
+from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
 
 # Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
@@ -25,6 +31,8 @@ from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
 NEAR, FAR = 0.1, 0.4
 #: Added to the fluence, over that of the brightest cell, before taking its logarithm.
 MIN_FLUENCE = 1e-12
+# Square of the anisotropy below which there is no forward peak.
+MIN_FORWARD = 1e-3
 #: Smallest albedo for which the transport is solved.
 MIN_ALBEDO = 1e-3
 
@@ -72,4 +80,14 @@ class LampNearby:
         share = np.maximum(1.0 - 3.0 * g * read[:, PROBES + 1], MIN_SHARE)
         found = np.exp(read[:, 0].astype(np.float64)) * (scale / (4.0 * np.pi)) * share
         peak = np.exp(-(1.0 - albedo * g * g) * depth) - np.exp(-depth)
-        return found + henyey_greenstein((omega * towards).sum(axis=1), g) * irradiance * peak
+        return found + _peak_phase((omega * towards).sum(axis=1), g) * irradiance * peak
+
+
+def _peak_phase(cosine: np.ndarray, anisotropy: float) -> np.ndarray:
+    """q of the module's description, 1/sr."""
+    forward = anisotropy**2
+    if forward < MIN_FORWARD:
+        return henyey_greenstein(cosine, anisotropy)
+    known = 3.0 * anisotropy * reduced_anisotropy(anisotropy)
+    rest = (1.0 - forward) * (1.0 + known * cosine) / (4.0 * np.pi)
+    return np.maximum(henyey_greenstein(cosine, forward) - rest, 0.0) / forward

@@ -115,6 +115,18 @@ class VolumePredictor:
         matrix = self.volume.world_from_index
         return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
 
+    def taken_area(self, sigma_t: float) -> tuple[float, float]:
+        """Area across a beam of what the volume takes of its light, and its optical depth if it were a slab.
+
+        Means over the axes of its cube.
+        """
+        coarse = self._predictor.coarse
+        depths = np.concatenate([sigma_t * self.cube.edge * coarse.mean(axis=axis).ravel() for axis in range(3)])
+        taken = float(-np.expm1(-depths.astype(np.float64)).mean())
+        slabs = np.geomspace(1e-3, 1e3, 200)
+        mean = np.interp(depths.mean() / max(taken, 1e-30), slabs / -np.expm1(-slabs), slabs)
+        return taken * self.cube.edge**2, float(mean)
+
     def prepare(
         self,
         sigma_t: float,

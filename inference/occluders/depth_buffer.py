@@ -36,19 +36,25 @@ class DepthBuffer:
         closest = max(camera.clip[0], CLOSEST * farthest)
         self.extent = 2.0 * np.tan(0.5 * camera.fov)
         projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
-        self.place, self.value = (np.concatenate(parts) for parts in zip(*projected))
+        self.place, self.value, number = (np.concatenate(parts) for parts in zip(*projected))
+        # Number of each triangle among those of all surfaces.
+        begin = np.cumsum([0, *(len(surface.triangles) for surface in surfaces[:-1])])
+        self.number = number + np.repeat(begin, [len(parts[2]) for parts in projected])
         # Pixels that each triangle may reach, so that small windows need not look at all of them.
         self.low, self.high = self.place.min(axis=1) - 1.0, self.place.max(axis=1) + 1.0
 
-    def _project(self, corners: np.ndarray, closest: float, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
+    def _project(
+        self, corners: np.ndarray, closest: float, cancel: CancelToken
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Project triangles to pixel coordinates (T, 3, 2), with values (T, 3) that grow towards the camera.
 
         The values interpolate linearly in the image: depth for orthographic cameras, 1 / depth for perspective ones.
+        Also returns of which triangle each is a part, int (T,).
         """
         cancel.check()
         camera = self.camera
         rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-        corners = _beyond(corners @ rotation, closest)
+        corners, number = _beyond(corners @ rotation, closest)
         cancel.check()
         width, height = camera.resolution
         if camera.projection == "orthographic":
@@ -60,7 +66,26 @@ class DepthBuffer:
             [(plane[..., 0] - camera.shift[0] + 0.5) * width, 0.5 * height - (plane[..., 1] - camera.shift[1]) * width],
             axis=-1,
         )
-        return place, value
+        return place, value, number
+
+    def triangles(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
+        """Numbers int (rows, columns) of the nearest triangles at the sample points of the window's pixels.
+
+        -1 where there is none. Raises Cancelled.
+        """
+        size, near, place = self._raster(window)
+        found, number = np.full(size[0] * size[1], -np.inf), np.full(size[0] * size[1], -1)
+        for flat, value, triangle in rasterize(place, self.value[near], size, cancel):
+            np.maximum.at(found, flat, value)
+            nearest = found[flat] == value
+            number[flat[nearest]] = self.number[near[triangle[nearest]]]
+        return number.reshape(size[1], size[0])
+
+    def _raster(self, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Columns and rows of a window's sample points, and which triangles may reach them, with their corners."""
+        x0, y0, x1, y1 = window
+        near = np.flatnonzero(np.all((self.low < [x1, y1]) & (self.high > [x0, y0]), axis=1))
+        return np.array([x1 - x0, y1 - y0]) * SAMPLES, near, (self.place[near] - [x0, y0]) * SAMPLES - 0.5
 
     def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
         """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row.
@@ -68,9 +93,7 @@ class DepthBuffer:
         Infinity where there is no surface. Raises Cancelled.
         """
         x0, y0, x1, y1 = window
-        size = np.array([x1 - x0, y1 - y0]) * SAMPLES
-        near = np.flatnonzero(np.all((self.low < [x1, y1]) & (self.high > [x0, y0]), axis=1))
-        place = (self.place[near] - [x0, y0]) * SAMPLES - 0.5
+        size, near, place = self._raster(window)
         found = np.full(size[0] * size[1], -np.inf)
         for flat, value, _ in rasterize(place, self.value[near], size, cancel):
             np.maximum.at(found, flat, value)
@@ -113,13 +136,17 @@ def split_rays_at_surfaces(
     return pixel, total[used] / count[used], count[used] / distances.shape[1], free
 
 
-def _beyond(corners: np.ndarray, closest: float) -> np.ndarray:
-    """Clip triangles (T, 3, 3), seen along -z, to the half-space behind the plane z = -closest."""
+def _beyond(corners: np.ndarray, closest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Clip triangles (T, 3, 3), seen along -z, to the half-space behind the plane z = -closest.
+
+    Also returns of which triangle each is a part.
+    """
     depth = -corners[..., 2] - closest
     ahead = (depth > 0.0).sum(axis=1)
-    parts = [corners[ahead == 3]]
+    parts, numbers = [corners[ahead == 3]], [np.flatnonzero(ahead == 3)]
     for inside in (1, 2):
         some, d = corners[ahead == inside], depth[ahead == inside]
+        numbers += [np.flatnonzero(ahead == inside)] * inside
         # Rotate the corner that is alone on its side to the front.
         first = (d > 0.0).argmax(axis=1) if inside == 1 else (d <= 0.0).argmax(axis=1)
         order = (first[:, None] + np.arange(3)) % 3
@@ -129,4 +156,4 @@ def _beyond(corners: np.ndarray, closest: float) -> np.ndarray:
             parts.append(np.stack([some[:, 0], a, b], axis=1))
         else:
             parts += [np.stack([a, some[:, 1], some[:, 2]], axis=1), np.stack([a, some[:, 2], b], axis=1)]
-    return np.concatenate(parts)
+    return np.concatenate(parts), np.concatenate(numbers)

@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 
-from ..scene.description import Sun
+from ..scene.description import Sun, Surface
 from ..scene.environment import Environment
 from ..scene.lamps import LAMPS, Lamp
 from ..scene.settings import Settings
@@ -59,3 +59,16 @@ def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
     lamps = [light for light in lights if isinstance(light, LAMPS)]
     left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
     return [lamp for lamp in lamps if lamp.power.any()]
+
+
+def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: list[str], left_out: list[str]) -> bool:
+    """Whether the light that surfaces throw back or emit is rendered; adds sentences to `planned` and `left_out`."""
+    shining = [surface.name for surface in surfaces if surface.shines]
+    if not shining:
+        return False
+    names = shining[0] + (f" and {len(shining) - 1} more" if len(shining) > 1 else "")
+    if settings.model not in ENVIRONMENT_MODELS:
+        left_out.append(f"light of {names}: the network {settings.model} knows suns alone")
+        return False
+    planned.append(f"light of {names}, as an environment around the middle of the volumes")
+    return True

@@ -7,15 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..occluders.seen_surfaces import behind, open_sky
 from ..scene.camera import Camera
-from ..scene.description import Medium, Sun, Volume
+from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .lights import LAMP_MODELS, Light, needed_lamps, split_lights
+from .lights import LAMP_MODELS, SURFACES_SHADOW, Light, needed_lamps, reflects_light, split_lights
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
@@ -57,7 +58,9 @@ class Plan:
     scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
     names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
     (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
-    peaks. lamps: that emit light. predicts_lamps: whether the network knows lamps.
+    peaks. lamps: that emit light. predicts_lamps: whether the network knows lamps. reflects: whether the light
+    that surfaces send into volumes becomes one more environment. sky: the environments as they are without surfaces;
+    empty if none hides any of them.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -74,6 +77,8 @@ class Plan:
     environments: list[Environment] = field(default_factory=list)
     lamps: list[Lamp] = field(default_factory=list)
     predicts_lamps: bool = True
+    reflects: bool = False
+    sky: list[Environment] = field(default_factory=list)
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -95,12 +100,16 @@ class Plan:
         """Whether lookup lattices are built for the points of the view alone."""
         return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
 
+    def with_environment(self, environment: Environment) -> "Plan":
+        """The plan with one more environment."""
+        return replace(self, environments=[*self.environments, environment])
+
     def with_suns(self, numbers: Sequence[int]) -> "Plan":
         """The plan with only these suns, by number, because surfaces shadow the volumes completely from all others."""
         # One sun remains even if all are dark; its single scattering is 0.
         suns = [self.suns[n] for n in numbers] or self.suns[:1]
         dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
-        lit = bool(numbers or self.lamps or self.environments)
+        lit = bool(numbers or self.lamps or self.environments or self.reflects)
         return replace(
             self, suns=suns, multiple=[one and lit for one in self.multiple], left_out=[*self.left_out, dark]
         )
@@ -163,6 +172,13 @@ def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
     return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
 
 
+def _corners(volume: Volume) -> np.ndarray:
+    """Corners (8, 3) of a volume's box in the world."""
+    ends = [(-0.5, n - 0.5) for n in volume.density.shape]
+    index = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
+    return index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+
+
 def emits(volume: Volume, medium: Medium) -> bool:
     """Whether a volume emits light."""
     shines = volume.emission is not None and medium.emission > 0.0
@@ -192,14 +208,16 @@ def make_plan(
     camera: Camera,
     settings: Settings,
     parallel: str = "",
+    surfaces: Sequence[Surface] = (),
 ) -> Plan:
-    """Decide what to render; parallel: why environments are computed as suns, "" where they need not be.
+    """Decide what to render; parallel: why environments are computed as suns, "" if only surfaces may be why.
 
     Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
     """
     if not volumes:
         raise SceneError("there is no volume to render")
-    if not lights and not any(emits(*pair) for pair in volumes):
+    shine = any(surface.emission.any() for surface in surfaces)
+    if not lights and not shine and not any(emits(*pair) for pair in volumes):
         raise SceneError("there is no sun, no lamp and no environment: without light the image would be black")
     planned: list[str] = []
     left_out: list[str] = []
@@ -213,7 +231,15 @@ def make_plan(
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     groups, _ = overlapping([volume for volume, _ in rendered])
+    unhidden: list[Environment] = []
+    if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
+        sky = open_sky(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else None
+        parallel = SURFACES_SHADOW if sky is None else ""
     suns, environments = split_lights(lights, settings, parallel, planned, left_out)
+    if surfaces and environments:
+        assert sky is not None
+        unhidden, environments = environments, [behind(environment, sky) for environment in environments]
+        planned += [f"{environment.name}: as the middle of the volumes sees it" for environment in environments]
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
@@ -223,18 +249,18 @@ def make_plan(
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
+    reflects = reflects_light(surfaces, settings, planned, left_out)
+    from_everywhere = bool(environments) or reflects
     for group in groups:
-        members, lit = [rendered[v] for v in group], bool(merged or environments or (lamps and predicts_lamps))
+        members, lit = [rendered[v] for v in group], bool(merged or from_everywhere or (lamps and predicts_lamps))
         predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
         # The network for environments predicts their single scattering, too.
-        predicted |= bool(environments) and _scatters(members, settings)
+        predicted |= from_everywhere and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
-    memory += (
-        sum(len(group) > 1 for group in groups) * MERGED_BYTES + bool(environments) * len(groups) * ENVIRONMENT_BYTES
-    )
+    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES + from_everywhere * len(groups) * ENVIRONMENT_BYTES
     memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
     if len(tiles) > 1:
@@ -260,6 +286,8 @@ def make_plan(
         environments,
         lamps,
         predicts_lamps,
+        reflects,
+        unhidden,
     )
 
 

@@ -177,9 +177,11 @@ class Surface:
     """An opaque triangle mesh.
 
     triangles: float64 (T, 3, 3), corners in the world. name: for messages. covers: whether it ends camera rays.
-    shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter.
+    shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter. reflectance:
+    fraction of its irradiance that it scatters back diffusely, scalar or RGB, in [0, 1]; float64 (3,) once made.
+    emission: radiance that it emits on both sides, W/(m^2 sr), scalar or RGB, in [0, 1e30]; float64 (3,) once made.
 
-    Raises SceneError for corners that are not finite.
+    Raises SceneError for corners that are not finite, and for reflectance or emission out of range.
     """
 
     triangles: np.ndarray
@@ -187,8 +189,21 @@ class Surface:
     covers: bool = True
     shades: bool = True
     stops: bool = True
+    reflectance: Any = (0.0, 0.0, 0.0)
+    emission: Any = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
         if not np.isfinite(self.triangles).all():
             raise SceneError(f"{self.name}: its vertices hold NaN or infinite values")
+        self.reflectance = rgb_triple(self.reflectance, f"{self.name}: reflectance")
+        if np.any(self.reflectance < 0.0) or np.any(self.reflectance > 1.0):
+            raise SceneError(f"{self.name}: reflectance must lie in [0, 1]: {self.reflectance.tolist()}")
+        self.emission = rgb_triple(self.emission, f"{self.name}: emission")
+        if np.any(self.emission < 0.0) or np.any(self.emission > MAX_IRRADIANCE):
+            raise SceneError(f"{self.name}: emission must not be negative or above {MAX_IRRADIANCE:g}")
+
+    @property
+    def shines(self) -> bool:
+        """Whether it sends any light into volumes."""
+        return bool(self.reflectance.any() or self.emission.any())

@@ -91,13 +91,13 @@ def box_scene(folder: str):
         # A new path each time: Blender caches volume files by path.
         path = Path(folder) / "box.vdb"
         _write_unit_box(path)
-        volume = keep(bpy.data.volumes, bpy.data.volumes.new("mrpnn check"))
+        volume = keep(bpy.data.volumes.new("mrpnn check"))
         volume.filepath = str(path)
-        volume.materials.append(keep(bpy.data.materials, _white_medium(CHECK_DEPTH)))
-        lens = keep(bpy.data.cameras, bpy.data.cameras.new("mrpnn check"))
+        volume.materials.append(keep(_white_medium(CHECK_DEPTH)))
+        lens = keep(bpy.data.cameras.new("mrpnn check"))
         lens.type, lens.ortho_scale = "ORTHO", 0.5
-        box = keep(bpy.data.objects, bpy.data.objects.new("mrpnn check", volume))
-        reference.camera = keep(bpy.data.objects, bpy.data.objects.new("mrpnn check", lens))
+        box = keep(bpy.data.objects.new("mrpnn check", volume))
+        reference.camera = keep(bpy.data.objects.new("mrpnn check", lens))
         reference.camera.location = (0.0, 0.0, 3.0)
         for shown in (box, reference.camera):
             reference.collection.objects.link(shown)
@@ -109,18 +109,17 @@ def box_scene(folder: str):
 def _reference_scene(samples: int, bounces: int):
     """A new scene set up for an unbiased Cycles render on a black World.
 
-    Yields (scene, keep); keep(collection, data_block) returns the block and has it removed from the collection with the
-    scene, newest first.
+    Yields (scene, keep); keep(data_block) returns the block and has it removed with the scene.
     """
     kept = []
 
-    def keep(collection, block):
-        kept.append((collection, block))
+    def keep(block):
+        kept.append(block)
         return block
 
     try:
-        scene = keep(bpy.data.scenes, bpy.data.scenes.new("mrpnn reference"))
-        scene.world = keep(bpy.data.worlds, _black_world())
+        scene = keep(bpy.data.scenes.new("mrpnn reference"))
+        scene.world = keep(_black_world())
         try:
             scene.render.engine = "CYCLES"
         except TypeError:
@@ -136,8 +135,8 @@ def _reference_scene(samples: int, bounces: int):
         scene.render.image_settings.color_depth = "32"
         yield scene, keep
     finally:
-        for collection, block in reversed(kept):
-            collection.remove(block)
+        # Without a window, as in commands, bpy.data.scenes.remove crashes Blender 4.3.
+        bpy.data.batch_remove(kept)
 
 
 def _black_world():
@@ -171,9 +170,9 @@ def _copy_view(source, reference, keep) -> None:
         setattr(reference.render, name, getattr(source.render, name))
     # The layer has the region's size.
     reference.render.use_crop_to_border = True
-    lens = keep(bpy.data.cameras, source.camera.data.copy())
+    lens = keep(source.camera.data.copy())
     lens.dof.use_dof = False
-    reference.camera = keep(bpy.data.objects, source.camera.copy())
+    reference.camera = keep(source.camera.copy())
     reference.camera.data = lens
     reference.collection.objects.link(reference.camera)
     reference.frame_set(source.frame_current, subframe=source.frame_subframe)

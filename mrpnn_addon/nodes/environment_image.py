@@ -14,6 +14,12 @@ def environment_image(image):
 
     Raises ValueError, with the reason, where the image cannot be read.
     """
+    colours = linear_pixels(image)
+    return sampler(_downsampled(_downsampled(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
+
+
+def linear_pixels(image) -> np.ndarray:
+    """Linear colours float32 (rows, columns, 3) of an image. Raises ValueError, with the reason, if it has none."""
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
     if image.source not in ("FILE", "GENERATED"):
@@ -28,7 +34,7 @@ def environment_image(image):
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     elif space not in LINEAR and not image.is_float:
         raise ValueError(f"colour space {space}")
-    return sampler(_downsampled(_downsampled(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
+    return colours
 
 
 def sampler(small):

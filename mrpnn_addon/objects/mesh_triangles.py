@@ -2,7 +2,7 @@
 """Triangles of a mesh: copied from Blender at once, processed on any thread."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,13 +16,15 @@ IDENTITY = np.eye(4)
 class Mesh:
     """places: float32 (V, 3), vertices. corners: int32 (L,), vertex of each corner of each polygon. first: int32 (P +
     1,), first corner of each polygon, and the number of corners. chosen: int32 (T, 3), Blender's own triangulation
-    where polygons have more than four corners, else None.
+    where polygons have more than four corners, else None. areas: float64 (M,), of the polygons of each material slot
+    up to the last that is used; empty where there is but one.
     """
 
     places: np.ndarray
     corners: np.ndarray
     first: np.ndarray
     chosen: np.ndarray | None = None
+    areas: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @functools.cached_property
     def is_finite(self) -> bool:
@@ -73,6 +75,11 @@ def read_mesh(mesh_object) -> Mesh:
         mesh.polygons.foreach_get("loop_start", first)
         first = np.append(first, np.int32(len(corners)))
         found = Mesh(places.reshape(-1, 3), corners, first)
+        if len(mesh_object.material_slots) > 1:
+            areas, slots = np.empty(len(mesh.polygons), np.float32), np.empty(len(mesh.polygons), np.int32)
+            mesh.polygons.foreach_get("area", areas)
+            mesh.polygons.foreach_get("material_index", slots)
+            found.areas = np.bincount(np.maximum(slots, 0), areas)
         if np.diff(first).max(initial=3) > 4:
             mesh.calc_loop_triangles()
             chosen = np.empty(3 * len(mesh.loop_triangles), np.int32)

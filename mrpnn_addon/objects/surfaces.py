@@ -7,6 +7,7 @@ import numpy as np
 
 from ...inference.scene import SceneError, Surface
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
 from .visibility import VisibleObject
@@ -20,7 +21,7 @@ SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBs
 class OpaqueMesh:
     """A `Surface` whose triangles are not made yet.
 
-    name, covers, shades, stops: see `Surface`. matrix: (4, 4), object to world.
+    name, covers, shades, stops: see `Surface`. matrix: (4, 4), object to world. colour: mean of its materials.
     """
 
     mesh: Mesh
@@ -29,10 +30,12 @@ class OpaqueMesh:
     covers: bool
     shades: bool
     stops: bool
+    colour: SurfaceColour
 
     def surface(self) -> Surface:
         """The `Surface`; any thread may call this. Raises SceneError where its vertices are not finite."""
-        return Surface(self.mesh.triangles(self.matrix), self.name, self.covers, self.shades, self.stops)
+        triangles, colour = self.mesh.triangles(self.matrix), self.colour
+        return Surface(triangles, self.name, self.covers, self.shades, self.stops, colour.reflectance, colour.emission)
 
 
 def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> tuple[OpaqueMesh | None, list[str]]:
@@ -58,7 +61,25 @@ def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> 
     if len(mesh.corners) and problem:
         raise SceneError(f"{where}: {problem}")
     require_finite(mesh, where)
-    return (OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops) if len(mesh.corners) else None), []
+    if not len(mesh.corners):
+        return None, []
+    # Light that volumes scatter, or that they gather, does not know surfaces that are hidden from volume scattering.
+    colour = _mean_colour(shown.object.material_slots, mesh) if stops else SurfaceColour()
+    return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), []
+
+
+def _mean_colour(slots, mesh: Mesh) -> SurfaceColour:
+    """Mean of the materials of a mesh over its area."""
+    if len(slots) < 2:
+        return surface_colour(slots[0].material if slots else None)
+    found = SurfaceColour()
+    for number, share in enumerate(mesh.areas / max(mesh.areas.sum(), 1e-300)):
+        if share > 0.0:
+            part = surface_colour(slots[min(number, len(slots) - 1)].material)
+            found.reflectance = found.reflectance + share * part.reflectance
+            found.emission = found.emission + share * part.emission
+            found.notes |= part.notes
+    return found
 
 
 def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
@@ -66,17 +87,23 @@ def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
     found, covering = [], [surface for surface in surfaces if surface.covers]
     if covering and panorama:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
+    notes = sorted(set().union(*(surface.colour.notes for surface in surfaces)))
+    without = f", without {_and(notes)}" if notes else ""
     if len(surfaces) == 1:
         found.append(
-            f"{_names(surfaces)} only hides and shades volumes, as if it were black; Composite over Cycles "
-            "renders it, too"
+            f"{_names(surfaces)} only hides, shades and lights volumes, as a matt surface of its mean colour"
+            f"{without}; Composite over Cycles renders it, too"
         )
     elif surfaces:
         found.append(
-            f"{_names(surfaces)} only hide and shade volumes, as if they were black; Composite over Cycles "
-            "renders them, too"
+            f"{_names(surfaces)} only hide, shade and light volumes, as matt surfaces of their mean colours"
+            f"{without}; Composite over Cycles renders them, too"
         )
     return found
+
+
+def _and(names: list[str]) -> str:
+    return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else names[0]
 
 
 def _names(surfaces: list[OpaqueMesh]) -> str:

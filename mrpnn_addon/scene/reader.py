@@ -162,7 +162,11 @@ def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
 
 
 def _has_light(description: SceneDescription) -> bool:
-    return bool(description.lights) or any(volume.emission is not None for volume, _ in description.volumes)
+    return (
+        bool(description.lights)
+        or any(volume.emission is not None for volume, _ in description.volumes)
+        or any(mesh.colour.emission.any() for mesh in description.opaque)
+    )
 
 
 def require_volumes(description: SceneDescription) -> None:

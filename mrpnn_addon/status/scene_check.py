@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass, field
 
-from ...inference.plan.lights import SURFACES_SHADOW
 from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
 from ..baking.baked_scene import stale_light
@@ -44,7 +43,7 @@ def check_scene(depsgraph, reader=None) -> SceneCheck:
         warnings = check_runtime()
         scene = read_scene(depsgraph, reader)
         require_volumes(scene)
-        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings, SURFACES_SHADOW if scene.surfaces else "")
+        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings, surfaces=scene.surfaces)
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(
             state,

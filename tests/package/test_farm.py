@@ -194,7 +194,14 @@ def test_an_open_job_description_bakes_chunks_into_files_of_their_own(sequence):
 
 def test_an_open_job_description_compares_with_cycles_frame_by_frame(sequence):
     folder = sequence.folder / "compared"
-    finished(sequence("compare", Frames="1,8", OutputFolder=folder, Samples=4, Scale=100))
+    job = sequence("compare", Frames="1,8", OutputFolder=folder, Samples=4, Scale=100)
+    out, _ = job.communicate(timeout=300)
+    if "does not render volumes correctly here" in out:
+        # So it is in Debian's build of 5.2, and nothing may be reported then.
+        figures = json.loads((folder / "1" / "figures.json").read_text())
+        assert job.returncode != 0 and "comparison" not in figures
+        return
+    assert job.returncode == 0, out
     for frame in (1, 8):
         figures = json.loads((folder / str(frame) / "figures.json").read_text())
         assert 0.0 <= figures["comparison"]["rmse"]["value"] < 1.0

@@ -12,14 +12,14 @@ def black_ball(stage, location):
     """A rounded cube, held out and black."""
     shown = smooth_cube(stage, "Ball")
     shown.scale, shown.location = (0.5, 0.5, 0.5), location
-    paint_black(stage, shown)
+    paint(stage, shown)
     return shown
 
 
-def paint_black(stage, shown):
-    """Hold an object out of Cycles' image; it reflects nothing."""
-    black = add_shader(shown.data, "Black", "BsdfDiffuse", "Surface")
-    black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+def paint(stage, shown, grey=0.0):
+    """Hold an object out of Cycles' image; it reflects a share of its light."""
+    matt = add_shader(shown.data, "Paint", "BsdfDiffuse", "Surface")
+    matt.inputs["Color"].default_value = (grey, grey, grey, 1.0)
     shown.is_holdout = True
     stage.surfaces.append(shown)
 
@@ -36,16 +36,16 @@ def ball_inside_with_shadow(stage):
     black_ball(stage, (0.15, -0.25, 0.1))
 
 
-def ground(stage):
-    """A plane through the cloud's lower part."""
+def ground(stage, grey=0.0, height=-0.3):
+    """A plane through the cloud's lower part, or below it."""
     stage.link("Ground", bpy.data.meshes.new("Ground"))
     shown = bpy.data.objects["Ground"]
-    shown.data.from_pydata([(-4, -4, -0.3), (4, -4, -0.3), (4, 4, -0.3), (-4, 4, -0.3)], [], [(0, 1, 2, 3)])
-    paint_black(stage, shown)
+    shown.data.from_pydata([(x, y, height) for x, y in ((-4, -4), (4, -4), (4, 4), (-4, 4))], [], [(0, 1, 2, 3)])
+    paint(stage, shown, grey)
 
 
-def ground_under_world(stage):
-    ground(stage)
+def ground_under_world(stage, grey=0.0, height=-0.3):
+    ground(stage, grey, height)
     bpy.data.objects.remove(stage.sun)
     stage.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
@@ -61,6 +61,10 @@ MEASURED = {
     "Opaque mesh inside a volume, without its shadow": ball_inside,
     "Opaque mesh inside a volume": ball_inside_with_shadow,
     "Opaque ground through a volume": ground,
+    "Bright ground through a volume": lambda stage: ground(stage, 0.8),
+    "Bright ground below a volume": lambda stage: ground(stage, 0.8, -1.05),
     "Even World over opaque ground": ground_under_world,
+    "Even World over grey ground through a volume": lambda stage: ground_under_world(stage, 0.5),
+    "Even World over grey ground below a volume": lambda stage: ground_under_world(stage, 0.5, -1.05),
     "Shadow of an opaque mesh": ball_above,
 }

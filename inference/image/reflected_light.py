@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that surfaces throw back or emit, as volumes see it: an environment of their own.
+
+In every direction around the middle of the volumes the nearest surface shines with
+
+    L = L_emitted + reflectance / pi * E,
+
+where E is its irradiance by suns, lamps and the sky, behind volumes and other surfaces, and by what volumes scatter.
+Their scattered light is that of a ball in their middle that shines alike in all directions: the power that they take
+from all light, that of the surfaces included, times the share that leaves them again. Surfaces do not light one
+another. All volumes see the surfaces in the directions in which their middle does. The irradiance of a surface within a
+volume is the mean of that and of what slabs of the volume above it transmit: the first is too bright there, the second
+too dark.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..features.stencil import frames
+from ..grids.bound_medium import BoundMedium
+from ..marching.lamp_march import LampInMedia
+from ..occluders.lamp_shadow_map import LampShadowMap
+from ..occluders.seen_surfaces import HIDING, ROWS, SeenSurfaces, see_surfaces
+from ..occluders.shadow_map import ShadowMap
+from ..render_cache import ScatteringGroup
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.description import Sun, Surface, Volume
+from ..scene.environment import Environment, pixel_solid_angles
+from ..scene.sparse_grid import SparseGrid
+from ..transport.environment_light import image_in_frame
+from .context import PreparedScene
+
+# Shadows on surfaces farther away than this many times the size of the volumes are those of volumes alone.
+SHADED_REACH = 8.0
+# Cells of a shadow map by which points are moved away from their own surface.
+CLEARANCE = 3.0
+# Directions from a surface within a volume, of equal shares of the irradiance of even light, in the frame of its
+# normal, and points along each at which the density is read.
+SLOPES = [
+    np.array([np.sqrt(u) * np.cos(angle), np.sqrt(u) * np.sin(angle), np.sqrt(1.0 - u)])
+    for u in (1.0 / 6.0, 3.0 / 6.0, 5.0 / 6.0)
+    for angle in (np.arange(4) + 2.0 * u) * (np.pi / 2.0)
+]
+SLAB = 32
+# Times that light between volumes and surfaces is followed.
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class _Ball:
+    """What stands for the volumes where they light surfaces and shade them.
+
+    centre: (3,). radius: in world units. area: (3,), across a beam, of what they take of it. leaving: (3,), share of
+    that which leaves them again.
+    """
+
+    centre: np.ndarray
+    radius: float
+    area: np.ndarray
+    leaving: np.ndarray
+
+    def form(self, seen: SeenSurfaces) -> np.ndarray:
+        """Irradiance (P,) of surfaces by an intensity of 1 W/sr in all directions."""
+        away = self.centre - seen.points
+        square = np.maximum((away**2).sum(axis=1), 1e-30)
+        cosine = np.maximum((away * seen.normals).sum(axis=1), 0.0) / np.sqrt(square)
+        return cosine / np.maximum(square, self.radius**2)
+
+
+def middle(scene: PreparedScene) -> np.ndarray:
+    """The point (3,) in the middle of a scene's volumes."""
+    return 0.5 * (scene.corners.min(axis=0) + scene.corners.max(axis=0))
+
+
+def reflected_environment(
+    scene: PreparedScene, surfaces: Sequence[Surface], cancel: CancelToken = NEVER
+) -> Environment | None:
+    """The light of surfaces around the middle of a scene's volumes; None where there is none. Raises Cancelled."""
+    seen = see_surfaces(surfaces, middle(scene), cancel)
+    if not (seen.reflectance.any() or seen.emission.any()):
+        return None
+    ball = _ball(scene)
+    irradiance, power = np.zeros((len(seen.pixel), 3)), np.zeros(3)
+    inside, passed = _slabs(scene, seen)
+    form = ball.form(seen) * np.where(inside, 0.5, 1.0)
+    shading = [surface for surface in surfaces if surface.shades]
+    for channels in scene.plan.channels:
+        c, media = channels.indices, scene.media(channels, list(range(len(scene.plan.suns))))
+        for number, sun in enumerate(scene.plan.suns):
+            cancel.check()
+            light = _sun_light(sun, seen)
+            if shading:
+                light *= _sun_visibility(shading, sun.direction, seen, scene.corners, cancel)
+            share = _passed_sun(media, number, seen.points, c)
+            share[inside] = 0.5 * (share[inside] + passed[inside][:, c])
+            irradiance[:, c] += light[:, None] * share * sun.irradiance[c]
+            power[c] += ball.area[c] * sun.irradiance[c]
+        for lamp in scene.lamps:
+            cancel.check()
+            irradiance[:, c] += _lamp_light(lamp, media, seen, c) * lamp.lamp.power[c]
+            power[c] += lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c]
+    if scene.plan.sky:
+        sky, fluence = _sky_light(scene.plan.sky, seen)
+        # What volumes take from the sky in front of a surface, they take from its irradiance.
+        mean = fluence / (4.0 * np.pi)
+        irradiance += np.maximum(0.5 * sky * (1.0 + passed) - form[:, None] * ball.area * mean, 0.0)
+        power += ball.area * fluence
+    angles, scattered, radiance = seen.solid_angles, power, np.zeros_like(irradiance)
+    for _ in range(ROUNDS):
+        total = irradiance + form[:, None] * (ball.leaving * scattered / (4.0 * np.pi))
+        radiance = seen.emission + seen.reflectance / np.pi * total
+        scattered = power + ball.area * (angles @ radiance)
+    image = np.zeros((2 * ROWS * ROWS, 3))
+    image[seen.pixel] = radiance
+    return Environment(image.reshape(ROWS, 2 * ROWS, 3), name="light of surfaces") if image.any() else None
+
+
+def open_volume(volume: Volume, surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelToken = NEVER) -> Volume:
+    """A volume without what surfaces hide from a point (3,); without its emission. Raises Cancelled."""
+    hidden = LampShadowMap(surfaces, eye, HIDING, cancel)
+    dense = volume.density.dense() if isinstance(volume.density, SparseGrid) else volume.density
+    matrix, density = volume.world_from_index, np.empty_like(dense)
+    y, z = np.meshgrid(*(np.arange(n) for n in dense.shape[1:]), indexing="ij")
+    across = np.stack([y.ravel(), z.ravel()], axis=1) @ matrix[:3, 1:3].T + matrix[:3, 3]
+    for x, slab in enumerate(dense):
+        cancel.check()
+        density[x] = slab
+        some = np.flatnonzero(slab)
+        density[x].reshape(-1)[some] *= hidden.visibility(across[some] + x * matrix[:3, 0])
+    return Volume(density if density.any() else dense, volume.world_from_index, volume.name)
+
+
+def _ball(scene: PreparedScene) -> _Ball:
+    groups: Sequence[ScatteringGroup | None] = scene.open_groups or scene.groups
+    area, leaving = np.zeros((2, 3))
+    for group in groups:
+        if group is None:
+            continue
+        for c, (sigma_t, albedo) in enumerate(zip(group.medium.sigma_t, group.medium.albedo)):
+            kept = _turned_share(albedo, group.medium.anisotropy)
+            taken, mean = group.predictor.taken_area(float(sigma_t * kept))
+            area[c] += taken
+            leaving[c] += taken * _leaving_share(1.0 - (1.0 - albedo) / max(kept, 1e-9), mean)
+    radius = 0.25 * float(np.ptp(scene.corners, axis=0).mean())
+    return _Ball(middle(scene), radius, area, leaving / np.maximum(area, 1e-30))
+
+
+def _slabs(scene: PreparedScene, seen: SeenSurfaces) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (P,) of surfaces lie within volumes, and the share (P, 3) of light from outside that reaches them.
+
+    The mean over directions of what diffusion transmits through a slab of the optical depth along each, with
+    k^2 = 3 (1 - w) and a = 2 k / 3: 4 a / d, d = (1 + a)^2 exp(k tau) - (1 - a)^2 exp(-k tau). It reflects
+    (1 - a^2) (exp(k tau) - exp(-k tau)) / d of the surface's own light, again and again. 1 outside.
+    """
+    inside, depths = np.zeros(len(seen.points), bool), np.zeros((len(SLOPES), len(seen.points), 3))
+    absorbing = np.zeros_like(depths)
+    place = (np.arange(SLAB) + 0.5) / SLAB
+    for grid, (_, medium) in zip(scene.grids, scene.plan.volumes):
+        enter, leave = grid.interval(seen.points, seen.normals)
+        some = np.flatnonzero((enter <= 0.0) & (leave > 0.0))
+        inside[some] = True
+        if not len(some):
+            continue
+        turned = frames(seen.normals[some], np.array([0.3, 0.5, 0.8]))
+        for number, slope in enumerate(SLOPES):
+            directions, points = turned @ slope, seen.points[some]
+            _, leave = grid.interval(points, directions)
+            way = np.maximum(leave, 0.0)[:, None] * place
+            index = grid.index((points[:, None] + way[..., None] * directions[:, None]).reshape(-1, 3))
+            column = grid.sample_density(index.T.astype(np.float32)).reshape(way.shape).mean(axis=1) * leave
+            for c in range(3):
+                kept = _turned_share(medium.albedo[c], medium.anisotropy)
+                depths[number, some, c] += column * medium.sigma_t[c] * kept
+                absorbing[number, some, c] += column * medium.sigma_t[c] * (1.0 - medium.albedo[c])
+    k = np.sqrt(3.0 * np.clip(absorbing / np.maximum(depths, 1e-30), 1e-6, 1.0))
+    a, grown = 2.0 * k / 3.0, np.exp(np.minimum(k * depths, 60.0))
+    whole = (1.0 + a) ** 2 * grown - (1.0 - a) ** 2 / grown
+    returned = ((1.0 - a * a) * (grown - 1.0 / grown) / whole).mean(axis=0)
+    return inside, (4.0 * a / whole).mean(axis=0) / (1.0 - seen.reflectance * returned)
+
+
+def _turned_share(albedo: np.ndarray, anisotropy: float) -> np.ndarray:
+    """Extinction for light that scatters alike in all directions or goes straight on, over the true one: 1 - w G."""
+    return 1.0 - albedo * anisotropy
+
+
+def _leaving_share(albedo: float, depth: float) -> float:
+    """The share of the light that volumes take which leaves them again.
+
+    albedo: of scattering that is alike in all directions. depth: a mean optical depth through them, of which light
+    leaves 1 / (1 + depth) without another collision, after Wigner's rational approximation.
+    """
+    free = 1.0 / (1.0 + depth)
+    return max(albedo, 0.0) * free / (1.0 - max(albedo, 0.0) * (1.0 - free))
+
+
+def _sun_light(sun: Sun, seen: SeenSurfaces) -> np.ndarray:
+    """Irradiance (P,) of surfaces by a sun of irradiance 1, without what lies in between."""
+    directions, shares = (sun.direction[None], np.ones(1)) if sun.spread is None else sun.spread
+    return np.maximum(seen.normals @ directions.T, 0.0) @ shares
+
+
+def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance (P, 3) of surfaces by environments, without what lies in between, and their fluence (3,)."""
+    image = image_in_frame(sky, np.eye(3))
+    rows = len(image)
+    angles = np.broadcast_to(pixel_solid_angles(rows), image.shape[:2])
+    light = np.broadcast_to(image * angles[..., None], (*image.shape[:2], 3)).reshape(-1, 3)
+    towards = Environment(np.zeros((rows, 2 * rows, 3))).directions().reshape(-1, 3)
+    normals, number = np.unique(np.round(seen.normals, 3), axis=0, return_inverse=True)
+    found = np.concatenate([np.maximum(normal @ towards.T, 0.0)[None] @ light for normal in normals])
+    return found[number.reshape(-1)], light.sum(axis=0)
+
+
+def _passed(media: Sequence[BoundMedium], depths: Sequence[np.ndarray], channels: Sequence[int]) -> np.ndarray:
+    """Share (N, C) of light that media let through or scatter forwards; depths: optical ones (N,) of each."""
+    total = sum(
+        depth[:, None] * _turned_share(bound.medium.albedo[list(channels)], bound.medium.anisotropy)
+        for bound, depth in zip(media, depths)
+    )
+    return np.exp(-total)
+
+
+def _passed_sun(media: Sequence[BoundMedium], sun: int, points: np.ndarray, channels: Sequence[int]) -> np.ndarray:
+    """As `_passed`, between world points (N, 3) and a sun."""
+    depths = [
+        bound.sun_optical_depth(bound.grid.index(points).T.astype(np.float32), sun, may_be_outside=True)
+        if bound.sigma_t > 0.0
+        else np.zeros(len(points))
+        for bound in media
+    ]
+    return _passed(media, depths, channels)
+
+
+def _sun_visibility(
+    shading: Sequence[Surface],
+    direction: np.ndarray,
+    seen: SeenSurfaces,
+    corners: np.ndarray,
+    cancel: CancelToken,
+) -> np.ndarray:
+    """Visibility (P,) of a sun from surfaces; 1 far away from the volumes. Raises Cancelled."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    reach = SHADED_REACH * (high - low).max()
+    inside = np.all((seen.points > low - reach) & (seen.points < high + reach), axis=1)
+    near, found = np.flatnonzero(inside & (seen.normals @ direction > 0.0)), np.ones(len(seen.points))
+    if len(near):
+        points = seen.points[near]
+        ends = np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
+        box = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
+        shadow_map = ShadowMap(shading, direction, np.concatenate([box, corners]), cancel)
+        cell = 1.0 / np.linalg.norm(shadow_map.linear[0])
+        lifted = points + CLEARANCE * cell * seen.normals[near]
+        found[near] = shadow_map.visibility((lifted @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
+    return found
+
+
+def _lamp_light(
+    lamp: LampInMedia, media: Sequence[BoundMedium], seen: SeenSurfaces, channels: Sequence[int]
+) -> np.ndarray:
+    """Irradiance (P, C) of surfaces by a lamp of power 1."""
+    found = np.zeros((len(seen.points), len(channels)))
+    for e, emitter in enumerate(lamp.emitters):
+        away = emitter.position - seen.points
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+        light = emitter.fluence(seen.points) * np.maximum((away * seen.normals).sum(axis=1) / distance, 0.0)
+        depths = [
+            depth(bound.grid.index(seen.points).T.astype(np.float32), bound.sigma_t)
+            for bound, depth in zip(media, lamp.depths[e])
+        ]
+        if lamp.shadow_maps is not None:
+            shadow_map = lamp.shadow_maps[e]
+            cell = 2.0 * distance / shadow_map.distances.shape[1]
+            light *= shadow_map.visibility(seen.points + (CLEARANCE * cell)[:, None] * seen.normals)
+        found += light[:, None] * _passed(media, depths, channels)
+    return found

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that surfaces throw back or emit into volumes."""
+
+import numpy as np
+import pytest
+
+from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
+from inference.image.reflected_light import open_volume
+from inference.occluders.seen_surfaces import behind, open_sky, see_surfaces
+from tests.support.surfaces import rectangle
+from tests.support.volumes import box, camera, cloud
+
+CLOUD, CACHE = cloud(voxels=32), RenderCache()
+MEDIUM, SETTINGS = Medium(8.0, 0.9, 0.4), Settings(depth_samples=4)
+DOWN = Sun((0.0, 0.0, 1.0), 2.0)
+
+
+def ground(reflectance=0.0, emission=0.0, z=-0.7, size=8.0):
+    """A square below the cloud, seen from above."""
+    triangles = rectangle(-size, size, -size, size, z).triangles
+    return Surface(triangles, "ground", reflectance=reflectance, emission=emission)
+
+
+def picture(lights, surfaces, settings=SETTINGS):
+    return render([(CLOUD, MEDIUM)], lights, camera(), settings, None, None, CACHE, surfaces)
+
+
+@pytest.mark.parametrize(
+    "values", [{"reflectance": -0.1}, {"reflectance": 1.2}, {"reflectance": np.nan}, {"emission": -1.0}]
+)
+def test_bad_surfaces_are_refused_by_name(values):
+    with pytest.raises(SceneError, match=f"wall: {next(iter(values))}"):
+        Surface(np.zeros((1, 3, 3)), "wall", **values)
+
+
+def test_all_directions_below_show_the_ground():
+    seen = see_surfaces([ground(0.3, z=-1.0, size=100.0)], np.array([0.2, 0.1, 0.0]))
+    assert seen.points[:, 2] == pytest.approx(-1.0)
+    assert seen.normals == pytest.approx(np.tile([0.0, 0.0, 1.0], (len(seen.points), 1)))
+    assert seen.solid_angles.sum() == pytest.approx(2.0 * np.pi, rel=0.03)
+    assert np.all(seen.reflectance == 0.3)
+
+
+def test_the_nearest_of_several_surfaces_is_seen():
+    near, far = ground(0.2, z=-1.0, size=1.0), ground(0.7, z=-2.0, size=100.0)
+    seen = see_surfaces([far, near], np.zeros(3))
+    under = np.abs(seen.points[:, :2]).max(axis=1) < 0.99
+    assert np.all(seen.reflectance[under & (seen.points[:, 2] > -1.5)] == 0.2)
+    assert set(np.unique(seen.reflectance)) == {0.2, 0.7}
+    assert not np.any(under & (seen.points[:, 2] < -1.5) & (np.abs(seen.points[:, :2]).max(axis=1) < 0.9))
+
+
+def test_glowing_ground_is_an_environment_from_below():
+    half = np.zeros((16, 32, 3), np.float32)
+    half[8:] = 0.5
+    glow = picture([], [ground(emission=0.5, size=1000.0)])
+    dome = picture([Environment(half)], [])
+    for name in ("single", "multiple"):
+        one, other = getattr(glow, name), getattr(dome, name)
+        assert one.mean() == pytest.approx(other.mean(), rel=0.03)
+
+
+def test_black_surfaces_throw_nothing_back():
+    black, plain = (picture([DOWN], [ground(reflectance)]) for reflectance in (0.0, 0.5))
+    assert black.report.counts["environments"] == 0 and plain.report.counts["environments"] == 1
+    assert plain.rgb.mean() > 1.1 * black.rgb.mean()
+
+
+def test_light_of_surfaces_is_linear_in_the_suns():
+    one, three = (picture([Sun(DOWN.direction, power)], [ground((0.5, 0.2, 0.1))]).rgb for power in (1.0, 3.0))
+    assert three == pytest.approx(3.0 * one, rel=1e-4, abs=1e-5 * three.max())
+
+
+def test_light_of_surfaces_adds_up():
+    lights = [DOWN, PointLight((0.3, 0.2, 0.9), 5.0), Environment(np.full((8, 16, 3), 0.1, np.float32))]
+    alone = sum(picture([light], [ground(0.6)]).rgb for light in lights)
+    together = picture(lights, [ground(0.6)]).rgb
+    assert np.abs(alone - together).max() < 0.01 * together.max()
+
+
+def test_ground_reflects_its_colour():
+    layer = picture([DOWN], [ground((1.0, 0.5, 0.0))])
+    black = picture([DOWN], [ground()])
+    more = (layer.rgb - black.rgb).mean(axis=(0, 1))
+    assert more[0] > 1.8 * more[1] > 0.0 and more[2] == pytest.approx(0.0, abs=1e-3 * more[0])
+
+
+def test_a_network_that_knows_suns_alone_names_what_it_leaves_out():
+    layer = picture([DOWN], [ground(0.5)], Settings(model="rpnn", depth_samples=1))
+    assert any("light of ground" in sentence for sentence in layer.report.left_out)
+
+
+def test_even_light_over_a_mirror_of_itself_is_even_light():
+    """White ground far below in an even World: as bright as the World, but for what the cloud takes."""
+    even = Environment(np.ones((8, 16, 3), np.float32))
+    with_ground = picture([even], [ground(1.0, z=-40.0, size=4000.0)])
+    without = picture([even], [])
+    assert with_ground.rgb.mean() == pytest.approx(without.rgb.mean(), rel=0.01)
+
+
+def test_ground_hides_the_sky_below_it():
+    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
+    sky = open_sky([ground(size=1000.0)], corners)
+    assert sky[:15].min() == 1.0 and sky[17:].max() == 0.0
+    hidden = behind(Environment(np.ones((4, 8, 3), np.float32)), sky)
+    assert np.all(hidden.radiance[:2] == 1.0) and np.all(hidden.radiance[2:] == 0.0)
+
+
+def test_a_roof_close_above_makes_places_differ():
+    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
+    assert open_sky([rectangle(-0.3, 0.3, -0.3, 0.3, 0.55)], corners) is None
+
+
+def test_volumes_are_opened_where_surfaces_hide_them():
+    volume = box(voxels=16)
+    opened = open_volume(volume, [ground(z=-0.2, size=9.0)], np.zeros(3))
+    heights = (np.arange(16) + 0.5) / 16 - 0.5
+    assert not opened.density[:, :, heights < -0.22].any()
+    assert opened.density[:, :, heights > -0.1].min() > 0.9
