@@ -6,6 +6,7 @@ blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render -
 """
 
 import argparse
+import os
 import time
 
 import bpy
@@ -163,8 +164,9 @@ def main(arguments) -> int:
     found.update(error=error, seconds=time.perf_counter() - start)
     if options is not None and options.json:
         try:
+            os.makedirs(os.path.dirname(os.path.abspath(options.json)), exist_ok=True)
             write_json(options.json, found)
-        except SceneError as problem:
+        except (SceneError, OSError) as problem:
             error = error or str(problem)
     if error is not None:
         console.event("error", error, message=error)

@@ -27,6 +27,7 @@ SAMPLES, ORBIT = 64, 40.0
 COLUMNS = (
     "view",
     "layer",
+    "layer_bias",
     "baked",
     "baked_bias",
     "difference",
@@ -99,6 +100,7 @@ def measure(view: View) -> dict:
         return {
             "view": view.name,
             "layer": relative_rmse(own, a, b, mask).value,
+            "layer_bias": relative_bias(own, a, b, mask).value,
             "baked": relative_rmse(shown, a, b, mask).value,
             "baked_bias": relative_bias(shown, a, b, mask).value,
             "difference": _difference(image, layer)[0],

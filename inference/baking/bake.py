@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
-from ..plan.lights import Light
+from ..numerics.small_matmul import product
+from ..plan.lights import SURFACES_SHADOW, Light
 from ..plan.plan import Channels, in_range, make_plan
 from ..render import load_compiled, prepare_scene
 from ..render_cache import RenderCache
@@ -19,15 +20,19 @@ from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
 from ..scene.settings import Settings
 from .directions import fit_directions, make_lobe
+from .environment_radiance import EnvironmentRadiance
+from .lamp_radiance import LampRadiance
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
-from .lit_volume import BakedView, LitVolume
+from .lit_volume import DETAIL_SHARPNESS, BakedView, LitVolume
 from .point_radiance import PointRadiance
-from .smooth_light import importance_of, radiance_in_voxels
+from .smooth_light import continued, importance_of, radiance_in_voxels
 
 # For plans of images, of which a bake makes none.
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
+
+Source = PointRadiance | LampRadiance | EnvironmentRadiance
 
 
 def bake(
@@ -43,7 +48,8 @@ def bake(
     """Bake the light that volumes scatter more than once into emission, one LitVolume per volume.
 
     A renderer that shows the volumes with single scattering and adds this emission, attenuated by them, shows what
-    `render` does. Overlapping volumes share the light; each has the emission of its own scattering.
+    `render` does, in the light of suns, lamps and environments alike. Overlapping volumes share the light; each has the
+    emission of its own scattering.
 
     volumes, lights, progress, cancelled, cache, surfaces: as for `render`; surfaces keep light from the volumes and
     absorb what these scatter, but hide no voxel. camera: from which light is baked exactly; other directions are right
@@ -57,7 +63,7 @@ def bake(
     scaled = [in_range(volume, medium) for volume, medium in volumes]
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(scaled, lights, _NO_IMAGE, settings, "only suns are baked")
+            plan = make_plan(scaled, lights, _NO_IMAGE, settings, SURFACES_SHADOW if surfaces else "")
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache()
             kernels = load_compiled(settings, report)
@@ -77,8 +83,8 @@ def bake(
             found.append(lit[baked])
             baked += 1
         else:
-            nothing = np.zeros((1, 1, 1, 3), np.float32)
-            found.append(LitVolume(nothing, original.world_from_index, None, original.name, report))
+            empty, dark = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 1, 3), np.float32)
+            found.append(LitVolume(empty, dark, original.world_from_index, None, original.name, report))
     return found
 
 
@@ -106,13 +112,13 @@ class _Bake:
         """The LitVolume of each of the plan's volumes, by number."""
         shapes = [lattice.density.shape for lattice in self.lattices]
         radiance = [np.zeros((*shape, 3), np.float32) for shape in shapes]
-        sources: list[tuple[int, PointRadiance]] = []
+        sources: list[tuple[int, Source]] = []
         for channels in self.scene.plan.channels:
             for g, _ in self.scene.predicted(channels):
-                source = PointRadiance(self.context, self.scene, g, channels)
-                sources.append((g, source))
+                found = self._sources(g, channels)
+                sources += [(g, source) for source in found]
                 for v in self.scene.plan.groups[g]:
-                    radiance[v] += self._radiance(v, channels, source)
+                    radiance[v] += self._radiance(v, channels, found)
         steady = [np.zeros_like(values) for values in radiance]
         for g, scatters in enumerate(self.scene.plan.scattered_emission):
             for v in self.scene.plan.groups[g] if scatters else ():
@@ -122,6 +128,17 @@ class _Bake:
             v: self._lit(v, radiance[v], steady[v], [source for g, source in sources if v in groups[g]])
             for v in range(len(radiance))
         }
+
+    def _sources(self, g: int, channels: Channels) -> list[Source]:
+        """What predicts the light of suns, lamps and environments that a group scatters."""
+        found: list[Source] = []
+        if self.scene.plan.suns:
+            found.append(PointRadiance(self.context, self.scene, g, channels))
+        if self.scene.lamps and self.scene.plan.predicts_lamps:
+            found.append(LampRadiance(self.context, self.scene, g, channels))
+        if self.scene.environment_network is not None:
+            found.append(EnvironmentRadiance(self.context, self.scene, g, channels))
+        return found
 
     def _lattice(self, v: int) -> BakeLattice:
         volume, settings = self.scene.plan.volumes[v][0], self.context.settings
@@ -139,14 +156,16 @@ class _Bake:
     def _expect(self) -> None:
         """Tell the progress what there is to do."""
         progress, plan = self.context.progress, self.scene.plan
-        jobs = len(plan.suns) * len(plan.channels)
+        lights = len(plan.suns) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
+        jobs = lights * len(plan.channels)
         points = sum(float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices)))
         if self.context.settings.directional:
             points += 26.0 * 3000.0 * len(self.lattices)
         needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
         progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
         progress.expect("lattices", jobs * len(plan.groups))
-        progress.expect("march", 60.0 * points * len(plan.channels) if needs_fluence else 0.0)
+        marched = needs_fluence or bool(plan.environments or plan.lamps)
+        progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
         progress.expect("network", points * jobs)
 
     def _wanted(self, v: int) -> np.ndarray:
@@ -156,13 +175,14 @@ class _Bake:
             wanted &= self.visibilities[v].seen()
         return wanted
 
-    def _radiance(self, v: int, channels: Channels, source: PointRadiance) -> np.ndarray:
+    def _radiance(self, v: int, channels: Channels, sources: list[Source]) -> np.ndarray:
         """Multiple scattering (nx, ny, nz, 3) of one volume in some colour channels, for an albedo of 1."""
         lattice, report = self.lattices[v], self.context.report
         self.context.progress.message(f"multiple scattering in {self.scene.plan.volumes[v][0].name}")
 
         def predict(voxels: np.ndarray) -> np.ndarray:
-            return self._predicted(source, lattice.positions(voxels))
+            positions = lattice.positions(voxels)
+            return np.sum([self._predicted(source, positions) for source in sources], axis=0)
 
         wanted = self._wanted(v)
         thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
@@ -172,7 +192,7 @@ class _Bake:
         report.count("voxels predicted", predicted)
         return radiance
 
-    def _predicted(self, source: PointRadiance, positions: np.ndarray) -> np.ndarray:
+    def _predicted(self, source: Source, positions: np.ndarray) -> np.ndarray:
         """Radiance (3, N) at world positions (N, 3), along the baked view, or its mean over all directions."""
         parts = []
         for start in range(0, len(positions), POINTS_PER_BATCH):
@@ -209,20 +229,25 @@ class _Bake:
             )
         return radiance
 
-    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[PointRadiance]) -> LitVolume:
+    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[Source]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
         lattice, report = self.lattices[v], self.context.report
-        radiance = radiance + steady
+        coefficient = (medium.sigma_t * medium.albedo).astype(np.float32)
+        steady, scattered = coefficient * steady, coefficient * (radiance + steady)
         directional = None
         if self.context.settings.directional and sources:
             self.context.progress.message(f"other directions of {volume.name}")
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-                return np.sum([source(positions, directions) for source in sources], axis=0).mean(axis=0)
+                radiance = np.sum([source(positions, directions) for source in sources], axis=0)
+                return product(coefficient / np.float32(3.0), radiance)
 
             lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
+            sharpness = DETAIL_SHARPNESS * medium.anisotropy**2
             with report.stage("directions"):
-                directional = fit_directions(lattice, radiance, steady, self.visibilities[v], lobe, self.view, predict)
-        scattering = lattice.density[..., None] * (medium.sigma_t * medium.albedo).astype(np.float32)
-        return LitVolume(radiance * scattering, lattice.world_from_index, directional, volume.name, report)
+                directional = fit_directions(
+                    lattice, scattered, steady, self.visibilities[v], lobe, self.view, sharpness, predict
+                )
+        scattered = continued(scattered, self._wanted(v))
+        return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)

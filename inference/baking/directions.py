@@ -34,21 +34,23 @@ def make_lobe(suns: Sequence[Sun], anisotropy: float) -> Lobe:
 
 def fit_directions(
     lattice: BakeLattice,
-    radiance: np.ndarray,
+    scattered: np.ndarray,
     steady: np.ndarray,
     visibility: Visibility,
     lobe: Lobe,
     view: BakedView,
+    sharpness: float,
     predict: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> DirectionalFactor | None:
     """The DirectionalFactor of one volume; None where nothing scatters.
 
-    radiance: (nx, ny, nz, 3), as baked, 0 in voxels that need none. steady: the part of it, of the same shape, that is
-    taken to be the same in all directions. predict: grey radiance (N,) at world positions
-    (N, 3) along unit directions (N, 3); it may raise Cancelled.
+    scattered: (nx, ny, nz, 3), light that density 1 scatters, as baked, 0 in voxels that need none. steady: the part of
+    it, of the same shape, that is taken to be the same in all directions. lobe, view, sharpness: of the factor.
+    predict: the other part (N,), mean over the colours, at world positions (N, 3) along unit directions (N, 3); it may
+    raise Cancelled.
     """
-    stride = max(-(-max(radiance.shape[:3]) // NODES), 1)
-    nodes, voxels = _representatives(radiance, stride)
+    stride = max(-(-max(scattered.shape[:3]) // NODES), 1)
+    nodes, voxels = _representatives(scattered, stride)
     if not len(nodes):
         return None
     # A ray along a direction shows a point to a viewer on the other side of it.
@@ -61,7 +63,6 @@ def fit_directions(
     else:
         seen = np.ones_like(seen)
     positions = lattice.positions(voxels)
-    baked = radiance[tuple(voxels.T)].mean(axis=1).astype(np.float64)
     same = steady[tuple(voxels.T)].mean(axis=1)
     samples = np.zeros((len(nodes), len(DIRECTIONS)))
     for number, direction in enumerate(DIRECTIONS):
@@ -70,37 +71,37 @@ def fit_directions(
     coefficients = np.zeros((len(nodes), COEFFICIENTS), np.float32)
     for start in range(0, len(nodes), NODES_PER_BATCH):
         span = slice(start, start + NODES_PER_BATCH)
-        coefficients[span, :-1] = _fit(samples[span], seen[span], baked[span], lobe)
+        coefficients[span, :-2] = _fit(samples[span], seen[span], lobe)
+    coefficients[:, -1] = np.log(np.maximum(scattered[tuple(voxels.T)].mean(axis=1), 1e-30))
     along = view.directions(positions)
     if along is not None:
         terms = directional_terms(along, lobe)
-        coefficients[:, -1] = -np.einsum("nk,nk->n", coefficients[:, :-1], terms)
+        coefficients[:, -2] = coefficients[:, -1] - np.einsum("nk,nk->n", coefficients[:, :-2], terms)
     frame = lattice.world_from_index.copy()
     frame[:3, :3] *= stride
     frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
-    shape = [-(-n // stride) for n in radiance.shape[:3]]
-    return DirectionalFactor(_spread(shape, nodes, coefficients), frame, lobe, view)
+    shape = [-(-n // stride) for n in scattered.shape[:3]]
+    return DirectionalFactor(_spread(shape, nodes, coefficients), frame, lobe, view, sharpness)
 
 
-def _representatives(radiance: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray]:
+def _representatives(scattered: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes int (N, 3) whose blocks of stride^3 voxels have light, and a voxel of each near the block's middle."""
-    voxels = np.argwhere(radiance.any(axis=3))
+    voxels = np.argwhere(scattered.any(axis=3))
     if not len(voxels):
         return voxels, voxels
     blocks = voxels // stride
     distance = np.abs(voxels - blocks * stride - 0.5 * (stride - 1)).sum(axis=1)
-    flat = np.ravel_multi_index(tuple(blocks.T), [-(-n // stride) for n in radiance.shape[:3]])
+    flat = np.ravel_multi_index(tuple(blocks.T), [-(-n // stride) for n in scattered.shape[:3]])
     order = np.lexsort((distance, flat))
     first = order[np.flatnonzero(np.diff(flat[order], prepend=-1))]
     return blocks[first], voxels[first]
 
 
-def _fit(samples: np.ndarray, seen: np.ndarray, baked: np.ndarray, lobe: Lobe) -> np.ndarray:
-    """Coefficients (N, COEFFICIENTS - 1) from grey radiance (N, 26) along DIRECTIONS.
+def _fit(samples: np.ndarray, seen: np.ndarray, lobe: Lobe) -> np.ndarray:
+    """Coefficients (N, COEFFICIENTS - 2) from grey light (N, 26) along DIRECTIONS.
 
-    seen: (N, 26), importance of each direction, 0 where the radiance is not known, but never for all. baked: (N,),
-    radiance that was baked. Least squares of the logarithm, weighted such that relative errors count by the radiance,
-    then scaled to the right mean.
+    seen: (N, 26), importance of each direction, 0 where the light is not known, but never for all. Least squares of the
+    logarithm, weighted such that relative errors count by the light, then scaled to the right mean.
     """
     terms = directional_terms(DIRECTIONS, lobe)
     mean = samples.sum(axis=1, keepdims=True) / (seen > 0.0).sum(axis=1, keepdims=True)
@@ -115,7 +116,7 @@ def _fit(samples: np.ndarray, seen: np.ndarray, baked: np.ndarray, lobe: Lobe) -
     found = np.linalg.solve(matrix, right[..., None])[..., 0]
     fitted = np.exp(np.clip(found @ terms.T, -20.0, 20.0)) * mean
     scale = (seen * samples).sum(axis=1) / np.maximum((seen * fitted).sum(axis=1), 1e-30)
-    found[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30) / np.maximum(baked, 1e-30))
+    found[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30))
     return found
 
 

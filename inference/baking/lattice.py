@@ -33,7 +33,7 @@ WEIGHTS = np.array([1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0])[np.abs(STEPS).sum(axi
 
 @dataclass(frozen=True)
 class BakeLattice:
-    """Voxels of one volume in which light is baked.
+    """Voxels of one volume in which light is baked, and one more beyond each face.
 
     density: float32 (nx, ny, nz). world_from_index: float64 (4, 4). coarsening: voxels of the volume along an edge of
     one of these.
@@ -62,7 +62,7 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, memory_limit
     bounds = [found for found in map(filled_bounds, (volume.density, *volume.emission_channels())) if found is not None]
     low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
     times = _coarsening(volume, grid, camera) if coarsen and camera is not None else 1
-    shape = -(-(high - low) // times)
+    shape = -(-(high - low) // times) + 2
     needed = float(np.prod(shape.astype(float))) * VOXEL_BYTES
     if needed > memory_limit:
         raise SceneError(
@@ -71,13 +71,14 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, memory_limit
         )
     frame = np.eye(4)
     frame[:3, :3] = volume.world_from_index[:3, :3] * times
-    first = low + 0.5 * (times - 1)
+    # A voxel more on each side, since light is continued beyond the density.
+    first = low + 0.5 * (times - 1) - times
     frame[:3, 3] = volume.world_from_index[:3, :3] @ first + volume.world_from_index[:3, 3]
     if isinstance(volume.density, SparseGrid):
         density = volume.density.crop(low, high).dense()
     else:
         density = volume.density[tuple(map(slice, low, high))]
-    return BakeLattice(np.ascontiguousarray(_block_means(density, times)), frame, times)
+    return BakeLattice(np.pad(_block_means(density, times), 1), frame, times)
 
 
 def _coarsening(volume: Volume, grid: Grid, camera: Camera) -> int:

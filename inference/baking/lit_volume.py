@@ -12,12 +12,14 @@ from ..scene.phase_function import henyey_greenstein
 
 #: Products of a direction's components in the quadratic term: traceless, so that it is orthogonal to a constant.
 QUADRATIC = 5
-#: Coefficients per point of a DirectionalFactor: constant, linear, quadratic, of the lobe, and of the correction.
-COEFFICIENTS = 1 + 3 + QUADRATIC + 1 + 1
+#: Coefficients per point of a DirectionalFactor: constant, linear, quadratic, of the lobe, its correction along the
+#: baked view, and what was baked there.
+COEFFICIENTS = 1 + 3 + QUADRATIC + 1 + 2
 #: Largest absolute value of the factor's logarithm.
 MAX_LOGARITHM = 8.0
-#: How fast the correction fades with the angle to the view that was baked.
-SHARPNESS = 12.0
+#: How fast the correction fades with the angle to the view that was baked, and how fast detail does, over the square of
+#: the anisotropy.
+SHARPNESS, DETAIL_SHARPNESS = 12.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -64,24 +66,31 @@ class Lobe:
 class DirectionalFactor:
     """Ratio of the light scattered in any direction to the light that was baked, the same for all colours.
 
-    Towards the viewer of a ray along w it is
+    The mean over the colours of the light that density 1 scatters towards the viewer of a ray along w is modelled as
 
-        exp(a + b . w + q(w) + c log lobe(w) + r exp(SHARPNESS (w . v - 1)))
+        L(w) = exp(f(w) + r exp(SHARPNESS (w . v - 1))) (L / exp(d))^exp(s (w . v - 1)),
+        f(w) = a + b . w + q(w) + c log lobe(w),
 
-    with v the direction of the baked view's ray; q(w) = sum of q_k times `quadratic_terms`. The correction r makes it 1
-    along the baked view and fades beside it.
+    with v the direction of the baked view's ray, L the light that was baked, d its logarithm in the coarse voxel, and
+    q(w) the sum of q_k times `quadratic_terms`. The correction r = d - f(v) makes it L along the baked view. The detail
+    L / exp(d) fades beside it, because with forward scattering one direction does not show what another shows. Without
+    a view, detail is that at a right angle to one.
 
-    coefficients: float32 (nx, ny, nz, COEFFICIENTS), of a, b (3), q (5), c and r; trilinear between voxel centres and
-    constant beyond the outermost. world_from_index: (4, 4) of this grid. lobe, view: see there.
+    coefficients: float32 (nx, ny, nz, COEFFICIENTS), of a, b (3), q (5), c, r and d; trilinear between voxel centres
+    and constant beyond the outermost. world_from_index: (4, 4) of this grid. lobe, view: see there. sharpness: s.
     """
 
     coefficients: np.ndarray
     world_from_index: np.ndarray
     lobe: Lobe
     view: BakedView
+    sharpness: float
 
-    def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Factors float32 (N,) at world positions (N, 3), for camera rays along unit directions (N, 3)."""
+    def __call__(self, positions: np.ndarray, directions: np.ndarray, baked: np.ndarray) -> np.ndarray:
+        """Factors float32 (N,) at world positions (N, 3), for camera rays along unit directions (N, 3).
+
+        baked: (N,), light that was baked there for a density of 1, mean over the colours.
+        """
         index_from_world = np.linalg.inv(self.world_from_index)
         index = product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]
         most = np.array(self.coefficients.shape[:3], np.float64) - 1.0
@@ -94,11 +103,12 @@ class DirectionalFactor:
             axis=1,
         )
         terms = directional_terms(directions, self.lobe)
-        logarithm = np.einsum("nk,nk->n", found[:, :-1], terms)
-        baked = self.view.directions(positions)
-        if baked is not None:
-            cosine = np.einsum("nk,nk->n", baked, directions)
-            logarithm = logarithm + found[:, -1] * np.exp(SHARPNESS * (cosine - 1.0))
+        fine = np.log(np.maximum(baked, 1e-30))
+        logarithm = np.einsum("nk,nk->n", found[:, :-2], terms) - fine
+        along = self.view.directions(positions)
+        cosine = np.zeros(len(positions)) if along is None else np.einsum("nk,nk->n", along, directions)
+        logarithm = logarithm + found[:, -2] * np.exp(SHARPNESS * (cosine - 1.0))
+        logarithm = logarithm + (fine - found[:, -1]) * np.exp(self.sharpness * (cosine - 1.0))
         return np.exp(np.clip(logarithm, -MAX_LOGARITHM, MAX_LOGARITHM)).astype(np.float32)
 
 
@@ -109,7 +119,7 @@ def quadratic_terms(directions: np.ndarray) -> np.ndarray:
 
 
 def directional_terms(directions: np.ndarray, lobe: Lobe) -> np.ndarray:
-    """What the coefficients of a DirectionalFactor but the last multiply: (N, COEFFICIENTS - 1)."""
+    """What the coefficients of a DirectionalFactor but the last two multiply: (N, COEFFICIENTS - 2)."""
     one, bright = np.ones((len(directions), 1)), lobe.logarithm(directions)[:, None]
     return np.concatenate([one, directions, quadratic_terms(directions), bright], axis=1)
 
@@ -118,27 +128,39 @@ def directional_terms(directions: np.ndarray, lobe: Lobe) -> np.ndarray:
 class LitVolume:
     """The light that one volume scatters more than once, and what it scatters of its own emission.
 
-    emission: float32 (nx, ny, nz, 3), radiance per world unit of path length, W/(m^2 sr) per unit, scattered towards
-        the camera: density times extinction times albedo times the predicted radiance, at voxel centres, trilinear in
-        between and 0 outside. It is not attenuated.
+    density: float32 (nx, ny, nz), of the volume, 0 in the outermost voxels.
+    scattered: float32 (nx, ny, nz, 3), what a density of 1 scatters towards the camera: extinction times albedo times
+        the predicted radiance, W/(m^2 sr) per world unit of path length. It is continued beyond the density, so that
+        both can be interpolated and then multiplied: light varies little across the edge of a volume, where density
+        falls to 0, and interpolating their product would make the edge too bright.
     world_from_index: float64 (4, 4), as in Volume; the grid need not be the volume's.
     directional: what makes other directions right, or None.
     name: of the volume.
     report: of the bake, the same for all volumes baked together.
     """
 
-    emission: np.ndarray
+    density: np.ndarray
+    scattered: np.ndarray
     world_from_index: np.ndarray
     directional: DirectionalFactor | None = None
     name: str = "volume"
     report: Report = field(default_factory=Report)
 
+    @property
+    def emission(self) -> np.ndarray:
+        """float32 (nx, ny, nz, 3), radiance per world unit of path length, W/(m^2 sr) per unit, at voxel centres.
+
+        Scattered towards the camera: density times extinction times albedo times the predicted radiance. It is not
+        attenuated.
+        """
+        return self.density[..., None] * self.scattered
+
     def towards(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Emission float32 (N, 3) at world positions (N, 3), for camera rays along unit directions (N, 3)."""
         index_from_world = np.linalg.inv(self.world_from_index)
         index = (product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]).T.astype(np.float32)
-        channels = [sample_padded(pad_with_zeros(self.emission[..., c]), index) for c in range(3)]
-        emission = np.stack(channels, axis=1)
+        channels = [sample_padded(pad_with_zeros(self.scattered[..., c]), index) for c in range(3)]
+        scattered = np.stack(channels, axis=1)
         if self.directional is not None:
-            emission *= self.directional(positions, directions)[:, None]
-        return emission
+            scattered *= self.directional(positions, directions, scattered.mean(axis=1))[:, None]
+        return scattered * sample_padded(pad_with_zeros(self.density), index)[:, None]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Multiple scattering at any points of a group of volumes, towards any direction."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -108,18 +108,14 @@ class PointRadiance:
             some = None if features is None else features[span]
             return span, prepared.predict(positions[span], directions[span], albedos, ray_features=some)
 
-        return self._context.tasks.map(task, _spans(len(positions)))
+        return self._context.tasks.map(task, spans(len(positions)))
 
     def _features(self, positions: np.ndarray, directions: np.ndarray) -> RayFeatures | None:
         """Ray features at points, for networks that need them."""
         march = self._march
         if march is None or not len(positions):
             return None
-        ends = [medium.grid.interval(positions, directions)[1] for medium in self._media if medium.matters]
-        # Points at the very end of a volume have nothing ahead of them.
-        least = 1e-6 * min(medium.grid.voxel for medium in self._media)
-        batch = RayBatch(positions, directions, np.zeros(len(positions)), np.maximum(np.max(ends, axis=0), least))
-        context = self._context
+        batch, context = rays_outwards(self._media, positions, directions), self._context
         # Where a ray meets no density, nothing lies ahead.
         values = np.zeros((len(positions), 1, len(self.suns), COLUMNS), np.float32)
 
@@ -129,12 +125,21 @@ class PointRadiance:
             return span.start + segment.sample_ray, segment.sample_features.values, segment.steps_evaluated
 
         with context.report.stage("march"), context.progress.stage("march"):
-            for rays, found, steps in context.tasks.map(task, _spans(len(positions))):
+            for rays, found, steps in context.tasks.map(task, spans(len(positions))):
                 values[rays] = found
                 context.report.count("steps evaluated", steps)
                 context.progress.advance("march", steps)
         return RayFeatures(values)
 
 
-def _spans(count: int) -> list[slice]:
+def rays_outwards(media: Sequence[BoundMedium], positions: np.ndarray, directions: np.ndarray) -> RayBatch:
+    """Rays from points (N, 3) along directions (N, 3) to the ends of some media."""
+    ends = [medium.grid.interval(positions, directions)[1] for medium in media if medium.matters]
+    # Points at the very end of a volume have nothing ahead of them.
+    least = 1e-6 * min(medium.grid.voxel for medium in media)
+    return RayBatch(positions, directions, np.zeros(len(positions)), np.maximum(np.max(ends, axis=0), least))
+
+
+def spans(count: int) -> list[slice]:
+    """`count` points in parts, one per network call."""
     return [slice(start, start + POINTS_PER_TASK) for start in range(0, count, POINTS_PER_TASK)]

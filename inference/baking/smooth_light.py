@@ -13,8 +13,12 @@ import numpy as np
 STRIDES = (4, 2, 1)
 # Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
 TOLERANCE = 0.015
+# So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
+FEW = 4096
 # Optical thickness of a voxel, times this, from which it counts in full.
 THIN = 10.0
+# Light beyond the edge of a volume, as a share of that near by: limits of its continuation.
+LEAST, MOST = np.float32(0.3), np.float32(2.0)
 
 
 def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
@@ -35,6 +39,7 @@ def radiance_in_voxels(
     """
     predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
     known = np.zeros((0, 0, 0), bool)
+    interpolate = interpolate and np.count_nonzero(wanted) > FEW
     for stride in STRIDES if interpolate else (1,):
         here = wanted[::stride, ::stride, ::stride]
         between, near = _upsampled(values, known, here.shape)
@@ -53,6 +58,36 @@ def radiance_in_voxels(
         error = np.where(chosen & near, np.abs(values.mean(axis=3) - between.mean(axis=3)), np.float32(0.0))
         known = here
     return values, predicted
+
+
+def continued(light: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Light (nx, ny, nz, 3) with the neighbours of known voxels filled in, as straight lines through these go on.
+
+    known: bool (nx, ny, nz). A line is that through the means of the known voxels within one and two voxels.
+    """
+    sums = np.concatenate([light, known[..., None]], axis=3).astype(np.float32)
+    sums[~known] = 0.0
+    near = _around_sums(sums)
+    shell = np.nonzero(~known & (near[..., 3] > 0.0))
+    far = _around_sums(near)[shell]
+    near = near[shell]
+    near, far = near[:, :3] / near[:, 3:], far[:, :3] / far[:, 3:]
+    found = np.where(known[..., None], light, np.float32(0.0))
+    found[shell] = np.clip(near + (near - far), LEAST * near, MOST * near)
+    return found
+
+
+def _around_sums(values: np.ndarray) -> np.ndarray:
+    """Sums over each voxel and its 26 neighbours."""
+    for axis in range(3):
+        total = values.copy()
+        before, after = (
+            tuple(cut if a == axis else slice(None) for a in range(3)) for cut in (slice(None, -1), slice(1, None))
+        )
+        total[after] += values[before]
+        total[before] += values[after]
+        values = total
+    return values
 
 
 def _upsampled(values: np.ndarray, known: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 """What baked light was made from, so that only what has changed is baked again."""
 
 import hashlib
+from dataclasses import fields
 
 import numpy as np
 
@@ -30,6 +31,10 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
     for sun in description.suns:
         for array in (sun.direction, sun.irradiance, *(sun.spread or ())):
             around.update(np.ascontiguousarray(array))
+    for lamp in description.lamps:
+        values = [getattr(lamp, one.name) for one in fields(lamp) if one.name != "name"]
+        around.update(type(lamp).__name__.encode())
+        around.update(repr([v.tolist() if isinstance(v, np.ndarray) else v for v in values]).encode())
     for environment in description.environments:
         for array in (environment.radiance, environment.world_from_environment):
             around.update(np.ascontiguousarray(array))

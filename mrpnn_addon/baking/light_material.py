@@ -2,12 +2,13 @@
 """The material that shows baked light: `inference.LitVolume.towards` as shader nodes."""
 
 import math
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ...inference.baking.lit_volume import MAX_LOGARITHM, SHARPNESS, BakedView, DirectionalFactor, Lobe
-from ..vdb.light_file import DIRECTIONS, LIGHT
+from ..vdb.light_file import DENSITY, DIRECTIONS, LIGHT
 
 #: Nodes whose values change from frame to frame.
 SCALE, VIEW, SUN = "Brightness", "Baked From", "Sun {}"
@@ -16,6 +17,8 @@ SCALE, VIEW, SUN = "Brightness", "Baked From", "Sun {}"
 # Rays that see the light. Cycles follows rays that volumes scatter one step even at 0 volume bounces, and would add the
 # light twice; the visibility of objects to such rays does not apply inside volumes.
 RAYS = ("Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Transmission Ray")
+# Light, as it is written, below which nobody sees it.
+DARK = 1e-7
 # Cosine of the angle to the baked view within which its light is shown as it is.
 SAME_DIRECTION = 1.0 - 1e-6
 
@@ -30,7 +33,9 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
         material.use_nodes = True
     build = _Nodes(material.node_tree)
     build.tree.nodes.clear()
-    strength, light = build.value(SCALE, scale), build.attribute(LIGHT)
+    # Density and light are interpolated apart, as `LitVolume` says.
+    strength = build.math("MULTIPLY", build.value(SCALE, scale), build.attribute(DENSITY, "Fac"))
+    light = build.attribute(LIGHT)
     shader = build.emission(light, strength)
     if directional is not None:
         geometry = build.node("ShaderNodeNewGeometry")
@@ -38,7 +43,7 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
         ray = build.vector("SCALE", geometry.outputs["Incoming"], scale=-1.0)
         baked = _baked_ray(build, geometry, directional.view)
         cosine = None if baked is None else build.vector("DOT_PRODUCT", ray, baked)
-        factor = _factor(build, ray, cosine, directional)
+        factor = _factor(build, ray, cosine, light, directional)
         other = build.emission(light, build.math("MULTIPLY", strength, factor))
         same = 0.0 if cosine is None else build.math("GREATER_THAN", cosine, SAME_DIRECTION)
         shader = build.mix(same, other, shader)
@@ -67,8 +72,10 @@ def set_frame(material, scale: float, directional: DirectionalFactor | None, fra
             socket.keyframe_insert("default_value", frame=frame)
 
 
-def _factor(build: "_Nodes", ray, cosine, directional: DirectionalFactor):
+def _factor(build: "_Nodes", ray, cosine, light, directional: DirectionalFactor):
     """The socket of a DirectionalFactor along a ray; cosine: between it and the baked view's ray, or None."""
+    mean = build.vector("DOT_PRODUCT", light, build.combine(*[1.0 / 3.0] * 3))
+    fine = build.math("LOGARITHM", build.math("MAXIMUM", mean, DARK), math.e)
     separate = build.node("ShaderNodeSeparateXYZ")
     build.link(ray, separate.inputs[0])
     x, y, z = separate.outputs
@@ -81,12 +88,17 @@ def _factor(build: "_Nodes", ray, cosine, directional: DirectionalFactor):
     )
     constants = build.node("ShaderNodeSeparateXYZ")
     build.link(view, constants.inputs[0])
-    logarithm = constants.outputs[0]
+    constant, correction, coarse = constants.outputs
+    logarithm = build.math("SUBTRACT", constant, fine)
     for coefficients, terms in ((linear, ray), (quadratic, products), (lobe, squares)):
         logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", coefficients, terms))
+    share: Any = math.exp(-directional.sharpness)
     if cosine is not None:
         fading = build.math("EXPONENT", build.math("MULTIPLY_ADD", cosine, SHARPNESS, -SHARPNESS))
-        logarithm = build.math("MULTIPLY_ADD", constants.outputs[1], fading, logarithm)
+        logarithm = build.math("MULTIPLY_ADD", correction, fading, logarithm)
+        sharpness = directional.sharpness
+        share = build.math("EXPONENT", build.math("MULTIPLY_ADD", cosine, sharpness, -sharpness))
+    logarithm = build.math("MULTIPLY_ADD", build.math("SUBTRACT", fine, coarse), share, logarithm)
     logarithm = build.math("MAXIMUM", build.math("MINIMUM", logarithm, MAX_LOGARITHM), -MAX_LOGARITHM)
     return build.math("EXPONENT", logarithm)
 
@@ -153,10 +165,10 @@ class _Nodes:
                 self.link(value, socket)
         return made.outputs[0]
 
-    def attribute(self, name: str):
+    def attribute(self, name: str, output: str = "Vector"):
         made = self.node("ShaderNodeAttribute")
         made.attribute_name = name
-        return made.outputs["Vector"]
+        return made.outputs[output]
 
     def math(self, operation: str, *values):
         made = self.node("ShaderNodeMath")

@@ -11,18 +11,18 @@ from ...inference.baking.lit_volume import MAX_LOGARITHM
 from .density_grid import VOXEL_CENTRE
 from .openvdb_module import load_openvdb
 
-#: Grids of a file: the light, and the coefficients of other directions, three to a grid.
-LIGHT = "light"
+#: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three to a grid.
+DENSITY, LIGHT = "light_density", "light"
 DIRECTIONS = ("light_linear", "light_quadratic", "light_lobe", "light_view")
-# Which of a DirectionalFactor's coefficients each grid holds; -1 for none.
-COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (0, 10, -1))
+# Which of a DirectionalFactor's coefficients each grid holds.
+COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (0, 10, 11))
 # Largest value of a half float, and of what is written.
 MAX_HALF = 65504.0
 
 
 def brightness(lit: LitVolume) -> float:
     """A value by which a light is divided such that half floats hold it: its largest, or 1 where it is dark."""
-    return float(lit.emission.max()) or 1.0
+    return float(lit.density.max()) * float(lit.scattered.max()) or 1.0
 
 
 def write_light(path: str, lit: LitVolume, scale: float) -> None:
@@ -31,13 +31,17 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
     Raises OSError, naming the file, where it cannot be written, and SceneError without an OpenVDB module.
     """
     openvdb = load_openvdb()
-    light = np.minimum(lit.emission / np.float32(scale), np.float32(MAX_HALF))
-    grids = [_grid(openvdb, LIGHT, light, lit.world_from_index)]
+    # Density up to 1; the light that it scatters, with it, up to about 1.
+    most = float(lit.density.max()) or 1.0
+    light = np.minimum(lit.scattered * np.float32(most / scale), np.float32(MAX_HALF))
+    grids = [_grid(openvdb, DENSITY, lit.density / np.float32(most), lit.world_from_index)]
+    grids.append(_grid(openvdb, LIGHT, light, lit.world_from_index))
     if lit.directional is not None:
-        values = lit.directional.coefficients
+        values = lit.directional.coefficients.copy()
+        # The logarithms of the light as it is written.
+        values[..., [0, -1]] += np.float32(np.log(most / scale))
         # Any larger coefficient only meets the limit of the factor.
         values = np.clip(np.nan_to_num(values), -64.0 * MAX_LOGARITHM, 64.0 * MAX_LOGARITHM)
-        values = np.concatenate([values, np.zeros((*values.shape[:3], 1), np.float32)], axis=3)
         # One more node beyond each face, so that interpolation does not meet the 0 outside.
         values = np.pad(values, [(1, 1)] * 3 + [(0, 0)], mode="edge")
         frame = lit.directional.world_from_index
@@ -55,8 +59,8 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
 
 
 def _grid(openvdb, name: str, values: np.ndarray, world_from_index: np.ndarray, low=(0, 0, 0)):
-    """A grid of vectors (nx, ny, nz, 3); voxels that are 0 are not stored."""
-    grid = openvdb.Vec3SGrid()
+    """A grid of numbers (nx, ny, nz) or vectors (nx, ny, nz, 3); voxels that are 0 are not stored."""
+    grid = openvdb.FloatGrid() if values.ndim == 3 else openvdb.Vec3SGrid()
     grid.copyFromArray(np.array(values, np.float32), ijk=low)
     grid.name = name
     grid.gridClass = "fog volume"

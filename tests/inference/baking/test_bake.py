@@ -9,7 +9,9 @@ import pytest
 from inference import (
     Camera,
     Cancelled,
+    Environment,
     Medium,
+    PointLight,
     RenderCache,
     SceneError,
     Settings,
@@ -121,6 +123,51 @@ def test_a_white_cloud_in_uniform_light_vanishes():
     assert total.std() < 0.05
 
 
+def sky() -> Environment:
+    """Light from everywhere, most of it from one side and from above."""
+    image = np.full((16, 32, 3), 0.2, np.float32)
+    image[:8, :12] = 1.0, 1.5, 2.0
+    return Environment(image)
+
+
+def test_light_of_an_environment_is_baked_at_once():
+    volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
+    [lit] = bake([(volume, medium)], [sky()], view, Settings(directional=False))
+    assert lit.report.counts["network points"] == lit.report.counts["voxels predicted"]
+    layer = render([(volume, medium)], [sky()], view, Settings(16))
+    found = seen_through(volume, medium, lit, view)
+    assert relative(found, layer.multiple) < 0.05
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), layer.multiple.mean(axis=(0, 1)), rtol=0.02)
+
+
+def test_light_of_an_environment_and_a_sun_adds_up():
+    volume, view = cloud(), camera()
+    one, two, both = (bake([(volume, MEDIUM)], s, view, EXACT)[0] for s in ([SUN], [sky()], [SUN, sky()]))
+    np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
+
+
+def test_an_environment_that_surfaces_shadow_is_baked_as_parallel_light():
+    floor = np.array([[[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [0.0, 9.0, -3.0]]])
+    [lit] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT, surfaces=[Surface(floor)])
+    assert any("as parallel light" in sentence for sentence in lit.report.planned)
+    [free] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT)
+    # The floor keeps away what comes from below.
+    assert 0.6 * free.emission.mean() < lit.emission.mean() < 0.95 * free.emission.mean()
+
+
+@pytest.mark.parametrize("place, error", [((0.9, 0.6, 0.5), 0.08), ((0.1, -0.05, 0.12), 0.15)])
+def test_light_of_a_lamp_is_baked(place, error):
+    volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
+    lamp = PointLight(place, (3.0, 5.0, 4.0))
+    [lit] = bake([(volume, medium)], [lamp], view, Settings(directional=False))
+    layer = render([(volume, medium)], [lamp], view, Settings(16))
+    found = seen_through(volume, medium, lit, view)
+    # Within its voxel, light of a lamp inside has a peak that no voxel holds.
+    around = layer.multiple.max(axis=2) < 0.5 * layer.multiple.max()
+    assert relative(found[around], layer.multiple[around]) < error
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), layer.multiple.mean(axis=(0, 1)), rtol=0.03)
+
+
 @pytest.mark.slow
 def test_without_a_camera_the_mean_over_directions_is_baked():
     volumes = [(cloud(voxels=8), MEDIUM)]
@@ -221,11 +268,12 @@ def test_joined_voxels_stay_within_their_budget():
 def test_the_factor_of_other_directions_is_one_along_the_baked_view():
     volume, view = cloud(), camera()
     [lit] = bake([(volume, MEDIUM)], [SUN], view)
-    positions = centres(lit)[lit.emission.any(axis=3).reshape(-1)]
+    filled = lit.emission.any(axis=3)
+    positions, baked = centres(lit)[filled.reshape(-1)], lit.scattered[filled].mean(axis=1)
     along = positions - view.world_matrix[:3, 3]
     along /= np.linalg.norm(along, axis=1)[:, None]
     # The correction is interpolated between the centres of coarse cells.
-    np.testing.assert_allclose(lit.directional(positions, along), 1.0, atol=0.05)
+    np.testing.assert_allclose(lit.directional(positions, along, baked), 1.0, atol=0.05)
 
 
 @pytest.mark.parametrize("anisotropy, error", [(0.0, 0.08), (0.85, 0.3)])

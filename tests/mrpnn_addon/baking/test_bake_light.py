@@ -132,12 +132,15 @@ def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_pat
     bake(tmp_path)
     [shown] = lights()
     openvdb = blender_scenes.openvdb()
-    light = openvdb.read(shown.data.filepath, "light")
+    light, own = (openvdb.read(shown.data.filepath, name) for name in ("light", "light_density"))
     assert light.saveFloatAsHalf and light.evalMinMax()[1][0] == pytest.approx(1.0, rel=1e-3)
+    assert own.saveFloatAsHalf and own.evalMinMax()[1] == pytest.approx(1.0, rel=1e-3)
     values = np.zeros((16, 16, 16), np.float32)
     density = openvdb.read(cloud.data.filepath, "density")
     density.copyToArray(values)
-    assert light.activeVoxelCount() == np.count_nonzero(values)
+    assert own.activeVoxelCount() == np.count_nonzero(values)
+    # Light goes on for one voxel beyond the density.
+    assert np.count_nonzero(values) < light.activeVoxelCount() < np.count_nonzero(np.ones(18**3))
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
 
 
