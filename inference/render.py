@@ -14,7 +14,7 @@ from .image.framebuffer import Framebuffer
 from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
-from .image.reflected_light import middle, open_volume, reflected_environment
+from .image.reflected_light import open_volume, reflected_environment
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
@@ -25,6 +25,7 @@ from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
+from .occluders.seen_surfaces import vantage
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
@@ -252,18 +253,23 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     )
     if not plan.reflects and not plan.sky:
         return scene
-    scene = replace(scene, open_groups=_open_groups(context, scene, surfaces))
+    eye = vantage(surfaces, scene.corners, camera) if scene.grids else None
+    if eye is None:
+        return scene
+    scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
     with report.stage("surfaces"):
-        reflected = reflected_environment(scene, surfaces, cancel) if plan.reflects else None
+        reflected = reflected_environment(scene, surfaces, eye, cancel) if plan.reflects else None
     return scene if reflected is None else replace(scene, plan=plan.with_environment(reflected))
 
 
-def _open_groups(context: RenderContext, scene: PreparedScene, surfaces) -> list[ScatteringGroup | None]:
-    """The scene's groups without what surfaces hide from the middle of the volumes; none where they cut no volume."""
+def _open_groups(
+    context: RenderContext, scene: PreparedScene, surfaces, eye: np.ndarray
+) -> list[ScatteringGroup | None]:
+    """The scene's groups without what surfaces hide from a place (3,) in them; none where they cut no volume."""
     opened: list[ScatteringGroup | None] = []
     if scene.network is None or not len(scene.occluders.triangles):
         return opened
-    stopping, eye, cancel = [surface for surface in surfaces if surface.stops], middle(scene), context.cancel
+    stopping, cancel = [surface for surface in surfaces if surface.stops], context.cancel
     for number, group in enumerate(scene.groups, len(scene.groups)):
         if group is None:
             opened.append(None)

@@ -69,16 +69,11 @@ class _Ball:
         return cosine / np.maximum(square, self.radius**2)
 
 
-def middle(scene: PreparedScene) -> np.ndarray:
-    """The point (3,) in the middle of a scene's volumes."""
-    return 0.5 * (scene.corners.min(axis=0) + scene.corners.max(axis=0))
-
-
 def reflected_environment(
-    scene: PreparedScene, surfaces: Sequence[Surface], cancel: CancelToken = NEVER
+    scene: PreparedScene, surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelToken = NEVER
 ) -> Environment | None:
-    """The light of surfaces around the middle of a scene's volumes; None where there is none. Raises Cancelled."""
-    seen = see_surfaces(surfaces, middle(scene), cancel)
+    """The light of surfaces around a place (3,) in a scene's volumes; None where there is none. Raises Cancelled."""
+    seen = see_surfaces(surfaces, eye, cancel)
     if not (seen.reflectance.any() or seen.emission.any()):
         return None
     ball = _ball(scene)
@@ -144,7 +139,8 @@ def _ball(scene: PreparedScene) -> _Ball:
             area[c] += taken
             leaving[c] += taken * _leaving_share(1.0 - (1.0 - albedo) / max(kept, 1e-9), mean)
     radius = 0.25 * float(np.ptp(scene.corners, axis=0).mean())
-    return _Ball(middle(scene), radius, area, leaving / np.maximum(area, 1e-30))
+    middle = 0.5 * (scene.corners.min(axis=0) + scene.corners.max(axis=0))
+    return _Ball(middle, radius, area, leaving / np.maximum(area, 1e-30))
 
 
 def _slabs(scene: PreparedScene, seen: SeenSurfaces) -> tuple[np.ndarray, np.ndarray]:

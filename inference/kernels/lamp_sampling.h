@@ -200,6 +200,17 @@ static inline double emitter_fluence(const Emitter *emitter, const double *point
     return found * inside * inside * (3.0 - 2.0 * inside);
 }
 
+/* Mean length of the paths of a part's light to a world point, over the distance. */
+static inline double emitter_slant(const Emitter *emitter, const double *point) {
+    if (emitter->flat || !emitter->soft_falloff) return 1.0;
+    double away[3];
+    for (int k = 0; k < 3; k++) away[k] = point[k] - emitter->centre[k];
+    double ratio = emitter->radius * emitter->radius / larger(dot_of(away, away), 1e-30);
+    if (!(ratio > 1e-6)) return 1.0;
+    double root = sqrt(1.0 + ratio);
+    return 0.5 * log1p(ratio) * root * (1.0 + root) / ratio;
+}
+
 /* Fluence of a lamp of power 1 as if it were no nearer than a distance. */
 static inline double softened(double fluence, double radius) {
     return fluence / (1.0 + fluence * (4.0 * PI * radius * radius));

@@ -57,10 +57,11 @@ int64_t NAMED(lamp_depths, VARIANT)(const LampDepths *data) {
     return data->points;
 }
 
-/* Light at a place among the cells, without what lies in between. */
-static double light_at(const LampBeam *beam, const double *place) {
+/* Light at a place among the cells, without what lies in between, and the mean length of its paths over the distance. */
+static double light_at(const LampBeam *beam, const double *place, float *slant) {
     double point[3];
     for (int i = 0; i < 3; i++) point[i] = dot_of(beam->world + 3 * i, place) + beam->offset[i];
+    *slant = (float)emitter_slant(beam->emitter, point);
     double found = softened(emitter_fluence(beam->emitter, point), beam->radius);
     return beam->shadow_map ? found * lamp_visibility(beam->shadow_map, point) : found;
 }
@@ -69,7 +70,7 @@ int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
     int64_t parts = beam->parts, samples = parts * parts * parts, n = beam->cells, all = beam->count * samples;
     for (int64_t first = 0; first < all; first += LANES) {
         int used = all - first < LANES ? (int)(all - first) : LANES;
-        Floats index[3];
+        Floats index[3], slant;
         double light[LANES];
         FOR_LANES(k) {
             int64_t sample = first + (k < used ? k : used - 1), number = beam->numbers[sample / samples];
@@ -80,9 +81,11 @@ int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
                 index[axis][k] = (float)place[axis];
                 part /= parts;
             }
-            light[k] = light_at(beam, place);
+            float factor;
+            light[k] = light_at(beam, place, &factor);
+            slant[k] = factor;
         }
-        Floats passed = transmittance(lamp_depth(beam->columns, index, (float)beam->sigma));
+        Floats passed = transmittance(lamp_depth(beam->columns, index, (float)beam->sigma) * slant);
         for (int k = 0; k < used; k++) {
             beam->light[beam->numbers[(first + k) / samples]] += light[k] * (double)passed[k] / (double)samples;
         }

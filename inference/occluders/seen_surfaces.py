@@ -86,24 +86,62 @@ def _nearest_triangles(
     return found
 
 
-def open_sky(surfaces: Sequence[Surface], corners: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray | None:
+def vantage(surfaces: Sequence[Surface], corners: np.ndarray, camera: Camera) -> np.ndarray | None:
+    """A place (3,) in volumes that the camera sees: their middle, or halfway to a corner of their box; None if neither.
+
+    corners: (N, 3), of the volumes.
+    """
+    covering = [surface.triangles for surface in surfaces if surface.covers and len(surface.triangles)]
+    places = _places(corners)
+    if not covering:
+        return places[0]
+    triangles, axis = np.concatenate(covering), camera.world_matrix[:3, 2] / np.linalg.norm(camera.world_matrix[:3, 2])
+    for place in places:
+        away = camera.world_matrix[:3, 3] - place
+        if camera.projection == "orthographic":
+            away = (away @ axis) * axis
+        if not _meets(place, away, triangles):
+            return place
+    return None
+
+
+def _places(corners: np.ndarray) -> np.ndarray:
+    """The middle of volumes, and the places halfway to the corners of their box: (9, 3)."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    ends = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
+    middle = 0.5 * (low + high)
+    return np.concatenate([middle[None], 0.5 * (middle + ends)])
+
+
+def _meets(start: np.ndarray, way: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether a line from a point (3,) along a way (3,) meets any triangle (T, 3, 3) (Moeller and Trumbore 1997)."""
+    a, along, up = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    p = np.cross(way, up)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 1.0 / (p * along).sum(axis=1)
+        u = ((start - a) * p).sum(axis=1) * scale
+        q = np.cross(start - a, along)
+        v, t = (q @ way) * scale, (q * up).sum(axis=1) * scale
+        return bool(np.any((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)))
+
+
+def open_sky(
+    surfaces: Sequence[Surface], corners: np.ndarray, eye: np.ndarray, cancel: CancelToken = NEVER
+) -> np.ndarray | None:
     """Share (ROWS, 2 ROWS) of each direction's light that surfaces let through to volumes; None where places differ.
 
-    corners: (N, 3), of the volumes. Places are their middle and, unless surfaces hide it from there, halfway to each
-    corner of their box. Raises Cancelled.
+    corners: (N, 3), of the volumes. eye: (3,), from `vantage`. Places are it, the volumes' middle and halfway to each
+    corner of their box, unless surfaces hide them from the eye. Raises Cancelled.
     """
     shading = [surface for surface in surfaces if surface.shades and len(surface.triangles)]
     if sum(len(surface.triangles) for surface in shading) > MAX_TRIANGLES:
         return None
     if not shading:
         return np.ones((ROWS, 2 * ROWS))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    ends = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
-    middle = 0.5 * (low + high)
-    places = 0.5 * (middle + ends)
-    hidden = LampShadowMap(shading, middle, HIDING, cancel).visibility(places) < 0.5
+    places = _places(corners)
+    hidden = LampShadowMap(shading, eye, HIDING, cancel).visibility(places) < 0.5
     directions = pixel_directions(ROWS).reshape(-1, 3)
-    views = [_nearest_triangles(shading, place, directions, cancel) < 0 for place in (middle, *places[~hidden])]
+    views = [_nearest_triangles(shading, place, directions, cancel) < 0 for place in (eye, *places[~hidden])]
     mean = np.mean(views, axis=0)
     angles = np.broadcast_to(pixel_solid_angles(ROWS), (ROWS, 2 * ROWS)).ravel() / (4.0 * np.pi)
     if np.mean([np.abs(view - mean) @ angles for view in views]) > ALIKE:

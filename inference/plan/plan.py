@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..occluders.seen_surfaces import behind, open_sky
+from ..occluders.seen_surfaces import behind, open_sky, vantage
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment
@@ -172,6 +172,15 @@ def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
     return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
 
 
+def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> np.ndarray | None:
+    """As `open_sky`, of the volumes, from where the camera sees them."""
+    if not volumes:
+        return None
+    corners = np.concatenate([_corners(volume) for volume, _ in volumes])
+    eye = vantage(surfaces, corners, camera)
+    return None if eye is None else open_sky(surfaces, corners, eye)
+
+
 def _corners(volume: Volume) -> np.ndarray:
     """Corners (8, 3) of a volume's box in the world."""
     ends = [(-0.5, n - 0.5) for n in volume.density.shape]
@@ -233,7 +242,7 @@ def make_plan(
     groups, _ = overlapping([volume for volume, _ in rendered])
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
-        sky = open_sky(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else None
+        sky = _sky(rendered, camera, surfaces)
         parallel = SURFACES_SHADOW if sky is None else ""
     suns, environments = split_lights(lights, settings, parallel, planned, left_out)
     if surfaces and environments:

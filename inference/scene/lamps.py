@@ -76,6 +76,19 @@ class SphereEmitter:
         outside = 2.0 * intensity / (square * (1.0 + np.sqrt(1.0 - sine)))
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
+    def slant(self, points: np.ndarray) -> np.ndarray:
+        """Mean length of the paths of its light to world points (N, 3), over their distance to its centre; float64 (N,).
+
+        1 but for the disk of a soft falloff, which a point at a distance d sees under the angle a, tan a = radius / d:
+        the mean of 1 / cos b over the solid angle is ln(1 / cos a) / (1 - cos a).
+        """
+        if not self.soft_falloff:
+            return np.ones(len(points))
+        ratio = self.radius**2 / np.maximum(((points - self.centre) ** 2).sum(axis=1), 1e-30)
+        # 1 - cos a, without cancellation.
+        gap = ratio / (np.sqrt(1.0 + ratio) * (1.0 + np.sqrt(1.0 + ratio)))
+        return np.where(ratio > 1e-6, 0.5 * np.log1p(ratio) / np.maximum(gap, 1e-30), 1.0)
+
     def _within_cone(self, away: np.ndarray, square: np.ndarray) -> np.ndarray | float:
         if self.axis is None:
             return 1.0
@@ -113,6 +126,10 @@ class QuadEmitter:
     def extent(self) -> float:
         """Distance below which the inverse square no longer holds."""
         return float(np.sqrt(self.area / np.pi))
+
+    def slant(self, points: np.ndarray) -> np.ndarray:
+        """1 at world points (N, 3), float64 (N,): its paths are taken to be as long as that from its centre."""
+        return np.ones(len(points))
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""

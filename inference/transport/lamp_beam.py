@@ -72,7 +72,7 @@ class LampInCube:
                     radius = SOFT * self.cube.edge / (n * parts)
                     found = found / (1.0 + found * (4.0 * np.pi * radius**2))
                     index = (n * points + offset).T.astype(np.float32)
-                    found *= np.exp(-depth(index, float(solver.sigma)))
+                    found *= np.exp(-depth(index, float(solver.sigma)) * emitter.slant(world))
                     if shadow_map is not None:
                         found *= shadow_map.visibility(world)
                     light[cells] += found / parts**3

@@ -6,7 +6,7 @@ import pytest
 
 from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
 from inference.image.reflected_light import open_volume
-from inference.occluders.seen_surfaces import behind, open_sky, see_surfaces
+from inference.occluders.seen_surfaces import behind, open_sky, see_surfaces, vantage
 from tests.support.surfaces import rectangle
 from tests.support.volumes import box, camera, cloud
 
@@ -100,15 +100,41 @@ def test_even_light_over_a_mirror_of_itself_is_even_light():
 
 def test_ground_hides_the_sky_below_it():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    sky = open_sky([ground(size=1000.0)], corners)
+    sky = open_sky([ground(size=1000.0)], corners, np.zeros(3))
     assert sky[:15].min() == 1.0 and sky[17:].max() == 0.0
     hidden = behind(Environment(np.ones((4, 8, 3), np.float32)), sky)
     assert np.all(hidden.radiance[:2] == 1.0) and np.all(hidden.radiance[2:] == 0.0)
 
 
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_ground_above_the_middle_is_seen_from_the_cameras_side(projection):
+    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
+    view = camera(projection=projection)
+    assert vantage([ground(z=-0.1)], corners, view) == pytest.approx(np.zeros(3))
+    assert vantage([ground(z=0.1)], corners, view)[2] == pytest.approx(0.25)
+    assert vantage([ground(z=0.6)], corners, view) is None
+
+
+def test_even_light_passes_a_mesh_in_the_middle():
+    even = Environment(np.ones((8, 16, 3), np.float32))
+    cube = Surface(
+        np.concatenate(
+            [rectangle(-0.05, 0.05, -0.05, 0.05, z).triangles for z in (-0.05, 0.05)]
+            + [
+                np.roll(rectangle(-0.05, 0.05, -0.05, 0.05, z).triangles, k, axis=2)
+                for k in (1, 2)
+                for z in (-0.05, 0.05)
+            ]
+        ),
+        "cube",
+    )
+    with_cube, without = picture([even], [cube]), picture([even], [])
+    assert with_cube.rgb.mean() == pytest.approx(without.rgb.mean(), rel=0.15)
+
+
 def test_a_roof_close_above_makes_places_differ():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    assert open_sky([rectangle(-0.3, 0.3, -0.3, 0.3, 0.55)], corners) is None
+    assert open_sky([rectangle(-0.3, 0.3, -0.3, 0.3, 0.55)], corners, np.zeros(3)) is None
 
 
 def test_volumes_are_opened_where_surfaces_hide_them():

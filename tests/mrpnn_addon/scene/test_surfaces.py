@@ -65,7 +65,7 @@ def test_a_ball_hides_what_lies_behind_it(addon, scene, tmp_path, place, kind):
     described = read(addon)
     assert len(described.surfaces) == 1
     [warning] = described.warnings
-    assert '"Ball"' in warning and "hides and shades volumes" in warning
+    assert '"Ball"' in warning and "hides, shades and lights volumes" in warning
     settings = Settings(multiple=False)
     layer, alone = (
         render(described.volumes, described.suns, described.camera, settings, surfaces=surfaces)
