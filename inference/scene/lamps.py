@@ -77,7 +77,7 @@ class SphereEmitter:
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
     def slant(self, points: np.ndarray) -> np.ndarray:
-        """Mean length of the paths of its light to world points (N, 3), over their distance to its centre; float64 (N,).
+        """Mean length of the paths of its light to world points (N, 3), over the distance to its centre, (N,).
 
         1 but for the disk of a soft falloff, which a point at a distance d sees under the angle a, tan a = radius / d:
         the mean of 1 / cos b over the solid angle is ln(1 / cos a) / (1 - cos a).
