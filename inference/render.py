@@ -14,7 +14,7 @@ from .image.framebuffer import Framebuffer
 from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
-from .image.reflected_light import open_volume, reflected_environment
+from .image.reflected_light import open_volume, surface_light
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
@@ -258,8 +258,9 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         return scene
     scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
     with report.stage("surfaces"):
-        reflected = reflected_environment(scene, surfaces, eye, cancel) if plan.reflects else None
-    return scene if reflected is None else replace(scene, plan=plan.with_environment(reflected))
+        emitted, returned = surface_light(scene, surfaces, eye, cancel) if plan.reflects else (None, None)
+    found = [environment for environment in (emitted, returned) if environment is not None]
+    return replace(scene, plan=plan.with_environments(found), thrown_back=returned)
 
 
 def _open_groups(

@@ -16,8 +16,6 @@ from .waiting import SceneLoading
 
 TICK_INTERVAL = 0.1
 FOLDER = "//baked_light"
-# Surfaces that a message names.
-NAMED = 3
 
 
 class MRPNN_OT_bake_light(bpy.types.Operator):
@@ -189,10 +187,6 @@ def bake_warnings(description: SceneDescription) -> list[str]:
     warnings = []
     if description.unseen:
         warnings.append(f"not baked, so they scatter light once only: {'; '.join(description.unseen)}")
-    if description.opaque:
-        names = list(dict.fromkeys(surface.name for surface in description.opaque))
-        more = f" and {len(names) - NAMED} others" if len(names) > NAMED else ""
-        warnings.append(f"not baked: light that surfaces throw back into volumes: {', '.join(names[:NAMED])}{more}")
     return warnings
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baked light in a mirror, through glass and on a floor, against Cycles with many volume bounces.
+"""Baked light in a mirror, through glass, on a floor and over bright ground, against Cycles with many volume bounces.
 
     python -m benchmarks.cycles.baked_surroundings [--size 64] [--samples 1024] [--density 15] [--anisotropy 0.7]
-        [--scenes mirror glass floor]
+        [--scenes mirror glass floor ground]
 
 Prints the relative error and bias of Cycles with baked light at 64 samples; the reference is the mean of two halves.
 Needs bpy.
@@ -103,16 +103,32 @@ def floor(scene):
     scene.camera.data.clip_start = 0.01
 
 
+def ground(scene):
+    """The camera sees the cloud over bright ground, which throws light back into it, from slightly above."""
+    from mathutils import Matrix
+
+    frame = np.eye(4)
+    frame[2, 3] = -1.3
+    plane(scene, "Ground", frame, 12.0, "ShaderNodeBsdfDiffuse", Color=(0.8, 0.8, 0.8, 1.0))
+    turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turned @ towards([0.0, 1.5, 6.0], [0.0, 0.0, 0.0])[:3, :3], [0.0, -6.0, 1.5]
+    scene.camera.matrix_world = Matrix(matrix.tolist())
+
+
 def measure(build, options, folder: Path) -> str:
     import bpy
 
     from tests.support import blender_scenes as scenes
 
     scene = stage(folder, options)
+    if build is ground:
+        build(scene)
     # Baked from where the camera looks at the cloud itself.
     bpy.ops.mrpnn.bake_light(folder=str(folder))
     [light] = [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
-    build(scene)
+    if build is not ground:
+        build(scene)
 
     def picture(samples, bounces, seed):
         scenes.set_up_cycles(scene, samples, bounces)
@@ -139,12 +155,12 @@ def main() -> None:
         ("anisotropy", float, 0.7),
     ):
         parser.add_argument(f"--{name}", type=kind, default=usual)
-    parser.add_argument("--scenes", nargs="+", default=["mirror", "glass", "floor"])
+    parser.add_argument("--scenes", nargs="+", default=["mirror", "glass", "floor", "ground"])
     options = parser.parse_args()
     from ..support.extension import extension
 
     extension()
-    for build in (mirror, glass, floor):
+    for build in (mirror, glass, floor, ground):
         if build.__name__ not in options.scenes:
             continue
         with tempfile.TemporaryDirectory() as folder:

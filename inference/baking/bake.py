@@ -8,7 +8,7 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..numerics.small_matmul import product
-from ..plan.lights import SURFACES_SHADOW, Light
+from ..plan.lights import Light
 from ..plan.plan import Channels, in_range, make_plan
 from ..render import load_compiled, prepare_scene
 from ..render_cache import RenderCache
@@ -51,11 +51,12 @@ def bake(
     `render` does, in the light of suns, lamps and environments alike. Overlapping volumes share the light; each has the
     emission of its own scattering.
 
-    volumes, lights, progress, cancelled, cache, surfaces: as for `render`; surfaces keep light from the volumes and
-    absorb what these scatter, but hide no voxel. camera: from which light is baked exactly; other directions are right
-    through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the mean over
-    all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`, `compiled`,
-    `directional` and `leave_out`.
+    volumes, lights, progress, cancelled, cache, surfaces: as for `render`; surfaces keep light from the volumes, absorb
+    what these scatter and throw light back, but hide no voxel. What volumes scatter of the light that surfaces throw
+    back is baked as a whole, single scattering included. camera: from which light is baked exactly; other directions
+    are right through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the
+    mean over all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`,
+    `compiled`, `directional` and `leave_out`.
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -63,14 +64,15 @@ def bake(
     scaled = [in_range(volume, medium) for volume, medium in volumes]
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(scaled, lights, _NO_IMAGE, settings, SURFACES_SHADOW if surfaces else "")
+            # Without a camera, no surface is known to hide a part of the volumes from it.
+            seen = [replace(surface, covers=surface.covers and camera is not None) for surface in surfaces]
+            place = _NO_IMAGE if camera is None else replace(camera, resolution=(1, 1), region=None)
+            plan = make_plan(scaled, lights, place, settings, surfaces=seen)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache()
             kernels = load_compiled(settings, report)
             context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
-            # No camera ray ends at a surface.
-            shading = [replace(surface, covers=False) for surface in surfaces]
-            scene = prepare_scene(context, plan, _NO_IMAGE, shading)
+            scene = prepare_scene(context, plan, place, seen)
             lit = _Bake(context, scene, camera).run() if scene.plan.volumes else {}
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
@@ -137,7 +139,13 @@ class _Bake:
         if self.scene.lamps and self.scene.plan.predicts_lamps:
             found.append(LampRadiance(self.context, self.scene, g, channels))
         if self.scene.environment_network is not None:
-            found.append(EnvironmentRadiance(self.context, self.scene, g, channels))
+            returned = self.scene.thrown_back
+            others = [environment for environment in self.scene.plan.environments if environment is not returned]
+            if others:
+                found.append(EnvironmentRadiance(self.context, self.scene, g, channels, others))
+            if returned is not None:
+                # What volumes scatter once of it, renderers leave out that end paths there.
+                found.append(EnvironmentRadiance(self.context, self.scene, g, channels, [returned], single=True))
         return found
 
     def _lattice(self, v: int) -> BakeLattice:

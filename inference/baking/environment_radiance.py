@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Multiple scattering of the light of environments at any points of a group of volumes, towards any direction."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
@@ -8,25 +10,38 @@ from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_march import MarchOptions
 from ..plan.plan import Channels, distinct_albedos
+from ..scene.environment import Environment
 from .point_radiance import rays_outwards, spans
 
 
 class EnvironmentRadiance:
-    """As `PointRadiance`, in the light of the plan's environments instead of its suns. Raises Cancelled."""
+    """As `PointRadiance`, in the light of environments instead of suns. Raises Cancelled.
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels):
+    single: whether light that is scattered once belongs to it, which the renderer that shows the light does not know.
+    """
+
+    def __init__(
+        self,
+        context: RenderContext,
+        scene: PreparedScene,
+        g: int,
+        channels: Channels,
+        environments: Sequence[Environment],
+        single: bool = False,
+    ):
         group, plan = scene.groups[g], scene.plan
         assert group is not None and scene.environment_network is not None
-        self._context, self.channels = context, channels
+        self._context, self.channels, self._single = context, channels, single
         self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
         media = scene.media(channels, [])
         self._media = [media[v] for v in plan.groups[g]]
         sigma_t = float(group.medium.sigma_t[channels.indices[0]])
         context.progress.message(f"light from everywhere in {plan.group_name(g)}")
         with context.report.stage("fields"), context.progress.stage("lattices", 1):
-            extent = group.predictor.extent()
-            self._predictor = group.predictor.prepare_environment(
-                scene.environment_network, plan.environments, sigma_t, extent, context.tasks
+            # The light of surfaces begins at them: what they hide neither dims nor scatters it.
+            opened = (scene.open_groups[g] if scene.open_groups else None) or group
+            self._predictor = opened.predictor.prepare_environment(
+                scene.environment_network, environments, sigma_t, opened.predictor.extent(), context.tasks
             )
         # Every point needs the optical depth of its ray, however faint that is.
         optimizations = context.settings.leave_out - {"faint_rays"}
@@ -46,8 +61,9 @@ class EnvironmentRadiance:
 
         with context.report.stage("network"), context.progress.stage("network"):
             for span, values in context.tasks.map(task, spans(len(positions))):
-                # The first is single scattering, which belongs to the renderer that shows the light.
-                for (_, indices), row in zip(self.albedos, values[1:]):
+                # The first is single scattering.
+                once = values[0] if self._single else np.float32(0.0)
+                for (_, indices), row in zip(self.albedos, values[1:] + once):
                     for c in indices:
                         radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
                 context.progress.advance("network", values.shape[1])

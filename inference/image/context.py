@@ -24,6 +24,7 @@ from ..runtime.progress import Progress
 from ..runtime.report import Report
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
+from ..scene.environment import Environment
 from ..scene.settings import Settings
 from .framebuffer import Framebuffer
 
@@ -57,6 +58,7 @@ class PreparedScene:
     None where nothing is predicted. network: None if nothing is predicted at all. environment_network: that predicts
     the light of environments, or None. lamps: of the plan, with what lies between them and the volumes.
     open_groups: as groups, without what surfaces hide from the middle of the volumes; empty where they hide nothing.
+    thrown_back: the one of the plan's environments that is the light that surfaces throw back, or None.
     """
 
     plan: Plan
@@ -70,6 +72,7 @@ class PreparedScene:
     environment_network: EnvironmentNetwork | None = None
     lamps: list[LampInMedia] = field(default_factory=list)
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
+    thrown_back: Environment | None = None
 
     @property
     def lamp_radius(self) -> float:

@@ -69,13 +69,16 @@ class _Ball:
         return cosine / np.maximum(square, self.radius**2)
 
 
-def reflected_environment(
+def surface_light(
     scene: PreparedScene, surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelToken = NEVER
-) -> Environment | None:
-    """The light of surfaces around a place (3,) in a scene's volumes; None where there is none. Raises Cancelled."""
+) -> tuple[Environment | None, Environment | None]:
+    """What surfaces around a place (3,) in a scene's volumes emit, and what they throw back; None where it is black.
+
+    Raises Cancelled.
+    """
     seen = see_surfaces(surfaces, eye, cancel)
     if not (seen.reflectance.any() or seen.emission.any()):
-        return None
+        return None, None
     ball = _ball(scene)
     irradiance, power = np.zeros((len(seen.pixel), 3)), np.zeros(3)
     inside, passed = _slabs(scene, seen)
@@ -102,14 +105,20 @@ def reflected_environment(
         mean = fluence / (4.0 * np.pi)
         irradiance += np.maximum(0.5 * sky * (1.0 + passed) - form[:, None] * ball.area * mean, 0.0)
         power += ball.area * fluence
-    angles, scattered, radiance = seen.solid_angles, power, np.zeros_like(irradiance)
+    angles, scattered, returned = seen.solid_angles, power, np.zeros_like(irradiance)
     for _ in range(ROUNDS):
         total = irradiance + form[:, None] * (ball.leaving * scattered / (4.0 * np.pi))
-        radiance = seen.emission + seen.reflectance / np.pi * total
-        scattered = power + ball.area * (angles @ radiance)
+        returned = seen.reflectance / np.pi * total
+        scattered = power + ball.area * (angles @ (seen.emission + returned))
+    emitted = _as_environment(seen, seen.emission, "light that surfaces emit")
+    return emitted, _as_environment(seen, returned, "light that surfaces throw back")
+
+
+def _as_environment(seen: SeenSurfaces, radiance: np.ndarray, name: str) -> Environment | None:
+    """Radiance (P, 3) of the surfaces that are seen; None if it is black."""
     image = np.zeros((2 * ROWS * ROWS, 3))
     image[seen.pixel] = radiance
-    return Environment(image.reshape(ROWS, 2 * ROWS, 3), name="light of surfaces") if image.any() else None
+    return Environment(image.reshape(ROWS, 2 * ROWS, 3), name=name) if image.any() else None
 
 
 def open_volume(volume: Volume, surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelToken = NEVER) -> Volume:

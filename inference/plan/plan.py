@@ -100,9 +100,9 @@ class Plan:
         """Whether lookup lattices are built for the points of the view alone."""
         return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
 
-    def with_environment(self, environment: Environment) -> "Plan":
-        """The plan with one more environment."""
-        return replace(self, environments=[*self.environments, environment])
+    def with_environments(self, environments: Sequence[Environment]) -> "Plan":
+        """The plan with more environments."""
+        return replace(self, environments=[*self.environments, *environments])
 
     def with_suns(self, numbers: Sequence[int]) -> "Plan":
         """The plan with only these suns, by number, because surfaces shadow the volumes completely from all others."""

@@ -40,7 +40,7 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
             around.update(np.ascontiguousarray(array))
     for surface in description.surfaces:
         around.update(np.ascontiguousarray(surface.triangles))
-        around.update(repr((surface.shades, surface.stops)).encode())
+        around.update(repr((surface.shades, surface.stops, *surface.reflectance, *surface.emission)).encode())
     if not settings.directional:
         camera = description.camera
         around.update(np.ascontiguousarray(camera.world_matrix))

@@ -146,9 +146,27 @@ def test_light_of_an_environment_and_a_sun_adds_up():
     np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
 
 
-def test_an_environment_that_surfaces_shadow_is_baked_as_parallel_light():
-    floor = np.array([[[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [0.0, 9.0, -3.0]]])
-    [lit] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT, surfaces=[Surface(floor)])
+@pytest.mark.parametrize("light", [SUN, sky()], ids=["sun", "environment"])
+def test_light_that_ground_throws_back_is_baked_with_what_scatters_once(light):
+    volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
+    corners = np.array([[-9.0, -9.0, -0.6], [9.0, -9.0, -0.6], [9.0, 9.0, -0.6], [-9.0, 9.0, -0.6]])
+    baked, layers = [], []
+    for reflectance in (0.0, 0.8):
+        # No camera ray ends at the ground: all of both pictures is light that the cloud scatters.
+        ground = Surface(corners[[[0, 1, 2], [0, 2, 3]]], covers=False, reflectance=reflectance)
+        [lit] = bake([(volume, medium)], [light], view, Settings(directional=False), surfaces=[ground])
+        baked.append(seen_through(volume, medium, lit, view))
+        layers.append(render([(volume, medium)], [light], view, Settings(16), surfaces=[ground]))
+    assert relative(baked[0], layers[0].multiple) < 0.05
+    added, expected = baked[1] - baked[0], layers[1].rgb - layers[0].rgb
+    assert added.mean() == pytest.approx(expected.mean(), rel=0.02)
+    assert relative(added, expected) < 0.05
+
+
+def test_an_environment_that_surfaces_shadow_unevenly_is_baked_as_parallel_light():
+    corners = np.array([[-9.0, -9.0, -0.1], [0.1, -9.0, -0.1], [0.1, 9.0, -0.1], [-9.0, 9.0, -0.1]])
+    half = Surface(corners[[[0, 1, 2], [0, 2, 3]]])
+    [lit] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT, surfaces=[half])
     assert any("as parallel light" in sentence for sentence in lit.report.planned)
     [free] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT)
     # The floor keeps away what comes from below.

@@ -158,17 +158,21 @@ def test_a_scene_without_light_is_refused(addon, scene, cloud, tmp_path):
     assert scene.cycles.volume_bounces == 7 and not lights()
 
 
-def test_surfaces_whose_light_is_not_baked_are_named(addon, scene, cloud, tmp_path):
-    from mrpnn.mrpnn_addon.scene.reader import read_scene
-    from mrpnn.operators.bake import bake_warnings
-
-    assert bake_warnings(read_scene(blender_scenes.depsgraph())) == []
-    for number in range(5):
-        mesh = bpy.data.meshes.new("Floor")
-        mesh.from_pydata([(-4, -4, -3), (4, -4, -3), (4, 4, -3)], [], [(0, 1, 2)])
-        blender_scenes.add_object(scene, f"Floor {number}", mesh)
-    [warning] = bake_warnings(read_scene(blender_scenes.depsgraph()))
-    assert all(f'"Floor {number}"' in warning for number in range(3)) and warning.endswith("and 2 others")
+def test_light_that_ground_throws_back_is_baked(addon, scene, cloud, tmp_path):
+    mesh = bpy.data.meshes.new("Ground")
+    mesh.from_pydata([(-9, -9, -1.2), (9, -9, -1.2), (9, 9, -1.2), (-9, 9, -1.2)], [], [(0, 1, 2, 3)])
+    ground = blender_scenes.add_object(scene, "Ground", mesh)
+    mesh.materials.append(bpy.data.materials.new("White"))
+    mesh.materials[0].use_nodes = True
+    mesh.materials[0].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.8, 0.8, 1.0)
+    # The picture shows nothing but what the cloud scatters.
+    ground.visible_camera = False
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=128, bounces=256)[..., :3]
+    alone = layer_of(scene).rgb
+    bake(tmp_path)
+    image = in_cycles(scene, tmp_path)[..., :3]
+    assert image.mean() == pytest.approx(reference.mean(), rel=0.05)
+    assert alone.mean() < 0.8 * reference.mean()
 
 
 def test_the_command_bakes_a_sequence_and_saves_a_file_that_shows_it(addon, scene, cloud, tmp_path):
