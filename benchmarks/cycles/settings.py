@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cycles with the settings that artists choose, beside the layer and baked light: error, bias and processor seconds.
+
+    python -m benchmarks.cycles.settings [VIEW ...]
+
+Every row is measured against the view's independent reference. Rows of this version of Cycles replace those that
+docs/cycles-settings.csv holds, and docs/cycles-settings.md is made from all of them: run it with bpy 4.5 and with 5.2.
+Cycles 5 has two ways through volumes, ray marching and null scattering; the second is the default.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from inference import RenderCache, Settings, render
+from inference.evaluation.error import relative_bias, relative_rmse
+
+from ..fidelity.views import MASK_ALPHA, View, independent_views
+from ..support.pages import csv_made_by, csv_text, read_csv
+from ..support.pages import replace as replace_file
+from ..support.provenance import made_by
+from .baked_light import stage
+
+PROGRAM = "benchmarks.cycles.settings"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+VIEWS = ("cumulus-100-side-g0.857", "cumulus-100-back-g0")
+ALL_BOUNCES = 1024
+COLUMNS = ("view", "version", "settings", "samples", "error", "low", "high", "bias", "seconds")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Settings of Cycles. null: by null scattering, where the version has it; clamp: of indirect light, 0 for none."""
+
+    bounces: int
+    samples: int
+    denoised: bool = True
+    clamp: float = 10.0
+    adaptive: bool = False
+    guided: bool = False
+    null: bool = False
+
+    @property
+    def name(self) -> str:
+        """What an artist would call it."""
+        words = [f"{self.bounces} volume bounces"]
+        words += [f"clamped at {self.clamp:g}"] if self.clamp else []
+        words += ["adaptive"] if self.adaptive else []
+        words += ["guided"] if self.guided else []
+        words += ["null scattering"] if self.null else []
+        return ", ".join(words + ["denoised" if self.denoised else "not denoised"])
+
+
+CHOICES = (
+    Choice(0, 32),
+    Choice(4, 32),
+    Choice(4, 128),
+    Choice(12, 32),
+    Choice(12, 128),
+    Choice(12, 128, adaptive=True),
+    Choice(12, 32, guided=True),
+    Choice(ALL_BOUNCES, 16, False, 0.0),
+    Choice(ALL_BOUNCES, 64, False, 0.0),
+    Choice(ALL_BOUNCES, 16, clamp=0.0),
+    Choice(ALL_BOUNCES, 64, clamp=0.0),
+)
+NULL_CHOICES = (
+    Choice(0, 32, null=True),
+    Choice(12, 32, null=True),
+    Choice(ALL_BOUNCES, 16, False, 0.0, null=True),
+    Choice(ALL_BOUNCES, 16, clamp=0.0, null=True),
+)
+
+
+class Reference:
+    """What the pictures of one view are measured against."""
+
+    def __init__(self, view: View):
+        halves = view.halves()
+        self.mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
+        self.halves = halves[..., :3] * self.mask[..., None]
+        self.view = view
+
+    def row(self, settings: str, samples: int | str, image: np.ndarray, seconds: float) -> dict:
+        """The figures of one picture (H, W, 3)."""
+        import bpy
+
+        arguments = image * self.mask[..., None], *self.halves, self.mask
+        error, bias = relative_rmse(*arguments), relative_bias(*arguments)
+        row = dict(view=self.view.name, version=bpy.app.version_string, settings=settings, samples=samples)
+        row |= dict(error=error.value, low=error.low, high=error.high, bias=bias.value, seconds=seconds)
+        print(
+            f"{self.view.name}: {settings}, {samples}: {error.value:.3f}, {bias.value:+.3f}, {seconds:.1f} s",
+            flush=True,
+        )
+        return row
+
+
+def rows_of_layer(scene, reference: Reference) -> list[dict]:
+    """The layer, its first frame and another one with the same cache."""
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    from tests.support import blender_scenes as scenes
+
+    description, cache, rows = read_scene(scenes.depsgraph()), RenderCache(), []
+    for name in ("MRPNN layer, first frame", "MRPNN layer, next frame"):
+        start = time.process_time()
+        layer = render(description.volumes, description.lights, description.camera, Settings(), cache=cache)
+        rows.append(reference.row(name, f"{Settings().depth_samples} depths", layer.rgb, time.process_time() - start))
+    return rows
+
+
+def rows_of_baked_light(scene, reference: Reference, folder: Path) -> list[dict]:
+    """Cycles with baked light; the bake counts."""
+    import bpy
+
+    start = time.process_time()
+    bpy.ops.mrpnn.bake_light(folder=str(folder))
+    bake, rows = time.process_time() - start, []
+    for samples in (4, 32):
+        image, seconds = picture(scene, folder, Choice(0, samples, clamp=0.0))
+        rows.append(reference.row("baked light, denoised, with the bake", samples, image, bake + seconds))
+    bpy.ops.mrpnn.bake_light_remove()
+    return rows
+
+
+def picture(scene, folder: Path, choice: Choice) -> tuple[np.ndarray, float]:
+    """Cycles' picture (H, W, 3), and processor seconds."""
+    from tests.support import blender_scenes as scenes
+
+    scenes.set_up_cycles(scene, choice.samples, choice.bounces)
+    cycles = scene.cycles
+    cycles.volume_step_rate, cycles.use_denoising, cycles.sample_clamp_indirect = 1.0, choice.denoised, choice.clamp
+    cycles.use_adaptive_sampling, cycles.use_guiding = choice.adaptive, choice.guided
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    if hasattr(cycles, "volume_biased"):
+        cycles.volume_biased = not choice.null
+    start = time.process_time()
+    image = scenes.rendered(scene, folder)[..., :3]
+    return image, time.process_time() - start
+
+
+def measure(view: View) -> list[dict]:
+    """The rows of one view in this version of Blender."""
+    reference = Reference(view)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = stage(view, Path(folder))
+        rows = rows_of_layer(scene, reference) + rows_of_baked_light(scene, reference, Path(folder))
+        choices = CHOICES + (NULL_CHOICES if hasattr(scene.cycles, "volume_biased") else ())
+        for choice in choices:
+            image, seconds = picture(scene, Path(folder), choice)
+            rows.append(reference.row(f"Cycles, {choice.name}", choice.samples, image, seconds))
+    return rows
+
+
+def page(rows: list[dict], sources: list[str]) -> str:
+    """docs/cycles-settings.md."""
+    parts = ["# Cycles as artists set it", "\n".join(f"- {source}" for source in sources), INTRODUCTION]
+    for view, version in dict.fromkeys((row["view"], row["version"]) for row in rows):
+        lines = ["| settings | samples | error | bias | processor seconds |", "|---|---|---|---|---|"]
+        for row in rows:
+            if (row["view"], row["version"]) == (view, version):
+                error, low, high, bias, seconds = (float(row[k]) for k in ("error", "low", "high", "bias", "seconds"))
+                lines.append(
+                    f"| {row['settings']} | {row['samples']} | {error:.3f} ({low:.3f}–{high:.3f}) | {100 * bias:+.1f} % "
+                    f"| {seconds:.1f} |"
+                )
+        parts += [f"## {view}, Blender {version}", "\n".join(lines)]
+    return "\n\n".join(parts) + "\n"
+
+
+INTRODUCTION = """\
+Each picture is measured against an independent path tracer's reference. Errors are relative RMSE over the pixels of
+alpha above 0.02, by split references, with 95 % intervals; *bias* is the error of the mean: few bounces and clamping
+make clouds dark, however many samples there are. Seconds are processor seconds at 96 × 96 pixels, where denoising has
+little to work with; the layer's first frame holds fields, shadows and loading of the network, which further frames do
+not pay again. *Null scattering* is what Cycles 5 does unless *Biased* is chosen."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
+    parser.add_argument("views", nargs="*", default=VIEWS)
+    options = parser.parse_args(arguments)
+    from ..support.extension import extension
+
+    extension()
+    import bpy
+
+    file, version = DOCS / "cycles-settings.csv", bpy.app.version_string
+    for view in independent_views():
+        if view.name not in options.views:
+            continue
+        found = measure(view)
+        known, sources = (read_csv(file), csv_made_by(file)) if file.exists() else ([], [])
+        rows = [row for row in known if (row["view"], row["version"]) != (view.name, version)] + found
+        rows.sort(key=lambda row: (row["view"], row["version"]))
+        start = f"Blender {version}: "
+        sources = sorted(
+            {source for source in sources if not source.startswith(start)} | {start + made_by(PROGRAM, arguments)}
+        )
+        replace_file(file, csv_text(sources, COLUMNS, [[row[column] for column in COLUMNS] for row in rows]))
+        replace_file(DOCS / "cycles-settings.md", page(rows, sources))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
