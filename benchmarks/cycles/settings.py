@@ -167,8 +167,8 @@ def page(rows: list[dict], sources: list[str]) -> str:
             if (row["view"], row["version"]) == (view, version):
                 error, low, high, bias, seconds = (float(row[k]) for k in ("error", "low", "high", "bias", "seconds"))
                 lines.append(
-                    f"| {row['settings']} | {row['samples']} | {error:.3f} ({low:.3f}–{high:.3f}) | {100 * bias:+.1f} % "
-                    f"| {seconds:.1f} |"
+                    f"| {row['settings']} | {row['samples']} | {error:.3f} ({low:.3f}–{high:.3f}) "
+                    f"| {100 * bias:+.1f} % | {seconds:.1f} |"
                 )
         parts += [f"## {view}, Blender {version}", "\n".join(lines)]
     return "\n\n".join(parts) + "\n"
