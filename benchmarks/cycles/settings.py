@@ -122,9 +122,10 @@ def rows_of_baked_light(scene, reference: Reference, folder: Path) -> list[dict]
     start = time.process_time()
     bpy.ops.mrpnn.bake_light(folder=str(folder))
     bake, rows = time.process_time() - start, []
-    for samples in (4, 32):
-        image, seconds = picture(scene, folder, Choice(0, samples, clamp=0.0))
-        rows.append(reference.row("baked light, denoised, with the bake", samples, image, bake + seconds))
+    for samples, denoised in ((4, True), (64, False)):
+        image, seconds = picture(scene, folder, Choice(0, samples, denoised, 0.0))
+        name = f"baked light, {'denoised' if denoised else 'not denoised'}, with the bake"
+        rows.append(reference.row(name, samples, image, bake + seconds))
     bpy.ops.mrpnn.bake_light_remove()
     return rows
 
