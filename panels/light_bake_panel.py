@@ -4,10 +4,9 @@
 import bpy
 
 from ..mrpnn_addon.scene.changes import scene_state
-from ..mrpnn_addon.status.recommendation import BAKED_LIGHT, COMPOSITE, recommend
+from ..mrpnn_addon.status.recommendation import COMPOSITE, recommend
 from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_remove
 from ..operators.composite import MRPNN_OT_composite
-from ..operators.render import MRPNN_OT_render
 from .text import draw_text
 
 _recommended: dict = {}
@@ -26,10 +25,9 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
         if not state.active:
             way = _recommendation(context)
             draw_text(context, layout, way.reason, "INFO")
-            operator = {BAKED_LIGHT: MRPNN_OT_bake_light, COMPOSITE: MRPNN_OT_composite}.get(way.way, MRPNN_OT_render)
-            layout.operator(operator.bl_idname)
-            if operator is not MRPNN_OT_bake_light:
-                layout.operator(MRPNN_OT_bake_light.bl_idname, icon="OUTLINER_OB_LIGHT")
+            if way.way == COMPOSITE:
+                layout.operator(MRPNN_OT_composite.bl_idname)
+            layout.operator(MRPNN_OT_bake_light.bl_idname, icon="OUTLINER_OB_LIGHT")
             return
         missing = [item.name for item in state.volumes if item.shown is None or item.shown.name not in scene.objects]
         for name in missing:
