@@ -7,7 +7,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_march import MarchOptions
-from ..plan.plan import Channels, distinct_albedos
+from ..plan.plan import Channels
 from .point_radiance import rays_outwards, spans
 
 
@@ -18,7 +18,6 @@ class EnvironmentRadiance:
         group, plan = scene.groups[g], scene.plan
         assert group is not None and scene.environment_network is not None
         self._context, self.channels = context, channels
-        self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
         media = scene.media(channels, [])
         self._media = [media[v] for v in plan.groups[g]]
         sigma_t = float(group.medium.sigma_t[channels.indices[0]])
@@ -27,6 +26,14 @@ class EnvironmentRadiance:
             extent = group.predictor.extent()
             self._predictor = group.predictor.prepare_environment(
                 scene.environment_network, plan.environments, sigma_t, extent, context.tasks
+            )
+            self._albedos = group.predictor.albedos(
+                group.medium,
+                sigma_t,
+                channels.indices,
+                plan.environments,
+                tasks=context.tasks,
+                optimizations=plan.optimizations,
             )
         # Every point needs the optical depth of its ray, however faint that is.
         optimizations = context.settings.leave_out - {"faint_rays"}
@@ -37,19 +44,18 @@ class EnvironmentRadiance:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera, as of `PointRadiance`."""
         context, predictor = self._context, self._predictor
         radiance = np.zeros((3, len(positions)), np.float32)
-        albedos = [albedo for albedo, _ in self.albedos]
+        albedos = self._albedos
         # Optical depths ahead of the points and behind them.
         along = np.stack([self._depths(positions, towards) for towards in (directions, -directions)], axis=1)
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
-            return span, predictor.predict(positions[span], directions[span], along[span], albedos)
+            return span, predictor.predict(positions[span], directions[span], along[span], albedos.values)
 
         with context.report.stage("network"), context.progress.stage("network"):
             for span, values in context.tasks.map(task, spans(len(positions))):
                 # The first is single scattering, which belongs to the renderer that shows the light.
-                for (_, indices), row in zip(self.albedos, values[1:]):
-                    for c in indices:
-                        radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
+                for c, row in albedos.by_channel(values[1:], positions[span]):
+                    radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
                 context.progress.advance("network", values.shape[1])
         context.report.count("network points", len(positions))
         return radiance
