@@ -49,24 +49,22 @@ class UniformAlbedos:
 class VaryingAlbedos:
     """Albedos that vary in space.
 
-    values: uniform ones that enclose them. places: as of `CoarseAlbedo.places`, in the frame of the cube. indices: the
-    colour channels.
+    values, enclosing: uniform ones, and which of them enclose those of each channel. places: as of
+    `CoarseAlbedo.places`, in the frame of the cube. indices: the colour channels.
     """
 
     values: list[float]
+    enclosing: list[np.ndarray]
     places: np.ndarray
     cube: Cube
     indices: Sequence[int]
 
     def by_channel(self, rows: np.ndarray, positions: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """As `Albedos`."""
-        if len(rows) == 1:
-            yield from ((c, rows[0]) for c in self.indices)
-            return
         places = read_lattice(self.places, self.cube.positions(positions))
         known: dict[int, np.ndarray] = {}
         for c in self.indices:
             column = c if places.shape[1] == 3 else 0
             if column not in known:
-                known[column] = between(rows, places[:, column])
+                known[column] = between(rows[self.enclosing[column]], places[:, column])
             yield c, known[column]

@@ -217,8 +217,8 @@ class VolumePredictor:
         else:
             conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
             image = image_in_frame(light, self.cube.rotation)
-        values, places = self._predictor.varying_albedo(conditions, image, tasks)
-        return VaryingAlbedos(values, places, self.cube, indices)
+        coarse, places = self._predictor.varying_albedo(conditions, image, tasks)
+        return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices)
 
     @property
     def lamp_radius(self) -> float:

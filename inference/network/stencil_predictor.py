@@ -251,8 +251,8 @@ class RayPredictor(StencilPredictor):
 
     def varying_albedo(
         self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL
-    ) -> tuple[list[float], np.ndarray]:
-        """Uniform albedos and `CoarseAlbedo.places` of a volume whose albedo varies. Raises Cancelled.
+    ) -> tuple[CoarseAlbedo, np.ndarray]:
+        """The albedo of a volume in which it varies, and its `CoarseAlbedo.places`. Raises Cancelled.
 
         In the light of the conditions' sun or lamp, or of an environment's image (H, 2H, C) in the cube's frame.
         """
@@ -274,7 +274,7 @@ class RayPredictor(StencilPredictor):
                     lambda albedo: known.solver(conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo),
                     self._scattered_fluence(conditions, ordinates, cancel),
                 )
-            return known.uniform.tolist(), self._places[key]
+            return known, self._places[key]
 
     def _scattered_fluence(
         self, conditions: Conditions, ordinates: np.ndarray | None, cancel: CancelToken

@@ -25,6 +25,8 @@ from .resolution import BAND
 PARALLEL_ANGLE = 1e-6
 # A grid whose largest density lies outside is rescaled, and its extinction inversely.
 DENSITY_RANGE = (2.0**-20, 2.0**20)
+# Albedos whose voxels differ by less are uniform.
+SAME_ALBEDO = 1e-6
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
 TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 12
@@ -191,8 +193,9 @@ def _bound_albedo(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
     """
     if not medium.varies:
         return volume, medium
-    density, scattering, mean = volume.density, [], []
+    density, scattering, mean, constant = volume.density, [], [], True
     total = _sum(density)
+    filled = _voxels(density) > 0.0
     for albedo in medium.albedo:
         if isinstance(density, SparseGrid):
             matches = isinstance(albedo, SparseGrid) and albedo.table is density.table
@@ -200,18 +203,27 @@ def _bound_albedo(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
             matches = isinstance(albedo, np.ndarray) and albedo.shape == density.shape
         if not matches:
             raise SceneError(f"{volume.name}: an albedo that varies must have the density's voxels")
+        inside = _voxels(albedo)[filled]
+        low, high = (float(inside.min()), float(inside.max())) if len(inside) else (0.0, 0.0)
         if isinstance(density, SparseGrid):
             scattering.append(density.with_values(density.values * albedo.values))
         else:
             scattering.append(density * albedo)
-        mean.append(min(_sum(scattering[-1]) / total, 1.0) if total > 0.0 else 0.0)
+        constant &= high - low <= SAME_ALBEDO
+        mean.append(min(_sum(scattering[-1]) / total, 1.0) if high - low > SAME_ALBEDO else high)
+    if constant:
+        # One colour costs what a colour costs.
+        return volume, replace(medium, albedo=np.array(mean if len(mean) == 3 else mean * 3))
     bound = replace(medium, albedo=np.array(mean if len(mean) == 3 else mean * 3))
     return replace(volume, scattering=tuple(scattering)), bound
 
 
+def _voxels(grid: np.ndarray | SparseGrid) -> np.ndarray:
+    return grid.values if isinstance(grid, SparseGrid) else grid
+
+
 def _sum(grid: np.ndarray | SparseGrid) -> float:
-    values = grid.values if isinstance(grid, SparseGrid) else grid
-    return float(values.sum(dtype=np.float64))
+    return float(_voxels(grid).sum(dtype=np.float64))
 
 
 def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> np.ndarray | None:

@@ -11,7 +11,7 @@ lies. With L_k the prediction for uniform albedo k and phi_k its fluence,
 Where the albedo is uniform after all this is exact, whatever the transport is worth.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -25,7 +25,9 @@ from .discrete_ordinates import DiscreteOrdinates
 #: Cells along an edge of the working cube on which the transport is solved for albedos that vary.
 CELLS = 32
 # Uniform albedos are at most so far apart in the square root of 1 - albedo, in which light fades about evenly.
-SPACING = 0.2
+SPACING = 0.12
+# Ranges of albedo narrower than this are one albedo.
+SAME = 1e-5
 # Lowest uniform albedo: below, almost nothing is scattered twice.
 LOWEST = 0.02
 # Cells of less than this part of the largest density do not widen the range of albedos.
@@ -41,7 +43,8 @@ class CoarseAlbedo:
     """The albedo of one volume on coarse cells. Raises Cancelled.
 
     density: float32 (n, n, n), of these cells. channels: the albedo (n, n, n), once for all colour channels or for each
-    of three. uniform: float64 (K,), ascending uniform albedos that enclose it; one if it does not vary.
+    of three. uniform: float64 (K,), ascending uniform albedos. enclosing: of each channel, int (L,), those of them that
+    enclose its albedo; one where it does not vary.
     """
 
     def __init__(
@@ -62,36 +65,49 @@ class CoarseAlbedo:
             albedo = np.divide(scattering, self.density, out=np.zeros_like(scattering), where=self.density > 0.0)
             self.channels.append(np.clip(albedo, 0.0, 1.0))
         filled = self.density > NEGLIGIBLE * self.density.max()
-        found = np.concatenate([albedo[filled] for albedo in self.channels]).astype(np.float64)
-        low, high = max(found.min(), LOWEST), max(found.max(), LOWEST)
-        ends = np.sqrt(1.0 - np.array([low, high]))
-        count = int(np.ceil((ends[0] - ends[1]) / SPACING - 1e-6)) if high - low > 1e-5 else 0
-        self.uniform = np.array([high]) if not count else 1.0 - np.linspace(*ends, count + 1) ** 2
+        ends = [(float(albedo[filled].min()), float(albedo[filled].max())) for albedo in self.channels]
+        self.uniform, self.enclosing = _enclosing(np.maximum(ends, LOWEST))
 
     def solver(self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo) -> DiscreteOrdinates:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, self.kernels, albedo)
 
     def places(self, solver_of: Callable[..., DiscreteOrdinates], fluence: FluenceOf) -> np.ndarray:
-        """Where the albedo lies among the uniform ones, seen through all scattering, in [0, K - 1].
+        """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].
 
         float32 (n + 2, n + 2, n + 2, C) of C = 1 or 3 channels, the outermost cells repeated once beyond each face.
         solver_of: a solver for an albedo. fluence: of all light that has scattered, found by a solver.
         """
-        n, last = len(self.density), len(self.uniform) - 1
+        n, uniform = len(self.density), {}
         found = np.zeros((n, n, n, len(self.channels)), np.float32)
-        if last:
-            known = [_logarithm(fluence(solver_of(float(albedo)))) for albedo in self.uniform]
+        for c, (albedo, enclosing) in enumerate(zip(self.channels, self.enclosing)):
+            if len(enclosing) == 1:
+                continue
+            for number in enclosing:
+                if number not in uniform:
+                    uniform[number] = _logarithm(fluence(solver_of(float(self.uniform[number]))))
             # More is never less, whatever the solver's accuracy.
-            known = list(np.maximum.accumulate(known, axis=0))
-            for c, albedo in enumerate(self.channels):
-                here = _logarithm(fluence(solver_of(albedo)))
-                for below, above in zip(known[:-1], known[1:]):
-                    found[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
-                # Where no light comes the albedo is what it is there.
-                dark = known[-1] <= np.log(MIN_FLUENCE)
-                found[dark, c] = np.interp(albedo[dark], self.uniform, np.arange(last + 1.0))
+            known = np.maximum.accumulate([uniform[number] for number in enclosing], axis=0)
+            here = _logarithm(fluence(solver_of(albedo)))
+            for below, above in zip(known[:-1], known[1:]):
+                found[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
+            # Where no light comes the albedo is what it is there.
+            dark = known[-1] <= np.log(MIN_FLUENCE)
+            found[dark, c] = np.interp(albedo[dark], self.uniform[enclosing], np.arange(float(len(enclosing))))
         return np.pad(found, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+
+
+def _enclosing(ends: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Ascending uniform albedos (K,), and those of them, int (L,), that enclose each of some ranges (C, 2)."""
+    varies = ends[:, 1] - ends[:, 0] > SAME
+    common = np.zeros(0)
+    if varies.any():
+        # In the square root of 1 - albedo.
+        high, low = np.sqrt(1.0 - np.array([ends[varies, 0].min(), ends[varies, 1].max()]))
+        common = 1.0 - np.linspace(high, low, int(np.ceil((high - low) / SPACING - 1e-6)) + 1) ** 2
+    uniform = np.unique(np.concatenate([common, ends[~varies, 1]]))
+    own = np.searchsorted(uniform, common)
+    return uniform, [own if some else np.searchsorted(uniform, end[1:]) for some, end in zip(varies, ends)]
 
 
 def _cells(values: np.ndarray, kernels: Kernels | None) -> np.ndarray:
@@ -107,12 +123,12 @@ def _logarithm(fluence: np.ndarray) -> np.ndarray:
     return np.log(np.maximum(fluence.astype(np.float64), MIN_FLUENCE))
 
 
-def between(rows: Sequence[np.ndarray], place: np.ndarray) -> np.ndarray:
-    """Radiance (N, ...) at places (N,) among predictions (N, ...) for K uniform albedos."""
+def between(rows: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Radiance (N, ...) at places (N,) among predictions (L, N, ...) for uniform albedos."""
     if len(rows) == 1:
         return rows[0]
     below = np.clip(place.astype(np.int32), 0, len(rows) - 2)
-    logs = np.log(np.maximum(np.stack(rows), np.float32(1e-30)))
+    logs = np.log(np.maximum(rows, np.float32(1e-30)))
     number = np.arange(len(place))
     share = np.clip(place - below, 0.0, 1.0).astype(np.float32).reshape(-1, *[1] * (logs.ndim - 2))
     first, second = logs[below, number], logs[below + 1, number]
