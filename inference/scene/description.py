@@ -146,6 +146,11 @@ class Medium:
         """Whether the albedo varies in space."""
         return isinstance(self.albedo, tuple)
 
+    @property
+    def scatters(self) -> bool:
+        """Whether the albedo is above 0 anywhere."""
+        return any(grid.any() for grid in self.albedo) if self.varies else bool(np.any(self.albedo > 0.0))
+
     def same_coefficients(self, other: "Medium") -> bool:
         """Whether extinction, albedo, anisotropy and emission are equal, whatever the phase functions."""
         if self.varies or other.varies:

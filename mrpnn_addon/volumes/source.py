@@ -143,6 +143,8 @@ class FileSource(VolumeSource):
         grids = {name: blocks.arrays.get(name, nothing) for name in names}
         shaded = shade(self.material, VoxelDomain(grids, frames, index_of=blocks.index), check)
         shaded.density = blocks.grid(shaded.density)
+        if isinstance(shaded.albedo, tuple):
+            shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
         if shaded.emission is not None:
             shaded.emission = tuple(shaded.density.with_rows(shaded.emission[..., channel]) for channel in range(3))
         return shaded
