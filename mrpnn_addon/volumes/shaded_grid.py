@@ -11,7 +11,7 @@ from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
 from ..nodes.phase_functions import phase_function
-from .voxel_points import VoxelDomain, VoxelPoints
+from .voxel_points import Probe, VoxelDomain, VoxelPoints
 
 VOXELS_PER_BATCH = 1 << 17
 # Tolerated variation of colour between voxels, relative to a coefficient's root mean square.
@@ -206,20 +206,21 @@ def _one_colour(material, gram, reference: int):
     return share[:3], share[3:], 1 if grey else 3
 
 
-def is_linear(material, names) -> bool:
+def is_linear(material, probe: Probe) -> bool:
     """Whether doubled grid values double all coefficients: voxel values then determine those between them.
 
-    Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
+    probe: has read the grids. Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
     """
-    half, whole = (_coefficients_at(material, names, value) for value in (0.5, 1.0))
+    half, whole = (_coefficients_at(material, probe, value) for value in (0.5, 1.0))
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
 
-def _coefficients_at(material, names, value: float) -> np.ndarray:
+def _coefficients_at(material, probe: Probe, value: float) -> np.ndarray:
     """(9,) extinction, scattering and emission where every grid has one value."""
-    grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
+    grids = {name: np.full((1, 1, 1), value, np.float32) for name in probe.names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
-    shading = material.at(VoxelPoints(VoxelDomain(grids, frames), np.zeros(1, int)))
+    domain = VoxelDomain(grids, frames, vectors=probe.vectors)
+    shading = material.at(VoxelPoints(domain, np.zeros(1, int)))
     emits = np.zeros(3) if shading.hot and INTERPOLATES_EMISSION else shading.emission[0]
     return np.concatenate([_coefficients(shading)[0], emits])
 
