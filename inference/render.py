@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .grids.bound_medium import scattering_channels
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
@@ -177,11 +178,12 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         None if shadow_maps is None else [shadow_maps[l] for l in suns],
         scene.plan.groups,
         settings.leave_out,
+        scattering=scattering_channels(media, channels.indices),
     )
     first = suns[:1] in ([], [0])
     lamps = prepare_lamp_march(context, scene, channels) if first else None
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
-    return ChannelPass(channels, suns, first, media, march, lamps is not None)
+    return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering)
 
 
 def load_compiled(settings: Settings, report: Report) -> Kernels | None:

@@ -95,7 +95,7 @@ def measured(name, stage, options) -> dict:
     world = stage.scene.world if described.environment else None
     objects = volumes_and_lights(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
     parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
-    if any(volume.emission is not None and medium.albedo.any() for volume, medium in described.volumes):
+    if any(volume.emission is not None and medium.scatters for volume, medium in described.volumes):
         # Without bounces, Cycles' image still holds emitted light that was scattered once.
         parts = parts[1:]
     for kind, image, bounces in parts:

@@ -9,7 +9,7 @@ import numpy as np
 from ..image.context import PreparedScene, RenderContext
 from ..numerics.small_matmul import product
 from ..plan.lights import Light
-from ..plan.plan import Channels, in_range, make_plan
+from ..plan.plan import Channels, in_range, last_albedo, make_plan
 from ..render import load_compiled, prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -237,11 +237,28 @@ class _Bake:
             )
         return radiance
 
+    def _coefficient(self, v: int, positions: np.ndarray | None) -> np.ndarray:
+        """Scattering per unit density and world unit, float32 (3,), or where the albedo varies (N, 3) at positions
+        (N, 3) in the world; (nx, ny, nz, 3) in the lattice's voxels for None.
+        """
+        volume, medium = self.scene.plan.volumes[v]
+        coefficient = (medium.sigma_t * last_albedo(volume, medium)).astype(np.float32)
+        if volume.scattering is None:
+            return coefficient
+        grid, lattice, shape = self.scene.grids[v], self.lattices[v], ()
+        if positions is None:
+            shape = lattice.density.shape
+            positions = lattice.positions(np.argwhere(np.ones(shape, bool)))
+        index = grid.index(positions).T.astype(np.float32)
+        density = np.maximum(grid.sample_density(index), np.float32(1e-30))
+        albedo = np.stack([np.minimum(grid.scattering_of(c).sample(index) / density, 1.0) for c in range(3)], axis=1)
+        return coefficient * albedo.reshape(*(shape or (len(positions),)), 3)
+
     def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[Source]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
         lattice, report = self.lattices[v], self.context.report
-        coefficient = (medium.sigma_t * medium.albedo).astype(np.float32)
+        coefficient = self._coefficient(v, None)
         steady, scattered = coefficient * steady, coefficient * (radiance + steady)
         directional = None
         if self.context.settings.directional and sources:
@@ -249,7 +266,9 @@ class _Bake:
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
                 radiance = np.sum([source(positions, directions) for source in sources], axis=0)
-                return product(coefficient / np.float32(3.0), radiance)
+                if volume.scattering is None:
+                    return product(coefficient / np.float32(3.0), radiance)
+                return (self._coefficient(v, positions).T * radiance).sum(axis=0) / np.float32(3.0)
 
             lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
             sharpness = DETAIL_SHARPNESS * medium.anisotropy**2

@@ -9,7 +9,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_march import MarchOptions
-from ..plan.plan import Channels, distinct_albedos
+from ..plan.plan import Channels
 from ..scene.environment import Environment
 from .point_radiance import rays_outwards, spans
 
@@ -32,7 +32,6 @@ class EnvironmentRadiance:
         group, plan = scene.groups[g], scene.plan
         assert group is not None and scene.environment_network is not None
         self._context, self.channels, self._single = context, channels, single
-        self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
         media = scene.media(channels, [])
         self._media = [media[v] for v in plan.groups[g]]
         sigma_t = float(group.medium.sigma_t[channels.indices[0]])
@@ -43,6 +42,14 @@ class EnvironmentRadiance:
             self._predictor = opened.predictor.prepare_environment(
                 scene.environment_network, environments, sigma_t, opened.predictor.extent(), context.tasks
             )
+            self._albedos = opened.predictor.albedos(
+                group.medium,
+                sigma_t,
+                channels.indices,
+                environments,
+                tasks=context.tasks,
+                optimizations=plan.optimizations,
+            )
         # Every point needs the optical depth of its ray, however faint that is.
         optimizations = context.settings.leave_out - {"faint_rays"}
         options = MarchOptions(1, None, None, [list(range(len(self._media)))], optimizations, entry_point)
@@ -52,20 +59,19 @@ class EnvironmentRadiance:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera, as of `PointRadiance`."""
         context, predictor = self._context, self._predictor
         radiance = np.zeros((3, len(positions)), np.float32)
-        albedos = [albedo for albedo, _ in self.albedos]
+        albedos = self._albedos
         # Optical depths ahead of the points and behind them.
         along = np.stack([self._depths(positions, towards) for towards in (directions, -directions)], axis=1)
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
-            return span, predictor.predict(positions[span], directions[span], along[span], albedos)
+            return span, predictor.predict(positions[span], directions[span], along[span], albedos.values)
 
         with context.report.stage("network"), context.progress.stage("network"):
             for span, values in context.tasks.map(task, spans(len(positions))):
                 # The first is single scattering.
-                once = values[0] if self._single else np.float32(0.0)
-                for (_, indices), row in zip(self.albedos, values[1:] + once):
-                    for c in indices:
-                        radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
+                light = values[1:] + values[0] if self._single else values[1:]
+                for c, row in albedos.by_channel(light, positions[span]):
+                    radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
                 context.progress.advance("network", values.shape[1])
         context.report.count("network points", len(positions))
         return radiance

@@ -12,7 +12,7 @@ from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..network.predictor import LampLight
-from ..plan.plan import Channels, distinct_albedos
+from ..plan.plan import Channels
 from .point_radiance import rays_outwards, spans
 
 
@@ -23,7 +23,6 @@ class LampRadiance:
         group, plan = scene.groups[g], scene.plan
         assert group is not None
         self._context, self._lamps = context, scene.lamps
-        self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
         members, media = plan.groups[g], scene.media(channels, [])
         self._media = [media[v] for v in members]
         march = prepare_lamp_march(context, scene, channels)
@@ -37,32 +36,37 @@ class LampRadiance:
         stopping = context.tasks.stopping
         self._march = prepare_march(context.kernels, self._media, options, channels.indices, stopping, march)
         self._predictors = []
-        albedos = [albedo for albedo, _ in self.albedos]
+        sigma_t, extent = float(group.medium.sigma_t[channels.indices[0]]), group.predictor.extent()
         for lamp in scene.lamps:
             with context.report.stage("fields"), context.progress.stage("lattices", 1):
-                light = LampLight(lamp, scene.lamp_radius, albedos)
-                sigma_t, extent = float(group.medium.sigma_t[channels.indices[0]]), group.predictor.extent()
-                self._predictors.append(
-                    group.predictor.prepare_lamp(sigma_t, light, extent, scene.occluders, context.tasks)
+                albedos = group.predictor.albedos(
+                    group.medium,
+                    sigma_t,
+                    channels.indices,
+                    lamp,
+                    scene.occluders,
+                    context.tasks,
+                    plan.optimizations,
                 )
+                light = LampLight(lamp, scene.lamp_radius, albedos.values)
+                found = group.predictor.prepare_lamp(sigma_t, light, extent, scene.occluders, context.tasks)
+                self._predictors.append((found, albedos))
 
     def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera, as of `PointRadiance`."""
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
-        albedos = [albedo for albedo, _ in self.albedos]
-        for k, (lamp, predictor) in enumerate(zip(self._lamps, self._predictors)):
+        for k, (lamp, (predictor, albedos)) in enumerate(zip(self._lamps, self._predictors)):
             of_lamp = features.of(slice(None), 0, k)
 
-            def task(span: slice, predictor=predictor, of_lamp=of_lamp) -> tuple[slice, np.ndarray]:
-                values = predictor.predict(positions[span], directions[span], albedos, ray_features=of_lamp[span])
+            def task(span: slice, predictor=predictor, asked=albedos.values, of_lamp=of_lamp):
+                values = predictor.predict(positions[span], directions[span], asked, ray_features=of_lamp[span])
                 return span, values
 
             with context.report.stage("network"), context.progress.stage("network"):
                 for span, values in context.tasks.map(task, spans(len(positions))):
-                    for (_, indices), row in zip(self.albedos, values):
-                        for c in indices:
-                            radiance[c, span] += row * np.float32(lamp.lamp.power[c])
+                    for c, row in albedos.by_channel(values, positions[span]):
+                        radiance[c, span] += row * np.float32(lamp.lamp.power[c])
                     context.progress.advance("network", values.shape[1])
             context.report.count("network points", len(positions))
         return radiance

@@ -13,8 +13,9 @@ from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..marching.ray_steps import RayBatch
+from ..network.albedos import Albedos
 from ..network.predictor import POINTS_PER_TASK, PreparedPredictor
-from ..plan.plan import Channels, distinct_albedos
+from ..plan.plan import Channels
 from ..scene.description import Sun
 from ..transport.scattered_fluence import ScatteredFluence
 
@@ -30,7 +31,8 @@ class PointRadiance:
         assert group is not None
         self._context, self._predictor = context, group.predictor
         self.group, self.channels, self.suns = g, channels, plan.suns
-        self.albedos = distinct_albedos(group.medium, channels.indices, plan.optimizations)
+        self._medium, self._optimizations = group.medium, plan.optimizations
+        self._albedos: dict[int, Albedos] = {}
         self._anisotropy = group.medium.anisotropy
         self._sigma_t, self._occluders = float(group.medium.sigma_t[channels.indices[0]]), scene.occluders
         fluence = None
@@ -69,13 +71,27 @@ class PointRadiance:
             prepared = self._prepared(l)
             of_sun = None if features is None else features.of(slice(None), 0, l)
             with context.report.stage("network"), context.progress.stage("network"):
-                for span, values in self._predicted(prepared, sun, positions, directions, of_sun):
-                    for (_, indices), row in zip(self.albedos, values):
-                        for c in indices:
-                            radiance[c, span] += row * np.float32(sun.irradiance[c])
+                albedos = self._albedos_of(l)
+                for span, values in self._predicted((prepared, albedos), sun, positions, directions, of_sun):
+                    for c, row in albedos.by_channel(values, positions[span]):
+                        radiance[c, span] += row * np.float32(sun.irradiance[c])
                     context.progress.advance("network", values.shape[1])
             context.report.count("network points", len(positions))
         return radiance
+
+    def _albedos_of(self, l: int) -> Albedos:
+        """Albedos in the light of one sun."""
+        if l not in self._albedos:
+            self._albedos[l] = self._predictor.albedos(
+                self._medium,
+                self._sigma_t,
+                self.channels.indices,
+                self.suns[l].direction,
+                self._occluders,
+                self._context.tasks,
+                self._optimizations,
+            )
+        return self._albedos[l]
 
     def _prepared(self, l: int) -> PreparedPredictor:
         """The predictor of one sun, prepared once unless it is large."""
@@ -93,20 +109,23 @@ class PointRadiance:
 
     def _predicted(
         self,
-        prepared: PreparedPredictor,
+        asked: tuple[PreparedPredictor, Albedos],
         sun: Sun,
         positions: np.ndarray,
         directions: np.ndarray,
         features: np.ndarray | None,
     ) -> Iterator[tuple[slice, np.ndarray]]:
-        """Yield batches of points and their radiance (A, n) in the light of one sun of irradiance 1."""
-        albedos = [albedo for albedo, _ in self.albedos]
+        """Yield batches of points and their radiance (A, n) in the light of one sun of irradiance 1.
+
+        asked: what predicts, and for which albedos.
+        """
+        prepared, albedos = asked
         if sun.spread is not None:
             directions = EquivalentDirections.of(directions, sun, self._anisotropy)
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
             some = None if features is None else features[span]
-            return span, prepared.predict(positions[span], directions[span], albedos, ray_features=some)
+            return span, prepared.predict(positions[span], directions[span], albedos.values, ray_features=some)
 
         return self._context.tasks.map(task, spans(len(positions)))
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A medium bound to its grid and to the extinction of some colour channels, for ray marching."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,11 @@ class BoundMedium:
         return bool(self.grid.emission) and self.medium.emission > 0.0
 
     @property
+    def varies(self) -> bool:
+        """Whether the albedo varies where the medium attenuates."""
+        return bool(self.grid.scattering) and self.sigma_t > 0.0
+
+    @property
     def matters(self) -> bool:
         """Whether the volume attenuates or may emit light in these channels."""
         return self.sigma_t > 0.0 or bool(self.grid.emission)
@@ -64,3 +70,11 @@ class BoundMedium:
         hits = far > np.maximum(near, 0.0)
         index = index + np.where(hits, np.maximum(near, 0.0), 0.0) * direction[:, None]
         return np.where(hits, depth(index.astype(np.float32), self.sigma_t, camera_depth), np.float32(0.0))
+
+
+def scattering_channels(media: Sequence[BoundMedium], channels: Sequence[int]) -> list[int]:
+    """Of the colour channels that are rendered together, those whose scattering differs: the first stands for all
+    unless an albedo varies in colour.
+    """
+    coloured = any(medium.varies and len(medium.grid.scattering) == 3 for medium in media)
+    return list(channels) if coloured else list(channels[:1])

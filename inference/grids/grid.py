@@ -27,6 +27,7 @@ class Grid:
     voxel; the support of the trilinear interpolant is the box from -1 to the number of voxels on each axis.
 
     density: DenseGrid or SparseGrid. emission: one grid per colour channel, or none. emission_power: as in Volume.
+    scattering: density times albedo, one grid or one per colour channel, or none for a uniform albedo.
     occupancy: Occupancy of density and emission. shape: voxels. peak: largest density. linear: (3, 3) and offset: (3,),
     continuous indices from world positions. box: lowest and highest index (3,) of the support. voxel, longest: shortest
     and longest edge of a voxel in world units.
@@ -45,6 +46,7 @@ class Grid:
         self.density = _part(volume.density, low, high, times)
         self.emission = [_part(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
+        self.scattering = [_part(channel, low, high, times) for channel in volume.scattering or ()]
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
@@ -98,6 +100,10 @@ class Grid:
         """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
         values = self.emission[channel].sample(index)
         return values if self.emission_power == 1 else values * np.abs(values) ** (self.emission_power - 1)
+
+    def scattering_of(self, channel: int) -> DenseGrid | SparseGrid:
+        """Density times albedo in a colour channel; the density itself for a uniform albedo."""
+        return self.scattering[channel if len(self.scattering) == 3 else 0] if self.scattering else self.density
 
 
 def _part(values: np.ndarray | SparseGrid, low: np.ndarray, high: np.ndarray, times: int) -> DenseGrid | SparseGrid:

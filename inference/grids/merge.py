@@ -14,6 +14,9 @@ from .dense_grid import DenseGrid
 from .grid import Grid
 from .resampling import INNER, Placement, resample
 
+# Albedos that differ by less are one.
+SAME_ALBEDO = 1e-6
+
 
 def merge(
     grids: Sequence[Grid],
@@ -26,8 +29,8 @@ def merge(
 
     grids: Grid of each volume. kernels: compiled ones, or None. Voxels are those of the finest grid, or the smallest
     multiple of them that leaves at most 256 along an edge. The extinction is exact for grey media; for others each
-    colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering.
-    Raises Cancelled.
+    colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering;
+    where albedos differ or vary, the volume holds its scattering. Raises Cancelled.
     """
     finest = min(grids, key=lambda grid: grid.voxel)
     # Corners of all grids as indices of the finest.
@@ -57,7 +60,22 @@ def merge(
     weights = scattering.sum(axis=1) / max(scattering.sum(), 1e-30)
     cosine = float(weights @ [medium.anisotropy for medium in media])
     medium = Medium(extinction / float((amounts[:, 0] * grey).sum()), np.clip(albedo, 0.0, 1.0), cosine)
-    return Volume(density, world_from_index, name), medium
+    albedos = np.array([medium.albedo for medium in media])
+    if np.ptp(albedos, axis=0).max() <= SAME_ALBEDO and not any(grid.scattering for grid in grids):
+        return Volume(density, world_from_index, name), medium
+    channels = [0]
+    if np.ptp(albedos, axis=1).max() > 0.0 or any(len(grid.scattering) == 3 for grid in grids):
+        channels = [0, 1, 2]
+    scattering = [np.zeros(shape, np.float32) for _ in channels]
+    for grid, factor, albedo in zip(grids, grey, albedos):
+        known: dict[int, np.ndarray] = {}
+        for c, whole in zip(channels, scattering):
+            part = grid.scattering_of(c)
+            if id(part) not in known:
+                known = {id(part): resampled(grid, part, world_from_index, shape, cancel, kernels)}
+            whole += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * known[id(part)]
+    held = tuple(np.minimum(whole, density) for whole in scattering)
+    return Volume(density, world_from_index, name, scattering=held), medium
 
 
 def resampled(

@@ -13,7 +13,7 @@ from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import SAMPLES, DepthBuffer, split_rays_at_surfaces
-from ..plan.plan import Plan
+from ..plan.plan import Plan, last_albedo
 from ..runtime.cancellation import CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays, window_around
@@ -84,6 +84,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         )
     size = _rays_per_task(context, scene, counts)
     shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
+    scattering = []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
         some = slice(start, start + size)
@@ -102,6 +103,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         parts.append((ray, segment.sample_distance, weight, segment.sample_fraction))
         if segment.sample_features is not None:
             features.append(segment.sample_features.values)
+        if segment.sample_scattering is not None:
+            scattering.append(segment.sample_scattering)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     samples = DepthSamples(
         rays.pixel,
@@ -114,6 +117,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         fraction,
         RayFeatures(np.concatenate(features)) if features else None,
         RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
+        np.concatenate(scattering) if scattering else None,
     )
     report.count("points", len(samples.ray))
     return samples
@@ -159,7 +163,7 @@ def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndar
 class _MarchedRays:
     """What a batch of R rays gathered.
 
-    pixel, share: (R,), as in _TileRays. single: (R, V, L), for albedo 1 and irradiance 1.
+    pixel, share: (R,), as in _TileRays. single: (R, V, L, S), as in RaySegment, with the phase function.
     """
 
     pixel: np.ndarray
@@ -173,9 +177,10 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
     for c in indices:
-        albedo = np.array([medium.albedo[c] for _, medium in scene.plan.volumes])
+        albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
         irradiance = np.array([scene.plan.suns[l].irradiance[c] for l in channel_pass.suns])
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,v,l,r->r", marched.single, albedo, irradiance, weight))
+        single = marched.single[..., channel_pass.scattering_place(c)]
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,v,l,r->r", single, albedo, irradiance, weight))
     if not channel_pass.first:
         return
     if emission is not None:
@@ -194,14 +199,15 @@ def _add_lamps(
     share: np.ndarray,
     single: np.ndarray,
 ) -> None:
-    """Add single scattering of lamps (R, V, K), for albedo 1 and power 1, to the tile.
+    """Add single scattering of lamps (R, V, K, S), as in LampSegment, to the tile.
 
     pixel, share: (R,), as in _TileRays.
     """
     for c in channel_pass.channels.indices:
-        albedo = np.array([medium.albedo[c] for _, medium in scene.plan.volumes])
+        albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
         power = np.array([lamp.power[c] for lamp in scene.plan.lamps])
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,v,k,r->r", single, albedo, power, share))
+        found = single[..., channel_pass.scattering_place(c)]
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,v,k,r->r", found, albedo, power, share))
 
 
 class _Shading:
@@ -218,20 +224,21 @@ class _Shading:
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
 
     def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Single scattering (R, V, L) of a batch's rays by volume and sun, for albedo 1 and irradiance 1."""
+        """Single scattering (R, V, L, S) of a batch's rays by volume and sun, as in RaySegment, for irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
         if self.extended_lights is None or not self.extended:
-            return segment.single * phase
+            return segment.single * phase[..., None]
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
         towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)[..., self.used]
         phase[..., self.extended] = towards
         # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
-        straight = depth * np.exp(-depth.sum(axis=1, keepdims=True)) * free[:, None]
-        single = segment.single * phase
-        single[..., self.extended] += straight[..., None] * ahead
+        scattered = depth[..., None] if segment.scattering_depth is None else segment.scattering_depth
+        straight = scattered * np.exp(-depth.sum(axis=1))[:, None, None] * free[:, None, None]
+        single = segment.single * phase[..., None]
+        single[:, :, self.extended] += straight[:, :, None] * ahead[..., None]
         return single
 
 

@@ -2,6 +2,7 @@
 """What a render holds while it runs."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -106,7 +107,8 @@ class ChannelPass:
 
     suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
     does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
-    rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does.
+    rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does. scattering: as
+    in MarchOptions.
     """
 
     channels: Channels
@@ -115,6 +117,11 @@ class ChannelPass:
     media: list[BoundMedium]
     march: Marcher
     lamps: bool = False
+    scattering: Sequence[int] = (0,)
+
+    def scattering_place(self, channel: int) -> int:
+        """Place of a colour channel among those whose scattering is gathered."""
+        return self.scattering.index(channel) if len(self.scattering) > 1 else 0
 
 
 @dataclass(frozen=True)

@@ -7,27 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
+from ..network.albedos import Albedos
 from ..network.predictor import EnvironmentPredictor
-from ..numerics.small_matmul import product
-from ..plan.plan import distinct_albedos
+from ..plan.plan import last_albedo
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
-from .multiple_scattering import evaluate_adaptively, lattice_bounds, pixels_per_voxel, sample_batches
+from .multiple_scattering import (
+    evaluate_adaptively,
+    lattice_bounds,
+    pixels_per_voxel,
+    sample_batches,
+    scattered_shares,
+)
 
 
 @dataclass(frozen=True)
 class EnvironmentSource:
     """One group of volumes in the light of the plan's environments.
 
-    members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: distinct
-    albedos of these channels, and the channels of each. last_albedo: float32 (V, C), of the last scattering in each of
-    the group's volumes. voxel: shortest edge of the group's voxels.
+    members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: of these
+    channels. last_albedo: float32 (V, C), as of `plan.last_albedo`, in each of the group's volumes. places: as for
+    `DepthSamples.scattered`. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest
+    edge of the group's voxels.
     """
 
     members: list[int]
     indices: list[int]
-    albedos: list[tuple[float, list[int]]]
+    albedos: Albedos
     last_albedo: np.ndarray
+    places: list[int]
+    varies: bool
     voxel: float
     predictor: EnvironmentPredictor
 
@@ -57,8 +66,17 @@ def prepare_environment(
         source = EnvironmentSource(
             members=members,
             indices=indices,
-            albedos=distinct_albedos(group.medium, indices, plan.optimizations),
-            last_albedo=np.array([plan.volumes[v][1].albedo[indices] for v in members], np.float32),
+            albedos=opened.predictor.albedos(
+                group.medium,
+                sigma_t,
+                indices,
+                plan.environments,
+                tasks=context.tasks,
+                optimizations=plan.optimizations,
+            ),
+            last_albedo=np.array([last_albedo(*plan.volumes[v])[indices] for v in members], np.float32),
+            places=[channel_pass.scattering_place(c) for c in indices],
+            varies=group.volume.scattering is not None,
             voxel=min(scene.grids[v].voxel for v in members),
             predictor=predictor,
         )
@@ -107,28 +125,26 @@ class _EnvironmentEstimate:
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
         samples, source, indices = self.samples, self.source, self.source.indices
-        values = [value for value, _ in source.albedos]
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
         for done in sample_batches(points):
             self.context.cancel.check()
             directions = samples.directions[samples.ray[done]]
             radiance = source.predictor.predict(
-                samples.positions(done), directions, self.along[done], values, samples.jitter(done)
+                samples.positions(done), directions, self.along[done], source.albedos.values, samples.jitter(done)
             )
-            weight = samples.weight[done, None] * product(self.fraction[done], source.last_albedo)
+            weight = samples.scattered(done, source.members, source.last_albedo, source.places)
             pixel = self.pixel[done]
-            for row, (_, channels) in zip(radiance[1:], source.albedos):
-                for c in channels:
-                    number, colour = indices.index(c), c if source.predictor.channels > 1 else 0
-                    single, multiple = weight[:, number] * radiance[0, :, colour], weight[:, number] * row[:, colour]
-                    add_at(self.radiance[number], pixel, single)
-                    add_at(self.radiance[len(indices) + number], pixel, multiple)
-                    parts[done] += (single + multiple) / 3.0
+            for c, row in source.albedos.by_channel(radiance[1:], samples.positions(done)):
+                number, colour = indices.index(c), c if source.predictor.channels > 1 else 0
+                single, multiple = weight[:, number] * radiance[0, :, colour], weight[:, number] * row[:, colour]
+                add_at(self.radiance[number], pixel, single)
+                add_at(self.radiance[len(indices) + number], pixel, multiple)
+                parts[done] += (single + multiple) / 3.0
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
-        self.report.count("network answers", len(points) * len(source.albedos))
+        self.report.count("network answers", len(points) * len(source.albedos.values))
 
     def opacity(self) -> tuple[np.ndarray, None]:
         """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
@@ -139,7 +155,15 @@ class _EnvironmentEstimate:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
         return pixels_per_voxel(self, self.source.voxel)
 
+    def scattered(self) -> np.ndarray | None:
+        """What of the light that each pixel takes it scatters, (2 C, P); None where that is the same in all of them."""
+        source = self.source
+        if not source.varies:
+            return None
+        return np.tile(scattered_shares(self, source.members, source.last_albedo, source.places), (2, 1))
+
     def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
         """Half the light of each channel, since colours come from different directions; mean: (2 C, P)."""
         channels = mean.reshape(2, -1, mean.shape[1]).mean(axis=0)
-        return list(channels) if self.source.predictor.channels > 1 else [channels.mean(axis=0)]
+        coloured = self.source.varies or self.source.predictor.channels > 1
+        return list(channels) if coloured else [channels.mean(axis=0)]

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
+from ..network.albedos import Albedos
 from ..network.predictor import (
     POINTS_PER_TASK,
     Bounds,
@@ -17,8 +18,7 @@ from ..network.predictor import (
     PreparedPredictor,
     VolumePredictor,
 )
-from ..numerics.small_matmul import product
-from ..plan.plan import Channels, distinct_albedos
+from ..plan.plan import Channels, last_albedo
 from ..runtime.report import Report
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_size
@@ -65,17 +65,18 @@ def prepare_prediction(
         return []
     plan, indices = scene.plan, channel_pass.channels.indices
     sources: list[Source] = []
+    places = [channel_pass.scattering_place(c) if c in indices else 0 for c in range(3)]
     prepared: PreparedPredictor | PreparedLampPredictor
     for g, group in scene.predicted(channel_pass.channels):
         members, medium = plan.groups[g], group.medium
+        sigma_t = float(medium.sigma_t[indices[0]])
+        last = np.array([last_albedo(*plan.volumes[v]) for v in members])
         with context.report.stage("fields"):
             bounds = lattice_bounds(context, members, group.predictor, view)
             for place, l in enumerate(channel_pass.suns):
                 sun = plan.suns[l]
                 with context.progress.stage("lattices", 1):
-                    prepared = group.predictor.prepare(
-                        float(medium.sigma_t[indices[0]]), sun.direction, bounds, scene.occluders, context.tasks
-                    )
+                    prepared = group.predictor.prepare(sigma_t, sun.direction, bounds, scene.occluders, context.tasks)
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()
                 source = Source(
@@ -83,8 +84,19 @@ def prepare_prediction(
                     place=place,
                     members=members,
                     indices=indices,
-                    albedos=distinct_albedos(medium, indices, plan.optimizations),
-                    scattered=np.array([plan.volumes[v][1].albedo * sun.irradiance for v in members], np.float32),
+                    albedos=group.predictor.albedos(
+                        medium,
+                        sigma_t,
+                        indices,
+                        sun.direction,
+                        scene.occluders,
+                        context.tasks,
+                        plan.optimizations,
+                    ),
+                    last_albedo=last,
+                    scattered=(last * sun.irradiance).astype(np.float32),
+                    places=places,
+                    varies=group.volume.scattering is not None,
                     suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
@@ -93,11 +105,11 @@ def prepare_prediction(
                 sources.append(source)
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
                 with context.progress.stage("lattices", 1):
-                    albedos = [albedo for albedo, _ in distinct_albedos(medium, indices, plan.optimizations)]
-                    light = LampLight(lamp, scene.lamp_radius, albedos)
-                    prepared = group.predictor.prepare_lamp(
-                        float(medium.sigma_t[indices[0]]), light, bounds, scene.occluders, context.tasks
+                    albedos = group.predictor.albedos(
+                        medium, sigma_t, indices, lamp, scene.occluders, context.tasks, plan.optimizations
                     )
+                    light = LampLight(lamp, scene.lamp_radius, albedos.values)
+                    prepared = group.predictor.prepare_lamp(sigma_t, light, bounds, scene.occluders, context.tasks)
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()
                 source = Source(
@@ -105,8 +117,11 @@ def prepare_prediction(
                     place=k,
                     members=members,
                     indices=indices,
-                    albedos=distinct_albedos(medium, indices, plan.optimizations),
-                    scattered=np.array([plan.volumes[v][1].albedo * lamp.lamp.power for v in members], np.float32),
+                    albedos=albedos,
+                    last_albedo=last,
+                    scattered=(last * lamp.lamp.power).astype(np.float32),
+                    places=places,
+                    varies=group.volume.scattering is not None,
                     suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
@@ -158,18 +173,22 @@ class Source:
     """One group of volumes in the light of one sun or lamp.
 
     group: its number. place: of the sun or lamp among those that are rendered together. members: numbers of the group's
-    volumes. indices: colour channels that are rendered together. albedos: distinct albedos of these channels, and the
-    channels of each. scattered: float32 (V, 3), albedo times irradiance, or times a lamp's power, of each of the
-    group's volumes. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's voxels.
-    prepared: what predicts. directions: in which it sees camera rays; None for a lamp.
+    volumes. indices: colour channels that are rendered together. albedos: of these channels. last_albedo: float64 (V,
+    3), as of `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or
+    times a lamp's power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes
+    does, or they differ. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's
+    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp.
     """
 
     group: int
     place: int
     members: list[int]
     indices: list[int]
-    albedos: list[tuple[float, list[int]]]
+    albedos: Albedos
+    last_albedo: np.ndarray
     scattered: np.ndarray
+    places: list[int]
+    varies: bool
     suns: int
     voxel: float
     prepared: PreparedPredictor | PreparedLampPredictor
@@ -201,8 +220,12 @@ class Estimate(Protocol):
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
 
+    def scattered(self) -> np.ndarray | None:
+        """What of the light that each pixel takes it scatters, (C, P); None where that is the same in all of them."""
+
     def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
-        """What has to be smooth where pixels are interpolated, (P,) each; mean: (C, P), over the opacity."""
+        """What has to be smooth where pixels are interpolated, (P,) each; mean: (C, P), over the opacity, or over what
+        pixels scatter."""
 
 
 class _Estimate:
@@ -227,26 +250,24 @@ class _Estimate:
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
         samples, source = self.samples, self.source
-        values = [value for value, _ in source.albedos]
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
         for done in sample_batches(points):
             self.context.cancel.check()
             directions = self.directions[samples.ray[done]]
             radiance = source.prepared.predict(
-                samples.positions(done), directions, values, samples.jitter(done), self._features(done)
+                samples.positions(done), directions, source.albedos.values, samples.jitter(done), self._features(done)
             )
-            weight = samples.weight[done, None] * product(self.fraction[done], source.scattered)
+            weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            for (_, channels), row in zip(source.albedos, radiance):
-                for c in channels:
-                    part = weight[:, c] * row
-                    add_at(self.radiance[source.indices.index(c)], pixel, part)
-                    parts[done] += part / 3.0
+            for c, row in source.albedos.by_channel(radiance, samples.positions(done)):
+                part = weight[:, c] * row
+                add_at(self.radiance[source.indices.index(c)], pixel, part)
+                parts[done] += part / 3.0
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
-        self.report.count("network answers", len(points) * len(source.albedos))
+        self.report.count("network answers", len(points) * len(source.albedos.values))
 
     def _features(self, points: np.ndarray | slice) -> np.ndarray | None:
         """Ray features of some samples, if the network needs them."""
@@ -268,9 +289,31 @@ class _Estimate:
         ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity))
         return opacity, ahead / np.maximum(opacity, np.float32(1e-30))
 
+    def scattered(self) -> np.ndarray | None:
+        """What of the light that each pixel takes it scatters, (C, P); None where that is the same in all of them."""
+        source = self.source
+        if not source.varies:
+            return None
+        indices = source.indices
+        return scattered_shares(
+            self, source.members, source.last_albedo[:, indices], [source.places[c] for c in indices]
+        )
+
     def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
-        """The mean of the channels, which one sun lights alike; mean: (C, P)."""
-        return [mean.mean(axis=0)]
+        """The mean of the channels, which one sun lights alike; mean: (C, P). Of a varying albedo, all of them."""
+        return list(mean) if self.source.varies else [mean.mean(axis=0)]
+
+
+def scattered_shares(
+    estimate: Estimate, members: Sequence[int], factors: np.ndarray, places: Sequence[int]
+) -> np.ndarray:
+    """What of the light that each pixel takes some volumes scatter, (C, P).
+
+    members, factors, places: as for `DepthSamples.scattered`.
+    """
+    samples, pixels = estimate.samples, len(estimate.error)
+    weight = samples.scattered(slice(None), members, factors, places)
+    return np.stack([np.bincount(estimate.pixel, column, pixels) for column in weight.T])
 
 
 def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
@@ -296,14 +339,19 @@ def evaluate_adaptively(
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
     # A pixel whose rays end at different surfaces differs from its neighbours.
     split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > 1
-    mean, error, interpolation_error = estimate.radiance / safe, estimate.error / safe, np.zeros(len(safe), np.float32)
+    # Where the albedo varies, what is interpolated is the mean over what is scattered, so that colours stay sharp.
+    scattered = estimate.scattered()
+    shown = np.broadcast_to(opacity, estimate.radiance.shape) if scattered is None else scattered
+    divisor = safe if scattered is None else np.where(scattered > 0.0, scattered, 1.0)
+    mean, error = estimate.radiance / divisor, estimate.error / safe
+    interpolation_error = np.zeros(len(safe), np.float32)
     evaluated, interpolated = np.zeros((2, len(safe)), bool)
     pixel, report = estimate.pixel[inside], estimate.report
 
     def evaluate(pixels: np.ndarray) -> None:
         estimate.evaluate(inside[pixels[pixel]])
         evaluated[pixels] = True
-        mean[:, pixels] = estimate.radiance[:, pixels] / safe[pixels]
+        mean[:, pixels] = estimate.radiance[:, pixels] / divisor[..., pixels]
         error[pixels] = estimate.error[pixels] / safe[pixels]
 
     tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
@@ -313,12 +361,12 @@ def evaluate_adaptively(
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(len(squares.pixels), bool), np.zeros(len(squares.pixels))
-        for part in estimate.smooth_parts(mean):
+        for part, weight in zip(estimate.smooth_parts(mean), shown):
             found, part_error = interpolable(
                 squares,
                 part,
                 error * (3.0 / len(mean)),
-                opacity,
+                weight,
                 single.mean(axis=0),
                 ahead,
                 difference / np.sqrt(estimate.context.settings.depth_samples),
@@ -334,7 +382,7 @@ def evaluate_adaptively(
         interpolated |= interior
     evaluate(~(evaluated | interpolated))
     interpolated &= opacity > 0.0
-    estimate.radiance[:, interpolated] = (mean * opacity)[:, interpolated]
+    estimate.radiance[:, interpolated] = (mean * shown)[:, interpolated]
     total = error + CENTRE_ERROR * interpolation_error * (len(mean) / 3.0)
     estimate.error[interpolated] = (total * opacity)[interpolated]
     report.count("pixels that share their neighbours' multiple scattering", interpolated.sum())

@@ -126,14 +126,20 @@ def open_volume(volume: Volume, surfaces: Sequence[Surface], eye: np.ndarray, ca
     hidden = LampShadowMap(surfaces, eye, HIDING, cancel)
     dense = volume.density.dense() if isinstance(volume.density, SparseGrid) else volume.density
     matrix, density = volume.world_from_index, np.empty_like(dense)
+    scattering = [np.array(grid.dense() if isinstance(grid, SparseGrid) else grid) for grid in volume.scattering or ()]
     y, z = np.meshgrid(*(np.arange(n) for n in dense.shape[1:]), indexing="ij")
     across = np.stack([y.ravel(), z.ravel()], axis=1) @ matrix[:3, 1:3].T + matrix[:3, 3]
     for x, slab in enumerate(dense):
         cancel.check()
         density[x] = slab
         some = np.flatnonzero(slab)
-        density[x].reshape(-1)[some] *= hidden.visibility(across[some] + x * matrix[:3, 0])
-    return Volume(density if density.any() else dense, volume.world_from_index, volume.name)
+        visible = hidden.visibility(across[some] + x * matrix[:3, 0])
+        density[x].reshape(-1)[some] *= visible
+        for grid in scattering:
+            grid[x].reshape(-1)[some] *= visible
+    if not density.any():
+        return Volume(dense, volume.world_from_index, volume.name, scattering=volume.scattering)
+    return Volume(density, volume.world_from_index, volume.name, scattering=tuple(scattering) or None)
 
 
 def _ball(scene: PreparedScene) -> _Ball:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
+from ..plan.plan import last_albedo
 from ..transport.scattered_emission import ScatteredEmission
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
@@ -43,12 +44,16 @@ def add_scattered_emission(
     plan = scene.plan
     for g, emission in prepared.items():
         for v in plan.groups[g]:
-            medium, inside = plan.volumes[v][1], np.flatnonzero(samples.fraction[:, v] > 0.0)
+            (volume, medium), inside = plan.volumes[v], np.flatnonzero(samples.fraction[:, v] > 0.0)
+            last = last_albedo(volume, medium)
             for start in range(0, len(inside), POINTS_PER_BATCH):
                 context.cancel.check()
                 points = inside[start : start + POINTS_PER_BATCH]
                 positions, directions = samples.positions(points), samples.directions[samples.ray[points]]
                 weight = samples.weight[points] * samples.fraction[points, v]
                 for c in channel_pass.channels.indices:
-                    light = emission.scattered(c, positions, directions, medium.anisotropy) * medium.albedo[c]
+                    if samples.scattering is not None:
+                        place = channel_pass.scattering_place(c)
+                        weight = samples.weight[points] * samples.scattering[points, v, place]
+                    light = emission.scattered(c, positions, directions, medium.anisotropy) * last[c]
                     add_at(tile.framebuffer.multiple[:, c], samples.pixel[samples.ray[points]], weight * light)

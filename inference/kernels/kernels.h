@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 10
+#define MRPNN_INTERFACE 11
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -69,6 +69,8 @@ typedef struct {
     Grid emission[MRPNN_CHANNELS];  /* of the colour channels that are rendered together */
     int64_t emission_power;
     double emission_factor;  /* 0: the volume emits nothing */
+    int64_t varies;          /* whether the albedo varies: then density times albedo, of the channels of scattering, */
+    Grid scattering[MRPNN_CHANNELS];
 } Medium;
 
 /* Optical depths of columns around a lamp, within the pyramid about one direction of an axis: LampOpticalDepth. */
@@ -143,6 +145,7 @@ typedef struct {
 /* Everything that rays need to know of a scene in some colour channels. */
 typedef struct {
     int64_t volumes, suns, groups, channels;
+    int64_t varying, scattering;     /* how many albedos vary, and colour channels whose scattering is gathered */
     const Medium *media;             /* (volumes) */
     const int64_t *group_starts;     /* (groups + 1) in `group_members` */
     const int64_t *group_members;    /* numbers of volumes */
@@ -185,12 +188,14 @@ typedef struct {
 typedef struct {
     double *alpha, *depth;               /* (rays) */
     double *optical_depth;               /* (rays, volumes) */
-    double *single_scattering;           /* (rays, volumes, suns) */
-    double *lamp_scattering;             /* (rays, volumes, lamps), single scattering of lamps of power 1 */
+    double *single_scattering;           /* (rays, volumes, suns, scattering) */
+    double *lamp_scattering;             /* (rays, volumes, lamps, scattering), of lamps of power 1 */
+    double *scattering_depth;            /* (rays, volumes, scattering), or NULL where no albedo varies */
     double *emission;                    /* (rays, channels), or NULL */
     int64_t *sample_counts;              /* (rays) */
     double *sample_distance, *sample_weight;  /* (rays * depth_samples) */
     float *sample_fraction;              /* (rays * depth_samples, volumes) */
+    float *sample_scattering;            /* (rays * depth_samples, volumes, scattering), or NULL where none varies */
     float *sample_features;              /* (rays * depth_samples, groups, suns, 7), or NULL */
     float *lamp_features;                /* (rays * depth_samples, groups, lamps, 7), or NULL */
     int64_t samples;

@@ -45,6 +45,7 @@ typedef struct {
     float *dt;                   /* (steps), length */
     double *before;              /* (blocks + 1), optical depth from the ray's start */
     float *sigma;                /* (volumes, steps), extinction */
+    float *scattering;           /* (scattering, volumes, steps), of volumes whose albedo varies */
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
     float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
@@ -227,6 +228,42 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     }
 }
 
+/* Scattering coefficients of the steps of all blocks, where albedos vary. */
+static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
+    int64_t room = STEPS * work->room;
+    for (int64_t v = 0; v < scene->volumes && scene->varying; v++) {
+        const Medium *medium = scene->media + v;
+        const float *sigma = work->sigma + v * room;
+        if (!medium->varies) continue;
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            float *scattering = work->scattering + (c * scene->volumes + v) * room;
+            for (int64_t b = 0; b < work->blocks; b++) {
+                const float *here = sigma + STEPS * b;
+                float *found = scattering + STEPS * b;
+                double place = work->place[b], size = work->size[b];
+                int filled = 0;
+                for (int k = 0; k < STEPS; k++) found[k] = 0.0f, filled |= here[k] > 0.0f;
+                if (!filled) continue;
+                Floats value = sample_block(medium->scattering + c, work->lines + v, place, size);
+                for (int k = 0; k < STEPS; k++) {
+                    int inside = place + k * size < (double)ray->count;
+                    float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
+                    float scattered = (inside ? mean : 0.0f) * (float)medium->sigma_t;
+                    /* Interpolation in single precision may leave a little where there is no density. */
+                    found[k] = scattered < here[k] ? scattered : here[k];
+                }
+            }
+        }
+    }
+}
+
+/* Scattering coefficients of a volume in a colour channel at steps: its extinction, for albedo 1, where the albedo does
+not vary. */
+static inline const float *scattering_of(const Scene *scene, const Work *work, int64_t v, int64_t c) {
+    int64_t room = STEPS * work->room;
+    return scene->media[v].varies ? work->scattering + (c * scene->volumes + v) * room : work->sigma + v * room;
+}
+
 /* A place within a step. */
 static inline double place_in(const Work *work, int64_t step, double inside) {
     int64_t block = step / STEPS;
@@ -344,19 +381,20 @@ static void transmit(Work *work) {
 
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
 static void add_single(const Scene *scene, int64_t l, Work *work, double *single) {
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    int64_t steps = STEPS * work->blocks;
     float *light = work->light;
     for (int64_t s = 0; s < steps; s += LANES) {
         Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
         Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
         store(light + s, scene->shadow_maps ? found * load(work->visible + s) : found);
     }
-    for (int64_t v = 0; v < scene->volumes; v++) {
-        const float *sigma = work->sigma + v * room;
+    for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
+        int64_t v = n / scene->scattering, c = n % scene->scattering;
+        const float *sigma = scattering_of(scene, work, v, c);
         for (int64_t b = 0; b < work->blocks; b++) {
             float sum = 0.0f;
             for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += sigma[s] * light[s];
-            single[v * scene->suns + l] += (double)sum;
+            single[(v * scene->suns + l) * scene->scattering + c] += (double)sum;
         }
     }
 }
@@ -440,6 +478,10 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
         for (int64_t v = 0; v < scene->volumes; v++) {
             out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * steps + s] / total;
         }
+        for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
+            const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
+            out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
+        }
     }
     return count;
 }
@@ -522,6 +564,7 @@ function. In steps that are not far shorter than their distance the nodes lie in
 the step, in which the inverse square is constant. */
 static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
                         int64_t stride) {
+    int64_t channels = scene->scattering;
     double origin[3], passing = 0.0, nearest, wide = scene->wide * scene->wide;
     for (int k = 0; k < 3; k++) origin[k] = ray->origin[k] - emitter->position[k];
     nearest = -dot_of(origin, ray->direction);
@@ -562,7 +605,10 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
                 for (int64_t v = 0; v < scene->volumes; v++) {
                     float sigma = work->sigma[v * STEPS * work->room + s];
                     if (!(sigma > 0.0f)) continue;
-                    single[v * stride] += light * sigma * scattered_back(scene->media[v].phase, behind, passing, distance);
+                    double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
+                    for (int64_t c = 0; c < channels; c++) {
+                        single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
+                    }
                 }
             }
         }
@@ -621,8 +667,11 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
                      Gathered *out) {
     const Lamp *lamp = scene->lamp_list + k;
     int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
-    double *single = out->lamp_scattering + r * scene->volumes * scene->lamps + k;
-    for (int64_t v = 0; v < scene->volumes; v++) single[v * scene->lamps] = 0.0;
+    int64_t stride = scene->lamps * scene->scattering;
+    double *single = out->lamp_scattering + r * scene->volumes * stride + k * scene->scattering;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        for (int64_t c = 0; c < scene->scattering; c++) single[v * stride + c] = 0.0;
+    }
     if (count) look_up_fluence(scene, lamp, ray, count, work);
     for (int64_t s = 0; s < steps; s++) work->lit[s] = 0.0f, work->visible[s] = 1.0f;
     for (int64_t g = 0; g < scene->groups; g++) {
@@ -636,7 +685,7 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
             for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + distance * ray->direction[j];
             work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
         }
-        add_emitter(scene, lamp->parts + e, ray, work, single, scene->lamps);
+        add_emitter(scene, lamp->parts + e, ray, work, single, stride);
         if (count) add_part(scene, lamp->parts + e, ray, lamp->emitters == 1, work);
     }
     for (int64_t g = 0; g < scene->groups && count; g++) {
@@ -700,6 +749,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(dt, float, steps)
     TAKE(before, double, blocks + 1)
     TAKE(sigma, float, volumes * steps)
+    TAKE(scattering, float, scene->varying ? scene->scattering * volumes * steps : 0)
     TAKE(total, float, steps)
     TAKE(tau, float, steps)
     TAKE(within, float, steps)
@@ -742,6 +792,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     }
     fill_blocks(scene, &ray, scene->behind, 0, work);
     out->blocks += work->looked_at;
+    sample_scattering(scene, &ray, work);
 
     double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);
     transmit(work);
@@ -765,8 +816,18 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
         }
         out->optical_depth[r * scene->volumes + v] = depth;
     }
-    double *single = out->single_scattering + r * scene->volumes * scene->suns;
-    for (int64_t n = 0; n < scene->volumes * scene->suns; n++) single[n] = 0.0;
+    for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
+        const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
+        double depth = 0.0;
+        for (int64_t b = 0; b < work->blocks; b++) {
+            float sum = 0.0f;
+            for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += scattering[s] * work->dt[s];
+            depth += (double)sum;
+        }
+        out->scattering_depth[r * scene->volumes * scene->scattering + i] = depth;
+    }
+    double *single = out->single_scattering + r * scene->volumes * scene->suns * scene->scattering;
+    for (int64_t n = 0; n < scene->volumes * scene->suns * scene->scattering; n++) single[n] = 0.0;
 
     int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0, of_lamps = out->lamp_features && count > 0;

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 10
+INTERFACE = 11
 CHANNELS = 3
 PHASES = 8192
 
@@ -97,6 +97,8 @@ class Medium(Shared):
         ("emission", Grid * CHANNELS),
         ("emission_power", c_int64),
         ("emission_factor", c_double),
+        ("varies", c_int64),
+        ("scattering", Grid * CHANNELS),
     ]
 
 
@@ -191,6 +193,8 @@ class Scene(Shared):
         ("suns", c_int64),
         ("groups", c_int64),
         ("channels", c_int64),
+        ("varying", c_int64),
+        ("scattering", c_int64),
         ("media", c_void_p),
         ("group_starts", c_void_p),
         ("group_members", c_void_p),
@@ -249,11 +253,13 @@ class Gathered(Shared):
         ("optical_depth", c_void_p),
         ("single_scattering", c_void_p),
         ("lamp_scattering", c_void_p),
+        ("scattering_depth", c_void_p),
         ("emission", c_void_p),
         ("sample_counts", c_void_p),
         ("sample_distance", c_void_p),
         ("sample_weight", c_void_p),
         ("sample_fraction", c_void_p),
+        ("sample_scattering", c_void_p),
         ("sample_features", c_void_p),
         ("lamp_features", c_void_p),
         ("samples", c_int64),

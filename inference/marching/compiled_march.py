@@ -58,6 +58,7 @@ class CompiledMarch:
         self._lamps = lamps
         self._kernels, self._media, self._options = kernels, media, options
         self._channels, self._emits = len(channels), any(medium.emits for medium in media)
+        self._varying = sum(medium.varies for medium in media)
         self._stop = stop
         self._groups = options.groups or [[v] for v in range(len(media))]
         self._suns = len(media[0].sun_depths)
@@ -85,7 +86,12 @@ class CompiledMarch:
         scratch = self._scratch(batch.max_count)
         batch.scratch = scratch.ctypes.data
         alpha, depth = np.empty((2, count))
-        optical_depth, single = np.empty((count, volumes)), np.empty((count, volumes, self._suns))
+        scattering = len(self._options.scattering)
+        optical_depth, single = np.empty((count, volumes)), np.empty((count, volumes, self._suns, scattering))
+        sample_scattering = scattering_depth = None
+        if self._varying:
+            sample_scattering = np.empty((count * most, volumes, scattering), np.float32)
+            scattering_depth = np.empty((count, volumes, scattering))
         emission = np.empty((count, self._channels)) if self._emits else None
         samples = np.zeros(count, np.int64)
         distance, weight = np.empty((2, count * most))
@@ -93,7 +99,7 @@ class CompiledMarch:
         if self._options.fluence is not None:
             features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
         lamps = 0 if self._lamps is None else len(self._lamps.lamps)
-        of_lamps, lamp_features = np.empty((count, volumes, lamps)), None
+        of_lamps, lamp_features = np.empty((count, volumes, lamps, scattering)), None
         if self._lamps is not None and self._lamps.fluence is not None:
             lamp_features = np.empty((count * most, len(self._groups), lamps, COLUMNS), np.float32)
         gathered = structures.Gathered(
@@ -102,11 +108,13 @@ class CompiledMarch:
             optical_depth=optical_depth,
             single_scattering=single,
             lamp_scattering=of_lamps,
+            scattering_depth=scattering_depth,
             emission=emission,
             sample_counts=samples,
             sample_distance=distance,
             sample_weight=weight,
             sample_fraction=fraction,
+            sample_scattering=sample_scattering,
             sample_features=features,
             lamp_features=lamp_features,
         )
@@ -126,6 +134,8 @@ class CompiledMarch:
             gathered.blocks * STEPS,
             emission,
             None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
+            None if sample_scattering is None else sample_scattering[:end].copy(),
+            scattering_depth,
         )
 
     def _scratch(self, max_count: int) -> np.ndarray:
@@ -148,7 +158,11 @@ class CompiledMarch:
             suns=self._suns,
             groups=len(self._groups),
             channels=len(channels),
-            media=structures.array_of([_medium(medium, channels, lamps is not None) for medium in self._media]),
+            varying=self._varying,
+            scattering=len(options.scattering),
+            media=structures.array_of(
+                [_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
+            ),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
@@ -213,8 +227,9 @@ def _phase_table(medium: Medium) -> np.ndarray:
     return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
 
 
-def _medium(medium: BoundMedium, channels: list[int], lamps: bool) -> structures.Medium:
+def _medium(medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool) -> structures.Medium:
     grid = medium.grid
+    scattered = [describe_grid(grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
     emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
     density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
@@ -228,8 +243,10 @@ def _medium(medium: BoundMedium, channels: list[int], lamps: bool) -> structures
         emission=(structures.Grid * structures.CHANNELS)(*emission),
         emission_power=grid.emission_power,
         emission_factor=medium.medium.emission if medium.emits else 0.0,
+        varies=medium.varies,
+        scattering=(structures.Grid * structures.CHANNELS)(*scattered),
     )
-    described.kept += [density, occupancy, *emission]
+    described.kept += [density, occupancy, *emission, *scattered]
     return described
 
 

@@ -7,7 +7,7 @@ lines.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,8 +76,9 @@ class DepthSamples:
 
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
     each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), share of each
-    volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps. number:
-    int32 (M,), of each sample on its ray.
+    volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps.
+    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. number: int32 (M,), of each sample on its
+    ray.
     """
 
     pixel: np.ndarray
@@ -90,6 +91,7 @@ class DepthSamples:
     fraction: np.ndarray
     features: RayFeatures | None = None
     lamp_features: RayFeatures | None = None
+    scattering: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -103,6 +105,19 @@ class DepthSamples:
         """World positions (N, 3) of some samples."""
         ray = self.ray[samples]
         return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
+
+    def scattered(
+        self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, places: Sequence[int]
+    ) -> np.ndarray:
+        """Weights (N, C) of what some volumes scatter at some samples in C colour channels.
+
+        factors: float32 (V, C) of each of these volumes. places: of each channel among those of `scattering`.
+        """
+        weight = self.weight[samples, None]
+        if self.scattering is None:
+            return weight * product(self.fraction[:, members][samples], factors)
+        scattering = self.scattering[:, members][samples][:, :, places]
+        return weight * np.einsum("nvc,vc->nc", scattering, factors)
 
     def jitter(self, samples: np.ndarray) -> np.ndarray:
         """Jitter (N, 3) in [-1/2, 1/2) of the samples' lookups: a rank-1 lattice along each ray, shifted by pixel."""

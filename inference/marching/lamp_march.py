@@ -260,17 +260,21 @@ class _LitSteps:
         if lamp.shadow_maps is not None:
             self.visible = [shadow_map.visibility(steps.middle) for shadow_map in lamp.shadow_maps]
 
-    def single(self, transmitted: np.ndarray) -> np.ndarray:
-        """Single scattering (R, V) for power 1 and albedo 1; transmitted: (P, STEPS), from the ray's start."""
+    def single(self, transmitted: np.ndarray, scattering: Sequence[np.ndarray]) -> np.ndarray:
+        """Single scattering (R, V, S) for power 1; transmitted: (P, STEPS), from the ray's start.
+
+        scattering: scattering coefficients (V, P, STEPS) of S colour channels.
+        """
         steps, medium = self.steps, self.steps.medium
-        found = np.zeros((medium.blocks.rays, len(self.media)))
+        found = np.zeros((medium.blocks.rays, len(self.media), len(scattering)))
         for emitter, each, visible in zip(self.lamp.emitters, self.depths, self.visible):
             depth = each.sum(axis=0)
             passed = transmitted * mean_transmittance(depth[:, :-1], depth[:, 1:] + medium.tau)
             light = steps.integrals(emitter, self.media) * (passed.ravel()[steps.filled] * visible)
             for v in range(len(self.media)):
-                scattered = steps.scattered(light[v]) * medium.sigma[v]
-                found[:, v] += medium.blocks.sums(block_sums(scattered))
+                inside = steps.scattered(light[v])
+                for s, sigma in enumerate(scattering):
+                    found[:, v, s] += medium.blocks.sums(block_sums(inside * sigma[v]))
         return found
 
     def beam(self, groups: list[list[int]] | None, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -312,10 +316,11 @@ def march_lamps(
     medium = MarchedMedium(media, rays, cutting)
     steps = _Steps(medium, rays, medium.total > 0.0)
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
-    single, beams = np.zeros((len(rays.near), len(media), len(lamps))), []
+    scattering = [medium.scattering(media, channel) for channel in options.scattering]
+    single, beams = np.zeros((len(rays.near), len(media), len(lamps), len(scattering))), []
     for k, lamp in enumerate(lamps):
         lit = _LitSteps(steps, media, lamp)
-        single[:, :, k] = lit.single(transmitted)
+        single[:, :, k] = lit.single(transmitted, scattering)
         if options.fluence is not None:
             beams.append(lit.beam(options.groups, radius))
     if options.fluence is None or not len(samples[0]):

@@ -18,7 +18,7 @@ from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import Quadrature, gauss_legendre, sample_opacities
 from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
-from .ray_steps import STEPS, Cutting, RayBatch, RayLines, cut_into_blocks, sums_within
+from .ray_steps import STEPS, Blocks, Cutting, RayBatch, RayLines, cut_into_blocks, sums_within
 
 # Optical depth up to which rays are marched for single scattering: a fraction of 1e-6 is transmitted.
 MAX_OPTICAL_DEPTH = 14.0
@@ -37,7 +37,8 @@ class MarchOptions:
     depth_samples: of an opaque ray. fluence: ScatteredFluence per group of volumes, None for a group without
     prediction; None altogether if no ray features are wanted. shadow_maps: of each sun, or None if no surface shadows
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
-    those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity.
+    those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity. scattering: colour channels
+    whose scattering is gathered, by number; one stands for all unless an albedo varies in colour.
     """
 
     depth_samples: int
@@ -46,14 +47,15 @@ class MarchOptions:
     groups: list[list[int]] | None = None
     optimizations: frozenset[str] = ALL
     quadrature: Quadrature = gauss_legendre
+    scattering: Sequence[int] = (0,)
 
 
 @dataclass(frozen=True)
 class LampSegment:
     """What a batch of R rays gathered of K lamps of power 1 in V volumes.
 
-    single: (R, V, K), single scattering for albedo 1. features: RayFeatures of samples, their lights the lamps over
-    their softened fluence there, or None.
+    single: (R, V, K, S), single scattering as in RaySegment. features: RayFeatures of samples, their lights the lamps
+    over their softened fluence there, or None.
     """
 
     single: np.ndarray
@@ -65,11 +67,14 @@ class RaySegment:
     """What a batch of R rays gathered of V volumes and L suns.
 
     alpha: (R,). depth: (R,), mean scattering distance. optical_depth: (R, V) of each volume, up to where the ray is
-    opaque. single: (R, V, L), single scattering for albedo 1, irradiance 1 and phase function 1. sample_ray: int (M,),
-    ray of each depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray.
-    sample_fraction: (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples,
-    or None. steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None
-    where no volume emits light. lamps: what they gathered of lamps, or None.
+    opaque. single: (R, V, L, S), single scattering for irradiance 1 and phase function 1, in the S colour channels of
+    `MarchOptions.scattering`, for albedo 1 except in volumes whose albedo varies. sample_ray: int (M,), ray of each
+    depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray. sample_fraction:
+    (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples, or None.
+    steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None where no
+    volume emits light. lamps: what they gathered of lamps, or None. sample_scattering: float32 (M, V, S), what each
+    volume scatters of the light that all take there, for albedo 1 as in `single`; scattering_depth: (R, V, S), as
+    optical_depth, of scattering; both None where no albedo varies.
     """
 
     alpha: np.ndarray
@@ -84,6 +89,8 @@ class RaySegment:
     steps_evaluated: int = 0
     emission: np.ndarray | None = None
     lamps: LampSegment | None = None
+    sample_scattering: np.ndarray | None = None
+    scattering_depth: np.ndarray | None = None
 
 
 def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.ndarray:
@@ -107,6 +114,19 @@ class MarchedMedium:
         self.tau = self.total * self.dt
         self.within = sums_within(self.tau)
         self.before = self.blocks.before(self.within[:, -1])
+
+    def scattering(self, media: Sequence[BoundMedium], channel: int) -> np.ndarray:
+        """Scattering coefficient of steps in a colour channel, float32 (V, P, STEPS): the extinction, for albedo 1, in
+        volumes whose albedo does not vary."""
+        found = self.sigma
+        inside = self.blocks.steps(0.0) < self.lines.count[self.blocks.ray, None]
+        for v, medium in enumerate(media):
+            if medium.varies:
+                mean = self.lines.mean(medium.grid.scattering_of(channel).sample, v, self.blocks)
+                found = found.copy() if found is self.sigma else found
+                # Nothing scatters where interpolation in single precision leaves no density.
+                found[v] = np.minimum(mean * inside * np.float32(medium.sigma_t), self.sigma[v])
+        return found
 
     def edges(self) -> np.ndarray:
         """Optical depth from the ray's start to the edges of steps, float32 (P, STEPS + 1)."""
@@ -137,13 +157,20 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
 
     sun_depths = _sun_depths(media, medium, total > 0.0)
     visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
-    single = _single(medium, sun_depths, transmitted, visibility)
+    varies = any(bound.varies for bound in media)
+    scattering = [medium.scattering(media, channel) for channel in options.scattering]
+    single = _single(medium, sun_depths, transmitted, visibility, scattering)
     opacities = sample_opacities(
         alpha, options.depth_samples, "faint_rays" in options.optimizations, options.quadrature
     )
     block, step, inside, weight = _sample_depths(medium, *opacities)
     ray = blocks.ray[block]
     fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
+    sample_scattering = scattering_depth = None
+    if varies:
+        some = np.stack([sigma[:, block, step] for sigma in scattering])
+        sample_scattering = (some / np.maximum(total[block, step], np.float32(1e-30))).T
+        scattering_depth = np.stack([_depths(blocks, sigma, dt) for sigma in scattering], axis=2)
     features = None
     if options.fluence is not None:
         sigma, depths = group_sums(medium.sigma, options.groups), group_sums(sun_depths, options.groups)
@@ -155,7 +182,7 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     return RaySegment(
         alpha,
         depth,
-        np.stack([blocks.sums(block_sums(sigma * dt)) for sigma in medium.sigma], axis=1),
+        _depths(blocks, medium.sigma, dt),
         single,
         sample_ray=ray,
         sample_distance=lines.near[ray] + (blocks.place[block] + (step + inside) * blocks.size[block]) * lines.dt[ray],
@@ -163,7 +190,14 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         sample_fraction=fraction.T,
         sample_features=features,
         steps_evaluated=blocks.looked_at * STEPS,
+        sample_scattering=sample_scattering,
+        scattering_depth=scattering_depth,
     )
+
+
+def _depths(blocks: Blocks, sigma: np.ndarray, dt: np.ndarray) -> np.ndarray:
+    """Optical depth (R, V) of rays; sigma: (V, P, STEPS), dt: (P, 1)."""
+    return np.stack([blocks.sums(block_sums(one * dt)) for one in sigma], axis=1)
 
 
 def ray_features_at(
@@ -300,17 +334,25 @@ def _visibility(shadow_maps: Sequence[ShadowMap], medium: MarchedMedium, rays: R
 
 
 def _single(
-    medium: MarchedMedium, sun_depths: np.ndarray, transmitted: np.ndarray, visibility: np.ndarray | None
+    medium: MarchedMedium,
+    sun_depths: np.ndarray,
+    transmitted: np.ndarray,
+    visibility: np.ndarray | None,
+    scattering: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """Single scattering (R, V, L) by volume and sun, for albedo, irradiance and phase function 1."""
+    """Single scattering (R, V, L, S) by volume, sun and colour channel, for irradiance and phase function 1.
+
+    scattering: scattering coefficients (V, P, STEPS) of S colour channels.
+    """
     volumes, suns = sun_depths.shape[:2]
-    single = np.zeros((medium.blocks.rays, volumes, suns))
+    single = np.zeros((medium.blocks.rays, volumes, suns, len(scattering)))
     # Integral over a step of exp(-tau to the camera - tau to the sun).
     for l in range(suns):
         depth = sun_depths[:, l].sum(axis=0) if volumes > 1 else sun_depths[0, l]
         light = transmitted * mean_transmittance(depth[:, :-1], depth[:, 1:] + medium.tau) * medium.dt
         if visibility is not None:
             light *= visibility[l]
-        for v in range(volumes):
-            single[:, v, l] = medium.blocks.sums(block_sums(medium.sigma[v] * light))
+        for s, sigma in enumerate(scattering):
+            for v in range(volumes):
+                single[:, v, l, s] = medium.blocks.sums(block_sums(sigma[v] * light))
     return single

@@ -23,11 +23,13 @@ from ..scene.description import Medium, Sun, Volume
 from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.lamps import LAMPS, Lamp
+from ..scene.optimizations import ALL
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
 from ..transport.environment_light import image_in_frame
 from ..transport.lamp_beam import LampInCube
 from ..transport.scattered_fluence import ScatteredFluence
+from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
@@ -91,6 +93,8 @@ class VolumePredictor:
                 found.append(
                     f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}"
                 )
+        if self.volume.scattering is not None and not network.needs_ray_features:
+            found.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
             found.append(
@@ -188,6 +192,33 @@ class VolumePredictor:
             network, image, conditions, max(self.peak_sigma_hat(sigma_t), 1e-30), tasks
         )
         return EnvironmentPredictor(prepared, self.cube)
+
+    def albedos(
+        self,
+        medium: Medium,
+        sigma_t: float,
+        indices: Sequence[int],
+        light: np.ndarray | LampInMedia | Sequence[Environment],
+        occluders: Occluders = NO_OCCLUDERS,
+        tasks: AnyTasks = SERIAL,
+        optimizations: frozenset[str] = ALL,
+    ) -> Albedos:
+        """Albedos of some colour channels of the volume's medium, in a light. Raises Cancelled.
+
+        light: the direction (3,) of a sun in the world, a lamp, or environments. optimizations: those in use.
+        """
+        if self.volume.scattering is None or not self.network.needs_ray_features:
+            return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
+        anywhere, image = (np.full(3, -0.5), np.full(3, 0.5)), None
+        if isinstance(light, LampInMedia):
+            conditions = self._lamp_conditions(sigma_t, light, anywhere, occluders)
+        elif isinstance(light, np.ndarray):
+            conditions = self._conditions(sigma_t, light, anywhere, occluders)
+        else:
+            conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
+            image = image_in_frame(light, self.cube.rotation)
+        coarse, places = self._predictor.varying_albedo(conditions, image, tasks)
+        return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices)
 
     @property
     def lamp_radius(self) -> float:
@@ -450,23 +481,23 @@ def predict_multiple(
     colour = light.irradiance if isinstance(light, Sun) else light.power
     for sigma_t in map(float, np.unique(medium.sigma_t[medium.sigma_t > 0.0])):
         members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
-        albedos = distinct_albedos(medium, members)
-        if not albedos:
+        if not distinct_albedos(medium, members):
             continue
         prepared: PreparedPredictor | PreparedLampPredictor
         if isinstance(light, Sun):
+            albedos = predictor.albedos(medium, sigma_t, members, light.direction)
             prepared, features_at = _prepare_sun(predictor, grid, medium, sigma_t, light, bounds)
         else:
-            prepared, features_at = _prepare_lamp(predictor, grid, medium, sigma_t, light, bounds)
+            placed = place_lamp(light, [grid])
+            albedos = predictor.albedos(medium, sigma_t, members, placed)
+            asked = LampLight(placed, predictor.lamp_radius, albedos.values)
+            prepared, features_at = _prepare_lamp(predictor, grid, medium, sigma_t, asked, bounds)
         for start in range(0, len(positions), POINTS_PER_TASK):
             span = slice(start, start + POINTS_PER_TASK)
             features = features_at(positions[span], directions[span])
-            radiance = prepared.predict(
-                positions[span], directions[span], [albedo for albedo, _ in albedos], ray_features=features
-            )
-            for (_, channels), row in zip(albedos, radiance):
-                for c in channels:
-                    result[span, c] = row * colour[c]
+            radiance = prepared.predict(positions[span], directions[span], albedos.values, ray_features=features)
+            for c, row in albedos.by_channel(radiance, positions[span]):
+                result[span, c] = row * colour[c]
     return result
 
 
@@ -491,12 +522,10 @@ def _prepare_sun(
 
 
 def _prepare_lamp(
-    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, lamp: Lamp, bounds: Bounds
+    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, light: LampLight, bounds: Bounds
 ) -> tuple[PreparedLampPredictor, FeaturesAt]:
     """As `_prepare_sun`, of a lamp of power 1."""
-    placed, radius = place_lamp(lamp, [grid]), predictor.lamp_radius
-    albedos = [albedo for albedo, _ in distinct_albedos(medium, [c for c in range(3) if medium.sigma_t[c] == sigma_t])]
-    light = LampLight(placed, radius, albedos)
+    placed, radius = light.lamp, light.radius
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
     fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
 

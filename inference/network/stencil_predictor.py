@@ -30,6 +30,7 @@ from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.environment_light import direction_radiance, ordinate_radiance, solve_environment
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
+from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
@@ -63,6 +64,7 @@ class StencilPredictor:
         self.network, self.cube, self.anisotropy, self.kernels = network, cube, anisotropy, kernels
         self._lock = threading.Lock()
         self._lattices: tuple[tuple[float, ...], Lattices] | None = None
+        self.volume = volume
         self.padded = padded_pyramid(volume, cube, network.points, cancel, kernels)
         self._read_pyramid()
 
@@ -143,6 +145,8 @@ class RayPredictor(StencilPredictor):
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: OpenDepths | None = None
         self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
+        self._albedo: CoarseAlbedo | None = None
+        self._places: dict[tuple[Any, ...], np.ndarray] = {}
 
     def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
         """What predicts under these conditions. Raises Cancelled."""
@@ -244,6 +248,55 @@ class RayPredictor(StencilPredictor):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
         lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
         return LampNearby(share, lights, self.anisotropy)
+
+    def varying_albedo(
+        self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL
+    ) -> tuple[CoarseAlbedo, np.ndarray]:
+        """The albedo of a volume in which it varies, and its `CoarseAlbedo.places`. Raises Cancelled.
+
+        In the light of the conditions' sun or lamp, or of an environment's image (H, 2H, C) in the cube's frame.
+        """
+        cancel, ordinates = tasks.cancel, None
+        # Its colours differ little in where they come from, compared to what the albedo does to them.
+        if image is not None:
+            ordinates = ordinate_radiance(image).mean(axis=1)
+        lamp_key = conditions.lamp.key if conditions.lamp else b""
+        light_key = (*conditions.sun, lamp_key) if ordinates is None else ordinates.tobytes()
+        key = conditions.sigma_hat, light_key, conditions.occluders
+        with cancel.locked(self._lock):
+            if self._albedo is None:
+                self._albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel, self.kernels)
+            known = self._albedo
+            if key not in self._places:
+                if len(self._places) >= MAX_LATTICES:
+                    self._places.clear()
+                self._places[key] = known.places(
+                    lambda albedo: known.solver(conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo),
+                    self._scattered_fluence(conditions, ordinates, cancel),
+                )
+            return known, self._places[key]
+
+    def _scattered_fluence(
+        self, conditions: Conditions, ordinates: np.ndarray | None, cancel: CancelToken
+    ) -> FluenceOf:
+        """What finds the light that has scattered, of the conditions' sun or lamp or of an environment's ordinates."""
+        if ordinates is not None:
+            return lambda solver: solver.environment(ordinates, cancel)[0]
+        lamp, sun = conditions.lamp, conditions.sun
+        if lamp is not None:
+            return lambda solver: solver.lamp(lamp, cancel)[0]
+        assert self._albedo is not None
+        visibility: np.ndarray | float = 1.0
+        if conditions.shadow_map:
+            visibility = conditions.shadow_map.cell_visibility(len(self._albedo.density), parts=VISIBILITY_SAMPLES)
+        ballistic = self._albedo.solver(conditions.sigma_hat, 0.0, None, 1.0).unscattered(sun, visibility)
+
+        def fluence(solver: DiscreteOrdinates) -> np.ndarray:
+            # Light in the phase function's forward peak has scattered, too.
+            forward = np.maximum(solver.unscattered(sun, visibility) - ballistic, 0.0)
+            return solver.light(sun, visibility, cancel)[0] + forward
+
+        return fluence
 
     def _solve_lamp(
         self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None

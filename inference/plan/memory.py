@@ -21,6 +21,8 @@ VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 MERGED_BYTES = 12 * LEVEL0_CELLS**3
 # Bytes per voxel of emission.
 VOXEL_EMISSION_BYTES = 24
+# Bytes per voxel of an albedo that varies, in each of its channels.
+VOXEL_ALBEDO_BYTES = 8
 # Bytes per block of a sparse grid's largest slab, and per block of the whole grid.
 SLAB_BYTES, CELLS_BYTES = 3 * 4 * 512, 3 * 8
 # Bytes per pixel of the framebuffer, per camera ray of a tile, and per depth sample of such a ray.
@@ -33,6 +35,7 @@ def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
     """Bytes of a volume's grid and of its optical depths towards the suns. emits: whether the volume emits light."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits
+        voxel += VOXEL_ALBEDO_BYTES * len(volume.scattering or ())
         return volume.density.size * refinement(volume.density.shape) ** 3 * voxel
     index_from_world = np.linalg.inv(volume.world_from_index)[:3, :3]
     depths = sum(column_bytes(volume.density, index_from_world @ sun.direction) for sun in suns)

@@ -17,6 +17,8 @@ from .validation import affine_matrix, rgb_triple
 
 # The limit that Cycles has: the phase function degenerates at -1 and 1.
 MAX_ANISOTROPY = 0.999
+# Voxels of one quantity.
+Voxels = np.ndarray | SparseGrid
 # Brighter light overflows single precision where the phase function peaks.
 MAX_IRRADIANCE = 1e30
 
@@ -32,6 +34,8 @@ class Volume:
         independent of it: float32 (nx, ny, nz, 3), or three SparseGrids with the blocks of a sparse density, or None.
     emission_power: exponent applied to the interpolated emission, keeping its sign. Blackbodies whose temperature is
         interpolated store the fourth root of their emission.
+    scattering: density times albedo of a medium whose albedo varies, interpolated like the density: one grid for all
+        colour channels or three, of the density's kind; None for a uniform albedo. Set by `plan.plan.in_range`.
 
     Raises SceneError for an empty or non-finite grid, negative density, or a singular transform.
     """
@@ -41,6 +45,7 @@ class Volume:
     name: str = "volume"
     emission: None | np.ndarray | tuple[SparseGrid, SparseGrid, SparseGrid] = None
     emission_power: int = 1
+    scattering: None | tuple[Voxels, ...] = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, SparseGrid):
@@ -69,12 +74,13 @@ class Volume:
             raise SceneError(f"{self.name}: emission holds NaN or infinite values")
 
     def same_content(self, other: "Volume") -> bool:
-        """Whether two volumes hold equal density and emission at the same place, whatever their names."""
-        mine: list[np.ndarray | SparseGrid] = [self.density, *self.emission_channels()]
-        theirs: list[np.ndarray | SparseGrid] = [other.density, *other.emission_channels()]
+        """Whether two volumes hold equal grids at the same place, whatever their names."""
+        mine: list[Voxels] = [self.density, *self.emission_channels(), *(self.scattering or ())]
+        theirs: list[Voxels] = [other.density, *other.emission_channels(), *(other.scattering or ())]
         return (
             np.array_equal(self.world_from_index, other.world_from_index)
             and self.emission_power == other.emission_power
+            and (self.emission is None) == (other.emission is None)
             and len(mine) == len(theirs)
             and all(map(_same_grid, mine, theirs))
         )
@@ -85,8 +91,12 @@ class Volume:
             return []
         return list(np.moveaxis(self.emission, 3, 0)) if isinstance(self.emission, np.ndarray) else list(self.emission)
 
+    def scattering_of(self, channel: int) -> Voxels | None:
+        """Density times albedo in a colour channel; None for a uniform albedo."""
+        return None if self.scattering is None else self.scattering[channel if len(self.scattering) == 3 else 0]
 
-def _same_grid(a: np.ndarray | SparseGrid, b: np.ndarray | SparseGrid) -> bool:
+
+def _same_grid(a: Voxels, b: Voxels) -> bool:
     if a is b:
         return True
     if isinstance(a, SparseGrid) or isinstance(b, SparseGrid):
@@ -99,7 +109,9 @@ class Medium:
     """How the density of a volume scatters light.
 
     sigma_t: extinction coefficient per unit density and world unit, scalar or RGB, >= 0; float64 (3,) once made.
-    albedo: single-scattering albedo, scalar or RGB, in [0, 1]; float64 (3,) once made.
+    albedo: single-scattering albedo in [0, 1]: scalar or RGB, float64 (3,) once made; or one that varies in space, on
+        the density's voxels: float32 (nx, ny, nz) or (nx, ny, nz, 3), or one or three SparseGrids with the blocks of a
+        sparse density; a tuple of one or three grids once made. Its product with the density is interpolated.
     anisotropy: mean cosine of the phase function, in [-0.999, 0.999].
     emission: factor of the volume's emission, >= 0.
     phase: phase function of single scattering, None for Henyey-Greenstein. Multiple scattering depends on the mean
@@ -109,18 +121,18 @@ class Medium:
     """
 
     sigma_t: np.ndarray
-    albedo: np.ndarray = field(default_factory=lambda: np.ones(3))
+    albedo: Any = field(default_factory=lambda: np.ones(3))
     anisotropy: float = 0.0
     emission: float = 1.0
     phase: PhaseFunction | None = None
 
     def __post_init__(self) -> None:
         self.sigma_t = rgb_triple(self.sigma_t, "extinction")
-        self.albedo = rgb_triple(self.albedo, "albedo")
+        self.albedo = _albedo_grids(self.albedo) or rgb_triple(self.albedo, "albedo")
         self.anisotropy = float(self.anisotropy)
         if np.any(self.sigma_t < 0.0):
             raise SceneError(f"extinction must not be negative: {self.sigma_t.tolist()}")
-        if np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0):
+        if not self.varies and (np.any(self.albedo < 0.0) or np.any(self.albedo > 1.0)):
             raise SceneError(f"albedo must lie in [0, 1]: {self.albedo.tolist()}")
         if not abs(self.anisotropy) <= MAX_ANISOTROPY:
             raise SceneError(
@@ -129,11 +141,30 @@ class Medium:
         if not 0.0 <= self.emission < np.inf:
             raise SceneError(f"emission must be finite and not negative, not {self.emission:g}")
 
+    @property
+    def varies(self) -> bool:
+        """Whether the albedo varies in space."""
+        return isinstance(self.albedo, tuple)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the albedo is above 0 anywhere."""
+        return any(grid.any() for grid in self.albedo) if self.varies else bool(np.any(self.albedo > 0.0))
+
     def same_coefficients(self, other: "Medium") -> bool:
         """Whether extinction, albedo, anisotropy and emission are equal, whatever the phase functions."""
+        if self.varies or other.varies:
+            same_albedo = (
+                self.varies
+                and other.varies
+                and len(self.albedo) == len(other.albedo)
+                and all(map(_same_grid, self.albedo, other.albedo))
+            )
+        else:
+            same_albedo = np.array_equal(self.albedo, other.albedo)
         return (
             np.array_equal(self.sigma_t, other.sigma_t)
-            and np.array_equal(self.albedo, other.albedo)
+            and same_albedo
             and self.anisotropy == other.anisotropy
             and self.emission == other.emission
         )
@@ -141,6 +172,27 @@ class Medium:
     def scattered(self, cosine: Any) -> Any:
         """Phase function of single scattering, 1/sr, at cosines between the directions before and after it."""
         return self.phase(cosine) if self.phase else henyey_greenstein(cosine, self.anisotropy)
+
+
+def _albedo_grids(albedo: Any) -> tuple[Voxels, ...]:
+    """One or three grids of an albedo that varies in space; none for numbers. Raises SceneError for bad ones."""
+    if isinstance(albedo, SparseGrid):
+        grids: tuple[Voxels, ...] = (albedo,)
+    elif isinstance(albedo, (tuple, list)) and albedo and isinstance(albedo[0], (SparseGrid, np.ndarray)):
+        grids = tuple(one if isinstance(one, SparseGrid) else np.asarray(one, np.float32) for one in albedo)
+    elif np.ndim(albedo) == 3:
+        grids = (np.asarray(albedo, np.float32),)
+    elif np.ndim(albedo) == 4:
+        grids = tuple(np.moveaxis(np.asarray(albedo, np.float32), 3, 0))
+    else:
+        return ()
+    if len(grids) not in (1, 3) or any(len(grid.shape) != 3 or 0 in grid.shape for grid in grids):
+        raise SceneError("an albedo that varies must be one grid or three")
+    for grid in grids:
+        low, high = float(grid.min()), float(grid.max())
+        if not (low >= 0.0 and high <= 1.0):
+            raise SceneError(f"albedo must lie in [0, 1]: its grid holds values from {low:g} to {high:g}")
+    return grids
 
 
 @dataclass

@@ -87,7 +87,7 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None. kernels: compiled ones, or None. albedo: in (0, 1].
+    surfaces, or None. kernels: compiled ones, or None. albedo: in (0, 1], or (n, n, n) in [0, 1] where it varies.
     """
 
     def __init__(
@@ -97,20 +97,31 @@ class DiscreteOrdinates:
         anisotropy: float,
         triangles: np.ndarray | None = None,
         kernels: Kernels | None = None,
-        albedo: float = 1.0,
+        albedo: float | np.ndarray = 1.0,
     ):
         n = len(density)
         self.kernels = kernels
-        self.density, self.sigma = density, np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
+        self.density, self.sigma = density, np.float32(sigma_hat)
         self.anisotropy = reduced_anisotropy(anisotropy)
+        self.varies = isinstance(albedo, np.ndarray)
         #: w', and whether that of the medium is 1.
         self.albedo = np.float32(albedo * (1.0 - anisotropy**2) / (1.0 - albedo * anisotropy**2))
-        self.conservative = albedo == 1.0
-        self.extinction = self.sigma * density
+        self.conservative = not self.varies and albedo == 1.0
+        if self.varies:
+            # What is delta-scaled differs from cell to cell.
+            self.density = (density * (1.0 - albedo * anisotropy**2)).astype(np.float32)
+        else:
+            self.sigma = np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
+        self.extinction = self.sigma * self.density
         reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            self.coarser = DiscreteOrdinates(self._means(density), sigma_hat, anisotropy, triangles, kernels, albedo)
+            means = self._means(density)
+            if self.varies:
+                albedo_means = self._means(albedo * density) / np.maximum(means, np.float32(1e-30))
+            else:
+                albedo_means = albedo
+            self.coarser = DiscreteOrdinates(means, sigma_hat, anisotropy, triangles, kernels, albedo_means)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
@@ -122,7 +133,9 @@ class DiscreteOrdinates:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
                 self.links = [_open_links(boundaries, axis) for axis in range(3)]
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
-        if not self.conservative:
+        if self.varies:
+            self.equation[0][...] += (sigma_hat * (2.0 / n) ** 2) * self._means((1.0 - albedo) * density)
+        elif not self.conservative:
             self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
         self.leaving, self.within = self._source_shares()
 
@@ -162,9 +175,10 @@ class DiscreteOrdinates:
         )
         field = np.zeros((5, n, n, n), np.float32)
         field[4] = beam
+        source = self._source(field)
         swept, sweeps = np.empty((4, n, n, n), np.float32), SWEEPS
         follow = [
-            self._follower(axis, sign, phase / total, field, swept)
+            self._follower(axis, sign, phase / total, source, swept)
             for axis, pair in enumerate(phases)
             for sign, phase in zip((1, -1), pair)
         ]
@@ -176,6 +190,7 @@ class DiscreteOrdinates:
         for number in range(sweeps):
             if self.boundaries is not None:
                 field *= ~self.boundaries.inside
+            self._scatter(field, source)
             swept.fill(0.0)
             for one in follow:
                 cancel.check()
@@ -200,9 +215,9 @@ class DiscreteOrdinates:
         # Of the beam along each direction, so that none of it is lost whatever the quadrature of the phase function.
         field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
         beams = self._beams(light.astype(np.float32), towards.astype(np.float32))
-        one = np.ones(1)
+        one, source = np.ones(1), self._source(field)
         follow = [
-            self._follower(axis, sign, one, field, swept, None, slice(k, k + 1))
+            self._follower(axis, sign, one, source, swept, None, slice(k, k + 1))
             for axis, steps in enumerate(STEPS)
             for sign in (1, -1)
             for k in range(len(steps))
@@ -214,10 +229,11 @@ class DiscreteOrdinates:
         for number in range(sweeps):
             if self.boundaries is not None:
                 field *= ~self.boundaries.inside
+            self._scatter(field, source)
             swept.fill(0.0)
             for along, of_beam in zip(follow, beams):
                 cancel.check()
-                field[4] = of_beam
+                source[4] = self.albedo * of_beam if self.varies else of_beam
                 along()
             change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
@@ -257,8 +273,9 @@ class DiscreteOrdinates:
         n = len(self.density)
         field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
         entering = iter(np.split(np.asarray(radiance, np.float32), INFLOW_ENDS))
+        source = self._source(field)
         follow = [
-            self._follower(axis, sign, np.zeros(len(steps)), field, swept, np.ascontiguousarray(next(entering)))
+            self._follower(axis, sign, np.zeros(len(steps)), source, swept, np.ascontiguousarray(next(entering)))
             for axis, steps in enumerate(STEPS)
             for sign in (1, -1)
         ]
@@ -269,6 +286,7 @@ class DiscreteOrdinates:
             # Exact for even light, which no albedo of 1 changes.
             field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
         for number in range(sweeps):
+            self._scatter(field, source)
             swept.fill(0.0)
             for one in follow:
                 cancel.check()
@@ -279,6 +297,20 @@ class DiscreteOrdinates:
             field[:4] = swept
             self._correct(field, change, cancel, limit=False)
         return swept
+
+    def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
+        """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
+        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / len(self.density), self.kernels)
+        return visibility * np.exp(-tau)
+
+    def _source(self, field: np.ndarray) -> np.ndarray:
+        """What sweeps read in place of a field (5, x, y, z): itself, unless the albedo varies."""
+        return np.empty_like(field) if self.varies else field
+
+    def _scatter(self, field: np.ndarray, source: np.ndarray) -> None:
+        """Fill the source of sweeps with what of a field scatters, if the albedo varies."""
+        if self.varies:
+            np.multiply(field, self.albedo, out=source)
 
     def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Henyey-Greenstein phase function of the beam along steps and along their opposites, (D,) each."""
@@ -359,8 +391,9 @@ class DiscreteOrdinates:
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
         unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
-        scattered = self.albedo * unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
-        phase = self.albedo * phase
+        albedo = np.float32(1.0) if self.varies else self.albedo
+        scattered = albedo * unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
+        phase = albedo * phase
         gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
         return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 

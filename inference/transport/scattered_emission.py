@@ -63,14 +63,21 @@ class ScatteredEmission:
         frame = np.diag([*[self.cell] * 3, 1.0])
         frame[:3, 3] = self.first
         densities = [resampled(grid, grid.density, frame, shape, cancel, kernels).astype(np.float64) for grid in grids]
+        scattered = [
+            [resampled(grid, part, frame, shape, cancel, kernels).astype(np.float64) for part in grid.scattering]
+            for grid in grids
+        ]
         solved: list[Solved] = []
         self.fields: list[np.ndarray | None] = []
         for c in range(3):
             extinction, scattering, reduced, emission = np.zeros((4, *shape))
-            for medium, density in zip(media, densities):
+            for medium, density, varying in zip(media, densities, scattered):
                 extinction += medium.sigma_t[c] * density
-                scattering += medium.sigma_t[c] * medium.albedo[c] * density
-                reduced += medium.sigma_t[c] * medium.albedo[c] * (1.0 - medium.anisotropy) * density
+                albedo, part = medium.albedo[c], density
+                if varying:
+                    albedo, part = 1.0, varying[c if len(varying) == 3 else 0]
+                scattering += medium.sigma_t[c] * albedo * part
+                reduced += medium.sigma_t[c] * albedo * (1.0 - medium.anisotropy) * part
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(

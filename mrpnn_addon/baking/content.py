@@ -58,10 +58,10 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
 
 def _volume_digest(volume, medium) -> bytes:
     digest = hashlib.sha256(repr((volume.density.shape, volume.emission_power)).encode())
-    for grid in (volume.density, *volume.emission_channels()):
+    for grid in (volume.density, *volume.emission_channels(), *(medium.albedo if medium.varies else ())):
         for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
             digest.update(np.ascontiguousarray(array))
-    for array in (volume.world_from_index, medium.sigma_t, medium.albedo):
+    for array in (volume.world_from_index, medium.sigma_t, *(() if medium.varies else (medium.albedo,))):
         digest.update(np.ascontiguousarray(array))
     digest.update(repr((medium.anisotropy, medium.emission)).encode())
     return digest.digest()

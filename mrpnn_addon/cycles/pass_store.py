@@ -60,10 +60,10 @@ def scene_key(description, bounces: int, version: str) -> str:
     digest = hashlib.sha256(repr((FORMAT, bounces, version, description.frame, description.environment)).encode())
     for volume, medium in description.volumes:
         digest.update(repr(volume.density.shape).encode())
-        for grid in (volume.density, *volume.emission_channels()):
+        for grid in (volume.density, *volume.emission_channels(), *(medium.albedo if medium.varies else ())):
             for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
                 digest.update(np.ascontiguousarray(array))
-        for array in (volume.world_from_index, medium.sigma_t, medium.albedo):
+        for array in (volume.world_from_index, medium.sigma_t, *(() if medium.varies else (medium.albedo,))):
             digest.update(np.ascontiguousarray(array))
         if volume.emission is not None:
             digest.update(repr(volume.emission_power).encode())

@@ -47,7 +47,8 @@ def blackbody(values, node, groups, attribute: str) -> np.ndarray:
         return np.zeros((1, 3))
     temperature = np.maximum(values.number(node, "Temperature", groups), 0.0)
     if attribute and values.points.has(attribute):
-        temperature = temperature * np.maximum(values.points.attribute(attribute, node), 0.0)
+        found = values.points.attribute(attribute, node).mean(axis=1, keepdims=True)
+        temperature = temperature * np.maximum(found, 0.0)
     intensity = STEFAN_BOLTZMANN * (1.0 - share + share * temperature**4)
     intensity = np.where((share > NEGLIGIBLE) & (intensity > NEGLIGIBLE), intensity, 0.0)
     return intensity * values.colour(node, "Blackbody Tint", groups) * blackbody_colour(temperature)

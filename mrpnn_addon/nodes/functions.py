@@ -200,7 +200,9 @@ def _bright_contrast(values, node, output, groups):
 def _attribute(values, node, output, groups):
     if node.attribute_type != "GEOMETRY" or output.identifier == "Alpha":
         raise _unsupported(node, f"{output.name} of type {node.attribute_type}")
-    return values.points.attribute(node.attribute_name, node)
+    found = values.points.attribute(node.attribute_name, node)
+    # The mean of a vector's components is its factor.
+    return found.mean(axis=1, keepdims=True) if output.type == "VALUE" else found
 
 
 def _volume_info(values, node, output, groups):

@@ -176,7 +176,9 @@ def _principled(shading, values, node, groups):
     # around voxels: reading the attribute then raises an error that names it.
     weight, grid = np.ones((1, 1)), ""
     if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
-        weight, grid = points.attribute(names["Density"], node), names["Density"]
+        found = points.attribute(names["Density"], node)
+        # Of a grid of vectors, the mean of the components.
+        weight, grid = (found, names["Density"]) if found.shape[1] == 1 else (found.mean(axis=1, keepdims=True), "")
     absorption = np.maximum(values.colour(node, "Absorption Color", groups), 0.0)
     scatter, absorb = principled_coefficients(colour, absorption)
     # A uniform density scales the coefficients, so that voxels keep the file's values.

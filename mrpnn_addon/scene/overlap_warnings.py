@@ -6,8 +6,8 @@ import numpy as np
 from ...inference.plan.overlap import overlapping
 from ...inference.scene import Medium, Volume
 
-# Differences of albedo and mean cosine below these need no warning.
-ALBEDO, COSINE = 0.02, 0.05
+# Differences of mean cosine below this need no warning.
+COSINE = 0.05
 
 
 def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
@@ -18,11 +18,10 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
     found = []
     for group in groups:
         media = [pairs[v][1] for v in group]
-        spread = np.ptp([medium.albedo for medium in media], axis=0).max()
-        if spread > ALBEDO or np.ptp([medium.anisotropy for medium in media]) > COSINE:
+        if np.ptp([medium.anisotropy for medium in media]) > COSINE:
             found.append(
                 f"volumes {_names(pairs, group)} overlap; multiple scattering is predicted in one medium "
-                "with their mean colour and mean anisotropy"
+                "with their mean anisotropy"
             )
     if apart:
         more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""
@@ -37,7 +36,7 @@ def _unlit(pairs, groups) -> list[str]:
     """A warning about a volume whose emission does not light a separate one."""
     for group in groups:
         emitting = [v for v in group if pairs[v][0].emission is not None]
-        others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.albedo.any()]
+        others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.scatters]
         if emitting and others:
             return [
                 f'light that volume "{pairs[emitting[0]][0].name}" emits does not light volume '

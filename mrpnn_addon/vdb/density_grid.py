@@ -12,7 +12,7 @@ from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
 from .process import read_in_process
-from .worker import LEAF, SCALAR_GRIDS, read_grid
+from .worker import COMPONENTS, LEAF, SCALAR_GRIDS, VECTOR_GRIDS, read_grid
 
 # Limit of voxels in an array, and in leaves that are not empty: 2 GiB as float32.
 MAX_VOXELS = 1 << 29
@@ -57,6 +57,8 @@ _verified, _empty = set(), set()
 
 def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
     """Read grid `grid_name` of the file `path` for the object `owner`; cached while the result is in use.
+
+    Of a grid of vectors one component is read: its name is the grid's and one of `worker.COMPONENTS`.
 
     Negative and non-finite voxels become 0, as Cycles clamps them when shading; a warning gives their number. started:
     see `read_in_process`. Any thread may call this; other threads run meanwhile.
@@ -134,6 +136,10 @@ def unreadable(path: str, reason: str) -> str:
 def _require_density(grids, path, grid_name, where) -> list[str]:
     """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
+    wanted = SCALAR_GRIDS
+    if not found and grid_name.endswith(COMPONENTS):
+        grid_name, wanted = grid_name[: -len(COMPONENTS[0])], VECTOR_GRIDS
+        found = [(kind, use) for name, kind, use in grids if name == grid_name]
     if not found:
         names = ", ".join(f'"{name}"' for name, *_ in grids) or "none"
         raise SceneError(
@@ -141,7 +147,7 @@ def _require_density(grids, path, grid_name, where) -> list[str]:
             "set the density attribute in the volume's material to one of them"
         )
     kind, use = found[0]
-    if kind not in SCALAR_GRIDS:
+    if kind not in wanted:
         raise SceneError(f'{where}: grid "{grid_name}" is a {kind}, not a float density')
     if use == "level set":
         raise SceneError(

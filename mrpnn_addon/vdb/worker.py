@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads one grid of a .vdb file: imported as a module, or run by `process` as a program without Blender.
+"""Reads one grid of a .vdb file, or a component of one; a module, or a program without Blender that `process` runs.
 
     python -I worker.py FILE.vdb GRID MOST_VOXELS CPU_SECONDS BYTES [FOLDER ...]
 
@@ -13,12 +13,15 @@ import sys
 
 NO_MODULE, NO_MEMORY = 77, 78
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
+VECTOR_GRIDS = ("Vec3SGrid", "Vec3DGrid", "Vec3HGrid")
+# What follows the name of a grid of vectors in the names of its components.
+COMPONENTS = ("[0]", "[1]", "[2]")
 # Voxels per edge of leaves of OpenVDB's trees and of the nodes above them, and the tree depth of their contents.
 LEAF, NODE, NODE_DEPTH = 8, 128, 2
 
 
 def read_grid(openvdb, path: str, name: str, most_voxels: int):
-    """(facts, pieces) of a grid.
+    """(facts, pieces) of a grid; name: its own, or that of a vector grid and one of COMPONENTS.
 
     facts: "grids": [name, type, class] of each grid in the file. If the first grid of that name is a fog volume, also
         "background"; "low", "shape": lower index and size of the bounding box of active voxels, inverted without any;
@@ -32,41 +35,46 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
     """
     # Never readAll: it can end the whole process on unusual files.
     headers = [(grid.name, type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
-    if not is_fog(next((header for header in headers if header[0] == name), None)):
+    component = None
+    if name.endswith(COMPONENTS) and not any(header[0] == name for header in headers):
+        name, component = name[: -len(COMPONENTS[0])], COMPONENTS.index(name[-len(COMPONENTS[0]) :])
+    if not is_fog(next((header for header in headers if header[0] == name), None), component is not None):
         return {"grids": headers}, ()
     grid = openvdb.read(path, name)
+    background = grid.background if component is None else grid.background[component]
     low, high = grid.evalActiveVoxelBoundingBox()
     shape = [b - a + 1 for a, b in zip(low, high)]
     first = [a // LEAF * LEAF for a in low]
     count = [b // LEAF - a // LEAF + 1 for a, b in zip(low, high)]
     facts = {
         "grids": headers,
-        "background": float(grid.background),
+        "background": float(background),
         "low": list(low),
         "shape": shape,
         "first": first,
         "count": count,
         "matrix": _matrix(grid.transform),
     }
-    fits = min(shape) >= 1 and shape[0] * shape[1] * shape[2] <= most_voxels and grid.background == 0.0
-    return facts, _pieces(grid, low, high, first, count) if fits else ()
+    fits = min(shape) >= 1 and shape[0] * shape[1] * shape[2] <= most_voxels and background == 0.0
+    return facts, _pieces(grid, component, low, high, first, count) if fits else ()
 
 
-def _pieces(grid, low, high, first, count):
-    """The pieces of `read_grid`, one per node."""
+def _pieces(grid, component, low, high, first, count):
+    """The pieces of `read_grid`, one per node. component: number of that of a vector grid, None for others."""
     import numpy
 
     accessor = grid.getConstAccessor()
     spans = [range(a // NODE * NODE, b + 1, NODE) for a, b in zip(low, high)]
     for corner in ((x, y, z) for x in spans[0] for y in spans[1] for z in spans[2]):
         # Without a node, all its voxels have one value.
-        if accessor.getValueDepth(corner) < NODE_DEPTH and accessor.getValue(corner) == 0.0:
+        if accessor.getValueDepth(corner) < NODE_DEPTH and not numpy.any(accessor.getValue(corner)):
             continue
         # Ends of the voxels in the box, and of the leaves around them.
         start, end = [max(c, a) for c, a in zip(corner, low)], [min(c + NODE - 1, b) + 1 for c, b in zip(corner, high)]
         outer, last = [a // LEAF * LEAF for a in start], [-(-b // LEAF) * LEAF for b in end]
-        inside = numpy.empty([b - a for a, b in zip(start, end)], numpy.float32)
+        inside = numpy.empty([b - a for a, b in zip(start, end)] + [3] * (component is not None), numpy.float32)
         grid.copyToArray(inside, ijk=tuple(start))
+        inside = inside if component is None else inside[..., component]
         leaves = numpy.zeros([b - a for a, b in zip(outer, last)], numpy.float32)
         leaves[tuple(slice(a - o, b - o) for a, b, o in zip(start, end, outer))] = inside
         split = leaves.reshape([size for n in leaves.shape for size in (n // LEAF, LEAF)]).transpose(0, 2, 4, 1, 3, 5)
@@ -76,9 +84,9 @@ def _pieces(grid, low, high, first, count):
             yield numpy.ravel_multi_index(places, count).astype(numpy.int64), split[found]
 
 
-def is_fog(header) -> bool:
-    """Whether a grid, an item of "grids", can be a density."""
-    return header is not None and header[1] in SCALAR_GRIDS and header[2] != "level set"
+def is_fog(header, vectors: bool = False) -> bool:
+    """Whether a grid, an item of "grids", can be a density or, if it is one of vectors, a colour."""
+    return header is not None and header[1] in (VECTOR_GRIDS if vectors else SCALAR_GRIDS) and header[2] != "level set"
 
 
 def _matrix(transform):

@@ -8,10 +8,14 @@ import numpy as np
 
 from .shaded_grid import refuse_nothing, shade
 from .source import VolumeSource
-from .voxel_points import Probe, VoxelDomain
+from .voxel_points import Probe, VoxelDomain, components
 
-# Scalar grids, by their names in shaders.
+# Densities up to this have no colour.
+MIN_AMOUNT = 1e-6
+
+# Scalar grids, by their names in shaders, and the colour, which is stored times the density, and the density.
 GRIDS = ("density", "flame", "heat", "temperature")
+COLOUR = "color"
 
 
 def gas_domain(shown_object):
@@ -24,7 +28,9 @@ def gas_domain(shown_object):
 
 
 def read_grids(domain) -> dict[str, np.ndarray]:
-    """The GRIDS that exist in this frame, float32 (nx, ny, nz) each, on the density's voxels."""
+    """The GRIDS that exist in this frame, float32 (nx, ny, nz) each, on the density's voxels, and the components of the
+    colour.
+    """
     coarse = np.array(domain.domain_resolution)[::-1]
     times = domain.noise_scale if domain.use_noise else 1
     found = {}
@@ -39,6 +45,12 @@ def read_grids(domain) -> dict[str, np.ndarray]:
             for axis in range(3):
                 grid = np.repeat(grid, times, axis)
         found[name] = np.ascontiguousarray(grid)
+    colour = _values(domain, COLOUR).reshape(-1, 4)
+    if "density" in found and len(colour) == found["density"].size and colour.any():
+        amount = colour[:, 3:]
+        plain = np.where(amount > MIN_AMOUNT, colour[:, :3] / np.maximum(amount, MIN_AMOUNT), colour[:, :3])
+        for name, values in zip(components(COLOUR), plain.T):
+            found[name] = np.ascontiguousarray(values.reshape(found["density"].shape[::-1]).T)
     return found
 
 
@@ -50,7 +62,7 @@ def is_empty(domain) -> bool:
 def checksum(domain) -> int:
     """Checksum of the grids in this frame; their names do not change with their content."""
     result = 0
-    for name in GRIDS:
+    for name in (*GRIDS, COLOUR):
         result = zlib.crc32(_values(domain, name), result)
     return result
 
@@ -63,12 +75,18 @@ def _values(domain, name: str) -> np.ndarray:
     return values
 
 
+def vectors_of(grids) -> tuple[str, ...]:
+    """Names of the grids of vectors whose components are among the grids of `read_grids`."""
+    return (COLOUR,) if all(name in grids for name in components(COLOUR)) else ()
+
+
 def probe_grids(material, grids) -> Probe:
     """A probe that has evaluated a VolumeMaterial where all grids are 0.
 
     Raises SceneError where the material reads a grid that does not exist, or none.
     """
-    probe = Probe(list(grids), fills_its_bounds=False)
+    vectors = vectors_of(grids)
+    probe = Probe([*grids, *vectors], fills_its_bounds=False, vectors=vectors)
     at_zero = material.at(probe)
     for name in probe.names:
         if name not in grids:
@@ -102,4 +120,5 @@ class FluidSource(VolumeSource):
             "world": self.matrix @ object_from_index,
             "generated": texture_from_index,
         }
-        return shade(self.material, VoxelDomain(self.grids, frames), check), object_from_index, []
+        domain = VoxelDomain(self.grids, frames, vectors=vectors_of(self.grids))
+        return shade(self.material, domain, check), object_from_index, []

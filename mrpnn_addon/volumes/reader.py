@@ -159,7 +159,8 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
         path = str(Path(folder, "evaluated.vdb"))
     material = VolumeMaterial(first_material(shown.object), where)
     # Names from Blender: only the other process parses files.
-    probe = Probe([grid.name for grid in data.grids], fills_its_bounds=False)
+    vectors = tuple(grid.name for grid in data.grids if grid.data_type.startswith("VECTOR"))
+    probe = Probe([grid.name for grid in data.grids], fills_its_bounds=False, vectors=vectors)
     material.at(probe)
     key = _key(shown, probe.placed)
     source = FileSource(key, where, material, shown.matrix, path, shown.name, probe, is_sequence)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A volume shader evaluated at every voxel: one density grid with uniform extinction and albedo, and emission."""
+"""A volume shader evaluated at every voxel: one density grid with uniform extinction, its albedo, and emission."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, VolumeMaterial
 from ..nodes.phase_functions import phase_function
-from .voxel_points import VoxelDomain, VoxelPoints
+from .voxel_points import Probe, VoxelDomain, VoxelPoints
 
 VOXELS_PER_BATCH = 1 << 17
 # Tolerated variation of colour between voxels, relative to a coefficient's root mean square.
@@ -22,13 +22,14 @@ INTERPOLATES_EMISSION = bpy.app.version >= (5, 0, 0)
 
 @dataclass
 class ShadedGrid:
-    """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t, albedo: float64 (3,), extinction per unit density.
-    anisotropy: mean cosine. phase: see `Medium`. notes: deviations from Cycles. emission: see `Volume`.
+    """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t: float64 (3,), extinction per unit density. albedo:
+    float64 (3,), or grids where it varies, see `Medium`. anisotropy: mean cosine. phase: see `Medium`. notes:
+    deviations from Cycles. emission: see `Volume`.
     """
 
     density: np.ndarray | SparseGrid
     sigma_t: np.ndarray
-    albedo: np.ndarray
+    albedo: np.ndarray | tuple[np.ndarray | SparseGrid, ...]
     anisotropy: float
     notes: list[str]
     emission: None | np.ndarray | tuple[SparseGrid, ...] = None
@@ -37,12 +38,12 @@ class ShadedGrid:
 
 
 def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> ShadedGrid:
-    """Evaluate a material at every voxel of a domain; density and emission have its shape.
+    """Evaluate a material at every voxel of a domain; density, albedo and emission have its shape.
 
     check: called often; an exception that it raises stops the evaluation.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or absorbs where every
-    grid is 0, or has colours that vary between voxels; EmptyMaterial where it neither scatters, absorbs nor emits.
+    grid is 0, or the colour of its extinction varies; EmptyMaterial where it neither scatters, absorbs nor emits.
     """
     grids, inside, shape = domain.grids, domain.inside, domain.shape
 
@@ -52,6 +53,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
 
     # Two voxels reveal which values are uniform.
     points, shading = at(np.zeros(2, int))
+    varies = 0
     uniform, placed = _has_uniform_colour(shading), points.placed
     emits = len(shading.emission) > 1 or shading.emission.any()
     if not shading.closures and not emits:
@@ -86,10 +88,13 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
-        extinction, scatter = _one_colour(material, gram, reference)
+        extinction, scatter, varies = _one_colour(material, gram, reference)
     if not extinction.max() > 0.0 and not emits:
         _refuse_emptiness(material)
-    albedo = np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0)
+    albedo = np.clip(np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0), 0.0, 1.0)
+    if varies:
+        chunks = _chunks(grids, placed, inside)
+        albedo = _albedo(at, shape, chunks, varies, check)
     notes = shading.notes
     emitting = inside if domain.emitting is None else domain.emitting
     emission = _emission(at, shape, _chunks(grids, placed, emitting), check) if emits else None
@@ -109,13 +114,25 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     return ShadedGrid(
         density,
         extinction,
-        np.clip(albedo, 0.0, 1.0),
+        albedo,
         anisotropy,
         notes,
         emission,
         None if phase.is_henyey_greenstein else phase,
         power,
     )
+
+
+def _albedo(at, shape, chunks, count: int, check) -> tuple[np.ndarray, ...]:
+    """float32 (nx, ny, nz), once for all colour channels or for each of three, of the voxels in chunks."""
+    albedo = np.zeros((count, int(np.prod(shape))), np.float32)
+    for voxels in chunks:
+        check()
+        coefficients = _coefficients(at(voxels)[1])
+        extinction, scatter = coefficients[:, :3], coefficients[:, 3:]
+        found = np.divide(scatter, extinction, out=np.zeros_like(scatter), where=extinction > 0.0)
+        albedo[:, voxels] = np.clip(found if count == 3 else found.max(axis=1, keepdims=True), 0.0, 1.0).T
+    return tuple(albedo.reshape(count, *shape))
 
 
 def _emission(at, shape, chunks, check) -> np.ndarray | None:
@@ -164,36 +181,48 @@ def _sum_phases(phases, shading, voxels: int) -> None:
 
 
 def _one_colour(material, gram, reference: int):
-    """(extinction, scatter) (3,) per unit of the reference channel's extinction."""
+    """(extinction, scatter) (3,) per unit of the reference channel's extinction, and of how many channels the albedo
+    varies: 0 where it does not, 1 where it is grey, 3 otherwise.
+    """
     diagonal = np.maximum(np.diag(gram), 0.0)
     if not diagonal[reference] > 0.0:
-        return np.zeros(3), np.zeros(3)
+        return np.zeros(3), np.zeros(3), 0
     share = gram[reference] / diagonal[reference]
     left = diagonal - gram[reference] ** 2 / diagonal[reference]
-    if np.any(left > COLOUR_TOLERANCE**2 * diagonal):
+    varies = left > COLOUR_TOLERANCE**2 * diagonal
+    if varies[:3].any():
         material.refuse(
-            "its colour or its share of absorption varies from voxel to voxel, which is not supported; "
-            "let grids and textures drive the density alone"
+            "the colour of its extinction, of what it scatters and absorbs together, varies from voxel to voxel, which "
+            "is not supported; use Principled Volume with a black Absorption Color, which varies in albedo alone"
         )
-    return share[:3], share[3:]
+    if not varies[3:].any():
+        return share[:3], share[3:], 0
+    # Scattering per extinction of each channel, compared with that of the first that scatters.
+    scale = np.concatenate([share[:3], share[:3]])
+    scaled = gram / np.maximum(np.outer(scale, scale), 1e-30)
+    first = 3 + int(np.argmax(np.diag(scaled)[3:]))
+    apart = np.diag(scaled)[3:] + scaled[first, first] - 2.0 * scaled[first, 3:]
+    grey = np.all((share[:3] > 0.0) & (apart <= COLOUR_TOLERANCE**2 * scaled[first, first]))
+    return share[:3], share[3:], 1 if grey else 3
 
 
-def is_linear(material, names) -> bool:
+def is_linear(material, probe: Probe) -> bool:
     """Whether doubled grid values double all coefficients: voxel values then determine those between them.
 
-    Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
+    probe: has read the grids. Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
     """
-    half, whole = (_coefficients_at(material, names, value) for value in (0.5, 1.0))
+    half, whole = (_coefficients_at(material, probe, value) for value in (0.5, 1.0))
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
 
-def _coefficients_at(material, names, value: float) -> np.ndarray:
-    """(6,) extinction and emission where every grid has one value."""
-    grids = {name: np.full((1, 1, 1), value, np.float32) for name in names}
+def _coefficients_at(material, probe: Probe, value: float) -> np.ndarray:
+    """(9,) extinction, scattering and emission where every grid has one value."""
+    grids = {name: np.full((1, 1, 1), value, np.float32) for name in probe.names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
-    shading = material.at(VoxelPoints(VoxelDomain(grids, frames), np.zeros(1, int)))
+    domain = VoxelDomain(grids, frames, vectors=probe.vectors)
+    shading = material.at(VoxelPoints(domain, np.zeros(1, int)))
     emits = np.zeros(3) if shading.hot and INTERPOLATES_EMISSION else shading.emission[0]
-    return np.concatenate([_coefficients(shading)[0, :3], emits])
+    return np.concatenate([_coefficients(shading)[0], emits])
 
 
 def refine(values: np.ndarray) -> np.ndarray:

@@ -115,7 +115,7 @@ class FileSource(VolumeSource):
             filled = boxes(grids)
         # Cycles interpolates the grids before it evaluates the nodes; finer voxels approximate that.
         notes = []
-        if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe.names)):
+        if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe)):
             grids = {name: refine(values) for name, values in grids.items()}
             filled = None if filled is None else refine(filled)
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
@@ -125,7 +125,8 @@ class FileSource(VolumeSource):
                     "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
                     "is darker"
                 ]
-        shaded = shade(material, VoxelDomain(grids, self._frames(object_from_index), emitting=filled), check)
+        domain = VoxelDomain(grids, self._frames(object_from_index), emitting=filled, vectors=probe.vectors)
+        shaded = shade(material, domain, check)
         shaded.notes = shaded.notes + notes
         return shaded, object_from_index, warnings
 
@@ -138,11 +139,14 @@ class FileSource(VolumeSource):
             blocks = CommonBlocks(read, offsets, shape)
         except ValueError:
             self.material.refuse(f"grids {', '.join(read)} are offset by part of a leaf; save them with one transform")
-        names = self.probe.names
+        probe, names = self.probe, self.probe.names
         nothing = np.zeros_like(next(iter(blocks.arrays.values()))) if len(read) < len(names) else None
         grids = {name: blocks.arrays.get(name, nothing) for name in names}
-        shaded = shade(self.material, VoxelDomain(grids, frames, index_of=blocks.index), check)
+        domain = VoxelDomain(grids, frames, index_of=blocks.index, vectors=probe.vectors)
+        shaded = shade(self.material, domain, check)
         shaded.density = blocks.grid(shaded.density)
+        if isinstance(shaded.albedo, tuple):
+            shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
         if shaded.emission is not None:
             shaded.emission = tuple(shaded.density.with_rows(shaded.emission[..., channel]) for channel in range(3))
         return shaded

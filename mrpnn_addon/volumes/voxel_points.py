@@ -7,16 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..nodes.sockets import Unsupported
+from ..vdb.worker import COMPONENTS
+
+
+def components(name: str) -> list[str]:
+    """Names of the components of a grid of vectors."""
+    return [name + component for component in COMPONENTS]
 
 
 class Probe:
     """One point where every grid is 0; records what a shader reads.
 
-    names: grids that it read. placed: whether it read positions.
+    names: grids that it read; of grids of vectors the components, each by a name of its own. placed: whether it read
+    positions.
     """
 
-    def __init__(self, available, fills_its_bounds: bool):
-        self.available, self.fills_its_bounds = available, fills_its_bounds
+    def __init__(self, available, fills_its_bounds: bool, vectors=()):
+        """available: names of grids. vectors: names of those of them that hold vectors."""
+        self.available, self.fills_its_bounds, self.vectors = available, fills_its_bounds, vectors
         self.names, self.placed = [], False
 
     def has(self, name: str) -> bool:
@@ -24,14 +32,14 @@ class Probe:
         return name in self.available
 
     def attribute(self, name: str, node) -> np.ndarray:
-        """(n, 1) values of a grid. Raises Unsupported where a mesh has none."""
+        """(n, 1) values of a grid, (n, 3) of one of vectors. Raises Unsupported where a mesh has none."""
         if self.fills_its_bounds and not self.has(name):
             raise Unsupported(
                 f'node "{node.name}" reads the attribute "{name}", which does not exist inside a mesh; unlink it'
             )
-        if name not in self.names:
-            self.names.append(name)
-        return self._read(name)
+        parts = components(name) if name in self.vectors else [name]
+        self.names += [part for part in parts if part not in self.names]
+        return np.concatenate([self._read(part) for part in parts], axis=1)
 
     def coordinates(self, kind: str, node) -> np.ndarray:
         """(n, 3) positions; `kind` is "world", "object" or "generated". Raises Unsupported for others."""
@@ -52,7 +60,8 @@ class VoxelDomain:
     grids: float32 arrays of one shape, by name. frames: (4, 4) matrices from voxel index to position, by kind of
     coordinates. inside: float32, share of each voxel inside a mesh; None for grids. emitting: float32, 1 in voxels that
     emit where all grids are 0; None where none do. index_of: maps positions (n,) in the flattened arrays to voxel
-    indices, int (n, 3); None for dense arrays.
+    indices, int (n, 3); None for dense arrays. vectors: names of grids of vectors, whose components are among the
+    grids.
     """
 
     grids: dict[str, np.ndarray]
@@ -60,6 +69,7 @@ class VoxelDomain:
     inside: np.ndarray | None = None
     emitting: np.ndarray | None = None
     index_of: Callable[[np.ndarray], np.ndarray] | None = None
+    vectors: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -77,7 +87,8 @@ class VoxelPoints(Probe):
     """Some voxels of a domain: int64 (n,) positions in its flattened arrays."""
 
     def __init__(self, domain: VoxelDomain, voxels: np.ndarray):
-        super().__init__(domain.grids, fills_its_bounds=domain.inside is not None)
+        available = (*domain.grids, *domain.vectors)
+        super().__init__(available, fills_its_bounds=domain.inside is not None, vectors=domain.vectors)
         self.grids, self.domain, self.voxels = domain.grids, domain, voxels
 
     def _read(self, name):

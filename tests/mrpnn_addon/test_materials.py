@@ -321,12 +321,16 @@ def assert_refused(addon, named):
     assert "Cloud fog" in str(refusal.value) and named in str(refusal.value)
 
 
-@pytest.mark.parametrize("change", [ramp_in_colour, colour_by_a_grid_beside_its_own])
-def test_colour_that_varies_from_voxel_to_voxel_is_refused(addon, scene, tmp_path, change):
+@pytest.mark.parametrize("change, channels", [(ramp_in_colour, 1), (colour_by_a_grid_beside_its_own, 1)])
+def test_colour_that_varies_from_voxel_to_voxel_is_an_albedo_that_does(addon, scene, tmp_path, change, channels):
     blender_scenes.cloud_scene(scene, tmp_path)
     node = bpy.data.materials["Cloud fog"].node_tree.nodes["Principled Volume"]
     change(node)
-    assert_refused(addon, "varies from voxel to voxel")
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    ((volume, medium),) = described.volumes
+    assert medium.varies and len(medium.albedo) == channels
+    inside = volume.density > 0.0
+    assert np.ptp(medium.albedo[0][inside]) > 0.1 and not medium.albedo[0][~inside].any()
 
 
 def test_an_unknown_shader_and_scatter_without_grid_are_refused(addon, scene, box):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inference import AreaLight, Medium, PointLight, SpotLight, Surface, Volume
-from inference.grids.bound_medium import BoundMedium
+from inference.grids.bound_medium import BoundMedium, scattering_channels
 from inference.grids.grid import Grid
 from inference.kernels.library import Kernels
 from inference.marching.lamp_march import LampMarch, place_lamp
@@ -36,7 +36,8 @@ class Recipe:
     """What a random scene is made of.
 
     voxels: along each axis of a volume. thickness: optical, of a volume whose density is 1. shear: of the voxels.
-    projection: of the rays. emission: power of the emission, 0 for none. lamps: kinds of LAMPS.
+    projection: of the rays. emission: power of the emission, 0 for none. lamps: kinds of LAMPS. albedo: channels of an
+    albedo that varies, 0 for none.
     """
 
     volumes: int = 1
@@ -54,6 +55,7 @@ class Recipe:
     optimizations: frozenset[str] = ALL - {"faint_rays"}
     kind: str = "lumps"
     lamps: tuple[str, ...] = ()
+    albedo: int = 0
 
 
 #: Kinds of lamps.
@@ -112,9 +114,17 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | N
         fluence = [_fluence(random, recipe.suns) for _ in groups]
         if len(groups) > 1:
             fluence[-1] = None
-    options = MarchOptions(recipe.depth_samples, fluence, shadow_maps, recipe.groups, recipe.optimizations)
+    channels = [0, 1, 2] if seed % 2 else [1]
+    options = MarchOptions(
+        recipe.depth_samples,
+        fluence,
+        shadow_maps,
+        recipe.groups,
+        recipe.optimizations,
+        scattering=scattering_channels(media, channels),
+    )
     lamps = _lamps(random, recipe, media, kernels) if recipe.lamps else None
-    return MarchScene(media, options, [0, 1, 2] if seed % 2 else [1], batch, lamps)
+    return MarchScene(media, options, channels, batch, lamps)
 
 
 def _lamps(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium], kernels: Kernels | None) -> LampMarch:
@@ -147,7 +157,13 @@ def _medium(random: np.random.Generator, recipe: Recipe, directions: np.ndarray,
             density = _in_blocks(blocks, density)
     elif recipe.sparse:
         density = SparseGrid.of_dense(density)
-    grid = Grid(Volume(density, matrix, f"volume {v}", emission, recipe.emission or 1))
+    scattering = None
+    # Of the first volume alone, so that others are beside it whose albedo does not vary.
+    if recipe.albedo and not v:
+        dense = density.dense() if recipe.sparse else density
+        grids = [(dense * random.random(shape)).astype(np.float32) for _ in range(recipe.albedo)]
+        scattering = tuple(_in_blocks(density, grid) if recipe.sparse else grid for grid in grids)
+    grid = Grid(Volume(density, matrix, f"volume {v}", emission, recipe.emission or 1, scattering))
     medium = Medium(recipe.thickness, emission=2.0)
     return BoundMedium(grid, medium, recipe.thickness * (1.0 + v), grid.sun_depths(list(directions)))
 

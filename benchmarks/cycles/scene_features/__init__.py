@@ -4,7 +4,7 @@
 A builder takes a `Stage` and changes it. MEASURED are compared with Cycles; NAMED must give a message.
 """
 
-from . import cameras, emission, lights, materials, surfaces, volumes
+from . import cameras, colours, emission, lights, materials, surfaces, volumes
 from .named import NAMED
 from .stage import CELLS, SEED, make_stage
 
@@ -12,6 +12,6 @@ __all__ = ["CELLS", "MEASURED", "NAMED", "SEED", "make_stage"]
 
 MEASURED = {
     name: builder
-    for subject in (volumes, materials, surfaces, emission, lights, cameras)
+    for subject in (volumes, materials, colours, surfaces, emission, lights, cameras)
     for name, builder in subject.MEASURED.items()
 }

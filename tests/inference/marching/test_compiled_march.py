@@ -52,6 +52,10 @@ SCENES = {
     "a soft spot": Recipe(lamps=("soft spot",), sparse=True, voxels=BIG),
     "soft lamps": Recipe(lamps=("sphere", "disk", "square"), projection="inside"),
     "lamps with shadows": Recipe(lamps=("point", "square"), shadows=True),
+    "an albedo that varies": Recipe(albedo=1),
+    "a colour that varies": Recipe(albedo=3, thickness=200.0, suns=2, shadows=True),
+    "a colour that varies beside one that does not": Recipe(albedo=3, volumes=2, lamps=("point", "square")),
+    "a sparse albedo that varies": Recipe(albedo=3, sparse=True, voxels=BIG, shear=0.2),
     "lamps and volumes in groups": Recipe(lamps=("point", "disk"), volumes=3, groups=[[0, 2], [1]], shear=0.2),
 }
 
