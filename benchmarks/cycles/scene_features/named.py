@@ -46,10 +46,14 @@ def voronoi(stage):
     stage.connect(stage.node("TexVoronoi").outputs[0], stage.shader.inputs["Density"])
 
 
-def varying_colour(stage):
-    ramp = stage.node("ValToRGB")
+def varying_extinction(stage):
+    """What Volume Scatter scatters is its extinction."""
+    ramp, shader = stage.node("ValToRGB"), stage.node("VolumeScatter")
+    ramp.color_ramp.elements[0].color = (1.0, 0.2, 0.1, 1.0)
     stage.connect(stage.grid(), ramp.inputs[0])
-    stage.connect(ramp.outputs[0], stage.shader.inputs["Color"])
+    stage.connect(ramp.outputs[0], shader.inputs["Color"])
+    stage.connect(stage.grid(), shader.inputs["Density"])
+    stage.replace_shader(shader)
 
 
 def missing_frame(stage):
@@ -66,6 +70,6 @@ NAMED = {
     "Panoramic camera": panorama,
     "Clip range that begins inside a volume": clipped,
     "Voronoi Texture in the density": voronoi,
-    "Colour that varies with the density": varying_colour,
+    "Extinction whose colour varies with the density": varying_extinction,
     "Missing frame of a sequence": missing_frame,
 }
