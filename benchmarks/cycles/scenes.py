@@ -29,6 +29,8 @@ PROGRAM = "benchmarks.cycles.scenes"
 PAGE = ROOT / "docs" / "scenes.md"
 IMAGES = ROOT / "docs" / "images" / "scenes"
 DEPTH_SAMPLES = 16
+# Samples of single scattering, at most.
+MOST_SINGLE = 256
 # Height of the pictures on the page.
 PICTURE_HEIGHT = 128
 
@@ -100,7 +102,7 @@ def measured(name, stage, options) -> dict:
         parts = parts[1:]
     for kind, image, bounces in parts:
         # Single scattering is cheap: less noise, and a smaller error to tell.
-        samples = options.samples * (4 if bounces == 0 else 1)
+        samples = min(4 * options.samples, MOST_SINGLE) if bounces == 0 else options.samples
         start = time.process_time()
         reference = render_reference(
             stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world
@@ -110,6 +112,9 @@ def measured(name, stage, options) -> dict:
         for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):
             value = estimate(image, a[..., :3], b[..., :3], mask)
             found[f"{kind} {figure}"] = [value.value, value.low, value.high]
+        found[f"{kind} bias by channel"] = [
+            relative_bias(image[..., c], a[..., c], b[..., c], mask).value for c in range(3)
+        ]
     found["alpha bias"] = relative_bias(layer.alpha, a[..., 3], b[..., 3], mask).value
     cycles = (a + b) / 2.0
     ours = np.concatenate([layer.rgb, layer.alpha[..., None]], axis=2)

@@ -77,12 +77,12 @@ def fire(stage, anisotropy):
 
 
 MEASURED = {
-    f"{name}, G {anisotropy:g}": functools.partial(builder, anisotropy=anisotropy)
+    f"{name}, {kind}": functools.partial(builder, anisotropy=anisotropy)
     for name, builder in (
         ("Coloured smoke", smoke),
         ("Two dyes that meet", dyes),
         ("Soot in white steam", soot),
         ("Fire's colour ramp", fire),
     )
-    for anisotropy in (0.0, FORWARD)
+    for kind, anisotropy in (("isotropic", 0.0), (f"G {FORWARD:g}", FORWARD))
 }
