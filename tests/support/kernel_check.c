@@ -80,7 +80,7 @@ static void check_march(int64_t variant, const float *padded, const float *depth
                      .suns = &sun, .linear = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .sigma_t = 0.05};
     int64_t group_starts[2] = {0, 1}, members[1] = {0}, counts[1] = {400}, sample_counts[1];
     double nodes[4] = {0.0, 0.0, 0.5, 0.0}, weights[4] = {0.0, 0.0, 1.0, 0.0};
-    Scene scene = {.volumes = 1, .suns = 1, .groups = 1, .channels = 1, .media = &medium, .group_starts = group_starts,
+    Scene scene = {.volumes = 1, .suns = 1, .groups = 1, .channels = 1, .scattering = 1, .media = &medium, .group_starts = group_starts,
                    .group_members = members, .nodes = nodes + 1, .node_weights = weights + 1, .depth_samples = 1,
                    .coarse_count = 16, .skip_empty = 1, .step_thickness = 0.3, .step_growth = 8.0,
                    .peak_thickness = 0.3, .peak_growth = 3.0, .finest = 0.0625, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0, .visible = 6.0,
