@@ -171,3 +171,30 @@ def test_materials_read_the_same_voxels(addon, density_grid, scene, fire, monkey
     for channel, values in zip(found.emission_channels(), expected.emission_channels()):
         assert values.max() > 0.0
         np.testing.assert_array_equal(channel.dense(), values)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_grid_of_vectors_is_a_colour(addon, density_grid, scene, monkeypatch, tmp_path, sparse):
+    vdb, blob = blender_scenes.openvdb(), blender_scenes.blob(20).astype(np.float32)
+    colour = np.random.default_rng(4).uniform(0.1, 0.9, (*blob.shape, 3)).astype(np.float32) * (blob > 0.0)[..., None]
+    density, vectors = vdb.FloatGrid(), vdb.Vec3SGrid()
+    density.copyFromArray(np.ascontiguousarray(blob), ijk=(3, 5, -7))
+    vectors.copyFromArray(np.ascontiguousarray(colour), ijk=(3, 5, -7))
+    density.name, density.gridClass, vectors.name = "density", "fog volume", "Cd"
+    vdb.write(str(tmp_path / "dyed.vdb"), grids=[density, vectors])
+    _, shader = blender_scenes.add_volume(scene, tmp_path / "dyed.vdb", Density=2.0)
+    shader.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    shader.inputs["Color Attribute"].default_value = "Cd"
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene)
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.source, "MAX_REFINED", 0)
+    if sparse:
+        monkeypatch.setattr(density_grid, "DENSE_SPAN", 0)
+        monkeypatch.setattr(density_grid, "DENSE_SHARE", 1.1)
+    ((volume, medium),) = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).volumes
+    found = [volume.density, *medium.albedo]
+    found = [grid.dense() if sparse else grid for grid in found]
+    inside = found[0] > 0.0
+    assert inside.any() and len(medium.albedo) == 3
+    for c in range(3):
+        np.testing.assert_allclose(found[1 + c][inside], colour[..., c][colour[..., c] > 0.0].reshape(-1), rtol=1e-5)
