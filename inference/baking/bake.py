@@ -245,14 +245,14 @@ class _Bake:
         coefficient = (medium.sigma_t * last_albedo(volume, medium)).astype(np.float32)
         if volume.scattering is None:
             return coefficient
-        grid, lattice, shape = self.scene.grids[v], self.lattices[v], ()
+        grid, lattice = self.scene.grids[v], self.lattices[v]
+        shape = lattice.density.shape if positions is None else positions.shape[:1]
         if positions is None:
-            shape = lattice.density.shape
             positions = lattice.positions(np.argwhere(np.ones(shape, bool)))
         index = grid.index(positions).T.astype(np.float32)
         density = np.maximum(grid.sample_density(index), np.float32(1e-30))
         albedo = np.stack([np.minimum(grid.scattering_of(c).sample(index) / density, 1.0) for c in range(3)], axis=1)
-        return coefficient * albedo.reshape(*(shape or (len(positions),)), 3)
+        return coefficient * albedo.reshape(*shape, 3)
 
     def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[Source]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""

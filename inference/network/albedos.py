@@ -13,12 +13,11 @@ from ..transport.varying_albedo import between
 
 
 class Albedos(Protocol):
-    """Albedos of some colour channels of one medium, in one light.
+    """Albedos of some colour channels of one medium, in one light."""
 
-    values: A uniform ones, for which networks are asked.
-    """
-
-    values: list[float]
+    @property
+    def values(self) -> list[float]:
+        """A uniform ones, for which networks are asked."""
 
     def by_channel(self, rows: np.ndarray, positions: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Yield colour channels, by number, and their light (N, ...) at world positions (N, 3).
