@@ -44,8 +44,8 @@ SKY_HEIGHTS, SKY_RADIANCE, SKY_COLOUR = (-0.2, 1.0), (0.02, 0.1), (0.45, 0.65, 1
 class RealScene:
     """A volume in the sun, of irradiance 1, and under a sky or none.
 
-    spec: what is seen; its size is the width in pixels, its samples the paths per pixel in each half. rows: pixels down.
-    fov: degrees across.
+    spec: what is seen; its size is the width in pixels, its samples the paths per pixel in each half.
+    rows: pixels down. fov: degrees across.
     """
 
     name: str
