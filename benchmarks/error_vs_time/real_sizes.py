@@ -12,14 +12,16 @@ import argparse
 import functools
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from inference import Settings
 from inference.evaluation.error import RESAMPLES, Estimate, relative_bias, tile_sums
 from inference.evaluation.error_vs_time import AT_LEAST, AT_MOST, Rung, cost, seconds_on_ladder
+from mrpnn_addon.comparison.perceptual import flip
 
 from ..fidelity.tables import table
 from ..fidelity.views import MASK_ALPHA
@@ -27,18 +29,20 @@ from ..support.extension import ROOT
 from ..support.pages import csv_text, with_table
 from ..support.pages import replace as replace_file
 from ..support.provenance import made_by
-from .real_scenes import FOLDER, SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScene, halves, trace, traced
+from .real_scenes import SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScene, halves, trace, traced
 
 PROGRAM = "benchmarks.error_vs_time.real_sizes"
 DOCS = ROOT / "docs"
 LADDER, NOISY, ALL_BOUNCES = (1, 4, 16, 64), 4, 1024
+#: Rows of the largest images of which FLIP is computed.
+FLIP_ROWS = 512
 FIRST, NEXT = "MRPNN layer, first frame", "MRPNN layer, next frame"
 COLUMNS = ("scene", "method", "samples", "rmse", "rmse_low", "rmse_high", "bias", "cpu_seconds", "flip", "flip_noise")
 
 
 def file_of(scene: RealScene, method: str, samples: int) -> Path:
     """Where an image is kept."""
-    return FOLDER / "images" / scene.name / f"{method}, {samples}.npz"
+    return scene.folder / "images" / scene.name / f"{method}, {samples}.npz"
 
 
 def keep(path: Path, image: np.ndarray, seconds: float, source: str) -> None:
@@ -103,7 +107,24 @@ def render_images(scene: RealScene, most: int, source: str) -> None:
                 if samples <= most and not path.exists():
                     choice = Choice(ALL_BOUNCES, samples, denoised, 0.0, null=null)
                     keep(path, *picture(made, Path(folder), choice), source)
-                    print(path.relative_to(FOLDER), flush=True)
+                    print(f"{scene.name}: {method}, {samples}", flush=True)
+
+
+class Image(NamedTuple):
+    """One image of a scene: what made it, samples, linear radiance (H, W, 3), processor seconds."""
+
+    method: str
+    samples: int
+    pixels: np.ndarray
+    seconds: float
+
+
+def images(scene: RealScene) -> Iterator[Image]:
+    """Those that are kept."""
+    for path in sorted((scene.folder / "images" / scene.name).glob("*.npz")):
+        method, samples = path.stem.rsplit(", ", 1)
+        with np.load(path) as data:
+            yield Image(method, int(samples), data["image"].astype(np.float64), float(data["seconds"]))
 
 
 class Measured:
@@ -111,15 +132,14 @@ class Measured:
 
     rungs: by method, by ascending samples. draws: of each image, by method and samples, its relative RMSE
     (1 + RESAMPLES,): as it is, then with the reference's tiles resampled, the same for all images of the scene.
+    flip_noise: FLIP of the reference's own noise, by that of one half beside the mean.
     """
 
-    def __init__(self, scene: RealScene):
-        pair = halves(scene)
+    def __init__(self, scene: RealScene, pair: np.ndarray, found: Iterable[Image], flips: bool = True):
+        """pair: (2, H, W, 4), independent references of radiance and alpha."""
         mask = pair[..., 3].mean(axis=0) > MASK_ALPHA
         self.scene, (a, b) = scene, pair[..., :3] * mask[..., None]
-        mean = (a + b) / 2
-        counts = tile_sums(mask.astype(float))
-        shown = counts > 0
+        mean, shown = (a + b) / 2, tile_sums(mask.astype(float)) > 0
         drawn = np.random.default_rng(0).integers(0, shown.sum(), size=(RESAMPLES, shown.sum()))
 
         def sums(values):
@@ -127,20 +147,18 @@ class Measured:
             return np.concatenate([[tiles.sum()], tiles[drawn].sum(axis=1)])
 
         count, brightness = sums(mask.astype(float)), sums(mean.mean(axis=-1))
-        self.flip_noise = _flip(a, mean) if scene.rows <= FLIP_ROWS else None
-        self.rungs, self.draws, self.sources = {}, {}, []
-        for path in sorted((FOLDER / "images" / scene.name).glob("*.npz")):
-            method, samples = path.stem.rsplit(", ", 1)
-            with np.load(path) as data:
-                image, seconds = data["image"] * mask[..., None], float(data["seconds"])
-                self.sources.append(str(data["made_by"]))
+        self.flip_noise = flip(a, mean) if flips else None
+        self.rungs: dict[str, list[Rung]] = {}
+        self.draws: dict[tuple[str, int], np.ndarray] = {}
+        for method, samples, pixels, seconds in found:
+            image = pixels * mask[..., None]
             squares = sums(((image - a) * (image - b)).mean(axis=-1))
             errors = np.sqrt(np.maximum(squares / count, 0.0)) / (brightness / count)
-            self.draws[method, int(samples)] = errors
+            self.draws[method, samples] = errors
             rmse = Estimate(errors[0], *np.percentile(errors[1:], [2.5, 97.5]))
-            flip = None if self.flip_noise is None else _flip(image, mean)
+            perceived = flip(image, mean) if flips else None
             bias = relative_bias(image, a, b, mask)
-            rung = Rung(method, int(samples), float("nan"), seconds, 0.0, 0.0, rmse, bias, flip)
+            rung = Rung(method, samples, float("nan"), seconds, 0.0, 0.0, rmse, bias, perceived)
             self.rungs.setdefault(method, []).append(rung)
         for rungs in self.rungs.values():
             rungs.sort(key=lambda rung: rung.samples)
@@ -170,15 +188,6 @@ def _on_ladder(rungs: Sequence[Rung], errors: Sequence[float], error: float):
         for r, e in zip(rungs, errors)
     ]
     return seconds_on_ladder(other, error, "cpu_seconds")
-
-
-FLIP_ROWS = 512
-
-
-def _flip(image: np.ndarray, reference: np.ndarray) -> float | None:
-    from mrpnn_addon.comparison.perceptual import flip
-
-    return flip(image, reference)
 
 
 def span(values: np.ndarray, how: str = "") -> str:
@@ -270,16 +279,21 @@ def main(arguments: list[str] | None = None) -> int:
         extension()
         for scene in wanted:
             render_images(scene, options.most, made_by(PROGRAM, arguments))
-    write_page([Measured(scene) for scene in SCENES if (FOLDER / "images" / scene.name).is_dir() and traced(scene)])
+    write_page()
     return 0
 
 
-def write_page(measured: list[Measured]) -> None:
-    """The section between its marks, and the CSV."""
-    sources = sorted({source for one in measured for source in one.sources})
+def write_page() -> None:
+    """The section between its marks, and the CSV, of the scenes that are measured."""
+    known = [scene for scene in SCENES if traced(scene) and any(images(scene))]
+    measured = [Measured(scene, halves(scene), images(scene), scene.rows <= FLIP_ROWS) for scene in known]
+    files = [file_of(scene, image.method, image.samples) for scene in known for image in images(scene)]
+    sources = sorted(set(map(source_of, files)))
     replace_file(DOCS / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
     page = DOCS / "error-vs-time.md"
-    replace_file(page, with_table(page.read_text(), "real sizes", section(measured), "\n".join(sources)))
+    paths = "; ".join(f"{scene.name}: {traced(scene)}" for scene in known)
+    text = f"{section(measured)}\n\nPaths per pixel in each half of the references: {paths}."
+    replace_file(page, with_table(page.read_text(), "real sizes", text, "\n".join(f"- {one}" for one in sources)))
 
 
 if __name__ == "__main__":
