@@ -70,3 +70,13 @@ def test_figures_of_artists_settings_are_those_of_the_table():
     assert f"an error of {span('error', 2)} after {span('seconds', 0)} processor seconds" in text
     assert {f"{float(row['error']):.2f}" for row in layer} == {"0.07"} and "the layer errs by 0.07 after 1" in text
     assert max(float(row["seconds"]) for row in layer) < 1.5
+
+
+def test_dense_smoke_is_that_of_the_table():
+    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "readme.csv")}
+    smoke, covered = found["smoke, processor seconds"], float(found["covered"]["value"])
+    commit = re.search("commit ([0-9a-f]+)", smoke["made_by"])[1]
+    assert re.search(
+        rf"{100 * covered:.0f} % of them covered, takes {float(smoke['value']):.0f} processor seconds \(commit {commit}",
+        page("README.md"),
+    )
