@@ -76,7 +76,7 @@ def test_dense_smoke_is_that_of_the_table():
     found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "readme.csv")}
     smoke, covered = found["smoke, processor seconds"], float(found["covered"]["value"])
     commit = re.search("commit ([0-9a-f]+)", smoke["made_by"])[1]
-    assert re.search(
-        rf"{100 * covered:.0f} % of them covered, takes {float(smoke['value']):.0f} processor seconds \(commit {commit}",
-        page("README.md"),
+    said = (
+        f"{100 * covered:.0f} % of them covered, takes {float(smoke['value']):.0f} processor seconds (commit {commit}"
     )
+    assert said in page("README.md")
