@@ -34,6 +34,10 @@ from .real_scenes import SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScen
 PROGRAM = "benchmarks.error_vs_time.real_sizes"
 DOCS = ROOT / "docs"
 LADDER, NOISY, ALL_BOUNCES = (1, 4, 16, 64), 4, 1024
+SMALL_ROWS = 512
+SMALL = [scene for scene in SCENES if scene.rows == SMALL_ROWS]
+#: Names of the rows of whichever method is quickest in a scene: without denoising, and denoised.
+QUICKEST = ("the quickest of these", "the quickest of these, denoised")
 #: Rows of the largest images of which FLIP is computed.
 FLIP_ROWS, MOST_FLIP_NOISE = 512, 0.1
 FIRST, NEXT = "MRPNN layer, first frame", "MRPNN layer, next frame"
@@ -167,6 +171,14 @@ class Measured:
         for rungs in self.rungs.values():
             rungs.sort(key=lambda rung: rung.samples)
 
+    def ratio_methods(self) -> list[str]:
+        """The methods that `ratios` can be told of."""
+        return [method for method in self.rungs if method.startswith("Cycles") and self._denoised(method) in self.rungs]
+
+    @staticmethod
+    def _denoised(method: str) -> str:
+        return f"{method.removesuffix(', denoised')}, denoised"
+
     def ratios(self, method: str, of: str) -> tuple[np.ndarray, str]:
         """How many times as long as the layer a method takes to its error, (1 + RESAMPLES,), and how that is known."""
         layer = self.rungs[of][0]
@@ -174,11 +186,12 @@ class Measured:
         if method.endswith("denoised"):
             rungs = self.rungs[method]
             draws = np.stack([self.draws[method, rung.samples] for rung in rungs], axis=1)
-            reached = [_on_ladder(rungs, row, error) for row, error in zip(draws, errors)]
+            with np.errstate(divide="ignore"):
+                reached = [_on_ladder(rungs, row, error) for row, error in zip(draws, errors)]
             return np.array([one.value for one in reached]) / layer.cpu_seconds, reached[0].how
         # Noise alone; a sample's seconds are those of the denoised ladder, where more of them were rendered.
         [noisy] = self.rungs[method]
-        ladder = self.rungs[f"{method}, denoised"]
+        ladder = self.rungs[self._denoised(method)]
         _, each = cost([rung.samples for rung in ladder], [rung.cpu_seconds for rung in ladder])
         with np.errstate(divide="ignore"):
             samples = noisy.samples * (self.draws[method, noisy.samples] / errors) ** 2
@@ -194,58 +207,60 @@ def _on_ladder(rungs: Sequence[Rung], errors: Sequence[float], error: float):
     return seconds_on_ladder(other, error, "cpu_seconds")
 
 
+def number(value: float) -> str:
+    """Three digits."""
+    return f"{float(f'{value:.3g}'):,.0f}".replace(",", " ") if value >= 100.0 else f"{value:.3g}"
+
+
 def span(values: np.ndarray, how: str = "") -> str:
     """A ratio and its interval."""
     low, high = np.quantile(values[1:], [0.025, 0.975], method="nearest")
     sign = {AT_LEAST: "≥ ", AT_MOST: "≤ "}.get(how, "")
-    upper = f"{high:.3g}" if np.isfinite(high) else "beyond telling"
-    return f"{sign}{values[0]:.3g} ({low:.3g}–{upper})"
+    upper = number(high) if np.isfinite(high) else "beyond telling"
+    return f"{sign}{number(values[0])} ({number(low)}–{upper})"
 
 
 def section(measured: list[Measured]) -> str:
     """The tables: geometric means, then every scene."""
-    methods = sorted({method for one in measured for method in one.rungs if method not in (FIRST, NEXT)})
-    methods.sort(key=lambda method: method.endswith("denoised"))
-    rows, means = [], []
-    for method in methods:
-        for of in (FIRST, NEXT):
-            known = [
-                one
-                for one in measured
-                if method in one.rungs and f"{method.removesuffix(', denoised')}, denoised" in one.rungs
-            ]
-            found = [one.ratios(method, of) for one in known]
-            square = [ratios for one, (ratios, _) in zip(known, found) if one.scene.rows == 512]
-            if square:
-                with np.errstate(divide="ignore"):
-                    mean = np.exp(np.mean(np.log(square), axis=0))
-                means.append([method, of.rpartition(", ")[2], span(mean), f"{len(square)} of 5"])
-            for one, (ratios, how) in zip(known, found):
-                rows.append((one, method, of, span(ratios, how)))
-    lines = []
-    for one in measured:
-        size = f"{one.scene.spec.size} × {one.scene.rows}"
-        for method, rungs in sorted(one.rungs.items(), key=lambda item: (item[0] not in (FIRST, NEXT), item[0])):
-            ratio = {of: text for other, name, of, text in rows if (other, name) == (one, method)}
-            for rung in rungs:
-                last = rung is rungs[-1]
-                lines.append(
-                    [
-                        one.scene.name,
-                        size,
-                        method,
-                        str(rung.samples),
-                        f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})",
-                        f"{100 * rung.bias.value:+.1f} %",
-                        f"{rung.cpu_seconds:.3g}",
-                        _shown_flip(rung, one.flip_noise),
-                        f"{ratio[FIRST]} / {ratio[NEXT]}" if last and ratio else "",
-                    ]
-                )
+    small = [one for one in measured if one.scene.rows == SMALL_ROWS]
+    methods = sorted({method for one in measured for method in one.ratio_methods()})
+    means = []
+    for denoised in (False, True):
+        own = [method for method in methods if method.endswith("denoised") == denoised]
+        for name, several in [(method, [method]) for method in own] + [(QUICKEST[denoised], own)]:
+            for of in (FIRST, NEXT):
+                # Of several methods the quickest one of each scene, resample by resample.
+                ratios = [
+                    np.min([one.ratios(method, of)[0] for method in several if method in one.ratio_methods()], axis=0)
+                    for one in small
+                    if set(several) & set(one.ratio_methods())
+                ]
+                if ratios:
+                    mean = np.exp(np.mean(np.log(ratios), axis=0))
+                    means.append([name, of.rpartition(", ")[2], span(mean), f"{len(ratios)} of {len(SMALL)}"])
+    summary = table(["against", "the layer's", "geometric mean of times as long", "scenes of 512²"], means)
     head = ["scene", "pixels", "method", "samples", "error", "bias", "processor seconds", "FLIP",
             "times as long to the layer's error, first / next frame"]  # fmt: skip
-    summary = table(["against", "frame of the layer", "geometric mean of times as long", "scenes of 512²"], means)
-    return f"{summary}\n{table(head, lines)}".rstrip()
+    return f"{summary}\n{table(head, [row for one in measured for row in image_rows(one)])}".rstrip()
+
+
+def image_rows(one: Measured) -> Iterator[list[str]]:
+    """A row of the page for each image of a scene; ratios are in the last one of a method."""
+    size = f"{one.scene.spec.size} × {one.scene.rows}"
+    for method, rungs in sorted(one.rungs.items(), key=lambda item: (item[0] not in (FIRST, NEXT), item[0])):
+        for rung in rungs:
+            known = rung is rungs[-1] and method in one.ratio_methods()
+            yield [
+                one.scene.name,
+                size,
+                method,
+                str(rung.samples),
+                f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})",
+                f"{100 * rung.bias.value:+.1f} %",
+                f"{rung.cpu_seconds:.3g}",
+                _shown_flip(rung, one.flip_noise),
+                " / ".join(span(*one.ratios(method, of)) for of in (FIRST, NEXT)) if known else "",
+            ]
 
 
 def _shown_flip(rung: Rung, noise: float | None) -> str:
