@@ -140,7 +140,8 @@ def lamps():
     """Cases of lamps, by name: each in every place, at both ends of the anisotropy."""
     cases = {f"{name} {place}": lamp_alone(*lamp, place) for name, lamp in LAMPS.items() for place in PLACES}
     cases |= {name: lamp_alone(*lamp) for name, lamp in SHAPES.items()} | {"Point, spot and area light": three_lamps}
-    return {f"{name}, G {g:g}": scattering(builder, g) for name, builder in cases.items() for g in (0.0, 0.857)}
+    kinds = {"isotropic": 0.0, "G 0.857": 0.857}
+    return {f"{name}, {kind}": scattering(builder, kinds[kind]) for name, builder in cases.items() for kind in kinds}
 
 
 MEASURED = {
