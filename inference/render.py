@@ -202,6 +202,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
+    report.warnings += plan.linking_warnings()
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with report.stage("shadows"):

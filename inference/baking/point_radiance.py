@@ -31,6 +31,7 @@ class PointRadiance:
         assert group is not None
         self._context, self._predictor = context, group.predictor
         self.group, self.channels, self.suns = g, channels, plan.suns
+        self._lit = [plan.lights_group(sun, g) for sun in plan.suns]
         self._medium, self._optimizations = group.medium, plan.optimizations
         self._albedos: dict[int, Albedos] = {}
         self._anisotropy = group.medium.anisotropy
@@ -68,6 +69,8 @@ class PointRadiance:
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
         for l, sun in enumerate(self.suns):
+            if not self._lit[l]:
+                continue
             prepared = self._prepared(l)
             of_sun = None if features is None else features.of(slice(None), 0, l)
             with context.report.stage("network"), context.progress.stage("network"):

@@ -2,6 +2,9 @@
 """Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
 from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
 
 from ..scene.description import Sun, Surface
 from ..scene.environment import Environment
@@ -10,6 +13,7 @@ from ..scene.settings import Settings
 from .directional_lights import directional_lights
 
 Light = Sun | Lamp | Environment
+AnyLight = TypeVar("AnyLight", bound=Light)
 
 #: Networks beside which there is one for light from everywhere.
 ENVIRONMENT_MODELS = frozenset({"mrpnn"})
@@ -52,6 +56,25 @@ def split_lights(
         else:
             environments.append(rest)
     return suns, environments
+
+
+def lights_object(light: Light, name: str) -> bool:
+    """Whether a light lights the volume or surface of a name."""
+    receivers = None if isinstance(light, Environment) else light.receivers
+    return receivers is None or name in receivers
+
+
+def linking(lights: Sequence[Light], names: Sequence[str]) -> np.ndarray:
+    """Whether lights light objects of some names, 0 or 1: float64 (objects, lights)."""
+    found = [[lights_object(light, name) for light in lights] for name in names]
+    return np.array(found, np.float64).reshape(len(names), len(lights))
+
+
+def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: list[str]) -> list[AnyLight]:
+    """Lights that light any object of some names; adds sentences about the others to `left_out`."""
+    found = [any(lights_object(light, name) for name in names) for light in lights]
+    left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
+    return [light for light, lit in zip(lights, found) if lit]
 
 
 def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:

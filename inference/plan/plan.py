@@ -16,7 +16,16 @@ from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .lights import LAMP_MODELS, SURFACES_SHADOW, Light, needed_lamps, reflects_light, split_lights
+from .lights import (
+    LAMP_MODELS,
+    SURFACES_SHADOW,
+    Light,
+    linked_lights,
+    linking,
+    needed_lamps,
+    reflects_light,
+    split_lights,
+)
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
@@ -86,6 +95,24 @@ class Plan:
         """Volume and Medium of each volume in a group."""
         return [self.volumes[v] for v in self.groups[group]]
 
+    def linking(self, lights: Sequence[Sun | Lamp]) -> np.ndarray:
+        """Whether lights light each volume, 0 or 1: float64 (V, L)."""
+        return linking(lights, [volume.name for volume, _ in self.volumes])
+
+    def lights_group(self, light: Sun | Lamp, group: int) -> bool:
+        """Whether a light lights any volume of a group."""
+        return bool(self.linking([light])[self.groups[group]].any())
+
+    def linking_warnings(self) -> list[str]:
+        """Names lights that are linked to a part of volumes that overlap."""
+        return [
+            f"{light.name}: it lights only some of {self.group_name(g)}, which overlap; their multiple scattering is "
+            "as if it lit all of them"
+            for light in (*self.suns, *self.lamps)
+            for g, members in enumerate(self.groups)
+            if len(set(self.linking([light])[members, 0])) > 1
+        ]
+
     def group_name(self, group: int) -> str:
         """Names of a group's volumes, for messages."""
         return " and ".join(volume.name for volume, _ in self.members(group))
@@ -136,11 +163,12 @@ def distinct_albedos(
 
 
 def merge_parallel(suns: list[Sun]) -> list[Sun]:
-    """Merge suns of equal direction, adding their irradiance; suns with an angular extent are left alone."""
+    """Merge suns of equal direction that light the same, adding their irradiance; those of an extent are left alone."""
     merged: list[Sun] = []
     for sun in suns:
         for other in merged:
             parallel = np.linalg.norm(sun.direction - other.direction) < PARALLEL_ANGLE
+            parallel &= sun.receivers == other.receivers
             if parallel and sun.spread is None and other.spread is None:
                 other.irradiance = other.irradiance + sun.irradiance
                 break
@@ -293,6 +321,7 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+    lights = linked_lights(lights, [volume.name for volume, _ in rendered] + _reflecting(surfaces), left_out)
     groups, _ = overlapping([volume for volume, _ in rendered])
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
@@ -315,7 +344,9 @@ def make_plan(
     reflects = reflects_light(surfaces, settings, planned, left_out)
     from_everywhere = bool(environments) or reflects
     for group in groups:
-        members, lit = [rendered[v] for v in group], bool(merged or from_everywhere or (lamps and predicts_lamps))
+        members = [rendered[v] for v in group]
+        linked = linking([*merged, *(lamps if predicts_lamps else ())], [volume.name for volume, _ in members])
+        lit = from_everywhere or bool(linked.any())
         predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
         # The network for environments predicts their single scattering, too.
         predicted |= from_everywhere and _scatters(members, settings)
@@ -352,6 +383,11 @@ def make_plan(
         reflects,
         unhidden,
     )
+
+
+def _reflecting(surfaces: Sequence[Surface]) -> list[str]:
+    """Names of surfaces that reflect light into volumes."""
+    return [surface.name for surface in surfaces if surface.reflectance.any()]
 
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:

@@ -189,6 +189,7 @@ class PointLight:
     position: (3,) world. power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiant intensity is
     power / (4 pi), W/sr. radius: world units. name: for messages. soft_falloff: whether the light is, in place of the
     sphere, a disk of that radius that faces whatever it lights, whose light grows steadily within the radius, too.
+    receivers: as of Sun.
 
     Raises SceneError for values that are negative or not finite.
     """
@@ -198,6 +199,7 @@ class PointLight:
     radius: float = 0.0
     name: str = "point light"
     soft_falloff: bool = False
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.position = _vector(self.position, f"{self.name}: position")
@@ -222,8 +224,8 @@ class SpotLight:
     position: (3,) world. direction: (3,), the way the light travels; normalised here. power: W, scalar or RGB, in
     [0, 1e30]; float64 (3,) once made. The radiant intensity within the cone is power / (4 pi), W/sr, however wide it
     is. angle: full angle of the cone in radians, in (0, pi]. blend: part of the cone, in [0, 1], over which the light
-    fades towards its edge, as smoothstep of the cosine. radius: world units. name: for messages. soft_falloff: as in
-    PointLight.
+    fades towards its edge, as smoothstep of the cosine. radius: world units. name: for messages. soft_falloff,
+    receivers: as in PointLight.
 
     Raises SceneError outside these ranges and for values that are not finite.
     """
@@ -236,6 +238,7 @@ class SpotLight:
     radius: float = 0.0
     name: str = "spot light"
     soft_falloff: bool = False
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.position = _vector(self.position, f"{self.name}: position")
@@ -273,7 +276,7 @@ class AreaLight:
     world_matrix: (4, 4), from the lamp's frame. shape: one of SHAPES. size: full width before the matrix, one number or
     (x, y). power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiance is power / (pi area). spread: in
     [0, pi], angle beyond which no light leaves, focused by which the radiance at the angle a from the axis is larger by
-    (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages.
+    (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages. receivers: as of Sun.
 
     Raises SceneError outside these ranges, for values that are not finite and for a lamp without area.
     """
@@ -284,6 +287,7 @@ class AreaLight:
     power: np.ndarray
     spread: float = np.pi
     name: str = "area light"
+    receivers: frozenset[str] | None = None
     area: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -136,12 +136,17 @@ def scattering(builder, anisotropy):
     return built
 
 
-def lamps():
-    """Cases of lamps, by name: each in every place, at both ends of the anisotropy."""
-    cases = {f"{name} {place}": lamp_alone(*lamp, place) for name, lamp in LAMPS.items() for place in PLACES}
-    cases |= {name: lamp_alone(*lamp) for name, lamp in SHAPES.items()} | {"Point, spot and area light": three_lamps}
+def isotropic_and_forward(cases):
+    """Cases by name, at both ends of the anisotropy."""
     kinds = {"isotropic": 0.0, "G 0.857": 0.857}
     return {f"{name}, {kind}": scattering(builder, kinds[kind]) for name, builder in cases.items() for kind in kinds}
+
+
+def lamps():
+    """Cases of lamps, by name: each in every place."""
+    cases = {f"{name} {place}": lamp_alone(*lamp, place) for name, lamp in LAMPS.items() for place in PLACES}
+    cases |= {name: lamp_alone(*lamp) for name, lamp in SHAPES.items()} | {"Point, spot and area light": three_lamps}
+    return isotropic_and_forward(cases)
 
 
 MEASURED = {
