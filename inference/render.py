@@ -27,6 +27,7 @@ from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .occluders.seen_surfaces import vantage
+from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
@@ -261,7 +262,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         return scene
     scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
     with report.stage("surfaces"):
-        emitted, returned = surface_light(scene, surfaces, eye, cancel) if plan.reflects else (None, None)
+        others = without_lamps(surfaces, plan.lamps)
+        emitted, returned = surface_light(scene, others, eye, cancel) if plan.reflects else (None, None)
     found = [environment for environment in (emitted, returned) if environment is not None]
     return replace(scene, plan=plan.with_environments(found), thrown_back=returned)
 

@@ -22,9 +22,11 @@ from .lights import (
     Light,
     linked_lights,
     linking,
+    mesh_lights,
     needed_lamps,
     reflects_light,
     split_lights,
+    without_lamps,
 )
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
@@ -321,7 +323,8 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
-    lights = linked_lights(lights, [volume.name for volume, _ in rendered] + _reflecting(surfaces), left_out)
+    names = [volume.name for volume, _ in rendered] + _reflecting(surfaces)
+    lights = linked_lights(lights, names, left_out)
     groups, _ = overlapping([volume for volume, _ in rendered])
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
@@ -333,6 +336,8 @@ def make_plan(
         unhidden, environments = environments, [behind(environment, sky) for environment in environments]
         planned += [f"{environment.name}: as the middle of the volumes sees it" for environment in environments]
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
+    shining = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    lamps += linked_lights(shining, names, left_out)
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     if lamps and settings.multiple and not predicts_lamps:
@@ -341,7 +346,7 @@ def make_plan(
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
-    reflects = reflects_light(surfaces, settings, planned, left_out)
+    reflects = reflects_light(without_lamps(surfaces, shining), settings, planned, left_out)
     from_everywhere = bool(environments) or reflects
     for group in groups:
         members = [rendered[v] for v in group]

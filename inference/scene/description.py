@@ -234,6 +234,7 @@ class Surface:
     shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter. reflectance:
     fraction of its irradiance that it scatters back diffusely, scalar or RGB, in [0, 1]; float64 (3,) once made.
     emission: radiance that it emits on both sides, W/(m^2 sr), scalar or RGB, in [0, 1e30]; float64 (3,) once made.
+    receivers: names of the volumes and surfaces that its emission lights; None for all.
 
     Raises SceneError for corners that are not finite, and for reflectance or emission out of range.
     """
@@ -245,6 +246,7 @@ class Surface:
     stops: bool = True
     reflectance: Any = (0.0, 0.0, 0.0)
     emission: Any = (0.0, 0.0, 0.0)
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)

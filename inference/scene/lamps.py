@@ -9,6 +9,7 @@ of a lamp is linear in its power.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -164,15 +165,16 @@ Emitter = SphereEmitter | QuadEmitter
 
 
 def _solid_angle(corners: np.ndarray) -> np.ndarray:
-    """Solid angles (N,) of quadrilaterals seen from the origin; corners: (N, 4, 3). After Van Oosterom (1983)."""
-    total = np.zeros(len(corners))
-    length = np.linalg.norm(corners, axis=2)
-    for triangle in ((0, 1, 2), (0, 2, 3)):
-        (a, b, c), (x, y, z) = corners[:, triangle].swapaxes(0, 1), length[:, triangle].T
-        volume = np.abs((np.cross(a, b) * c).sum(axis=1))
-        dots = x * y * z + (a * b).sum(axis=1) * z + (a * c).sum(axis=1) * y + (b * c).sum(axis=1) * x
-        total += 2.0 * np.arctan2(volume, dots)
-    return total
+    """Solid angles (N,) of quadrilaterals seen from the origin; corners: (N, 4, 3)."""
+    return solid_angles(corners[:, :3]) + solid_angles(corners[:, [0, 2, 3]])
+
+
+def solid_angles(triangles: np.ndarray) -> np.ndarray:
+    """Solid angles (N,) of triangles (N, 3, 3) seen from the origin, after Van Oosterom (1983)."""
+    (a, b, c), (x, y, z) = triangles.swapaxes(0, 1), np.linalg.norm(triangles, axis=2).T
+    volume = np.abs((np.cross(a, b) * c).sum(axis=1))
+    dots = x * y * z + (a * b).sum(axis=1) * z + (a * c).sum(axis=1) * y + (b * c).sum(axis=1) * x
+    return 2.0 * np.arctan2(volume, dots)
 
 
 def _spread_factor(cosine: np.ndarray, spread: float) -> np.ndarray:
@@ -324,7 +326,7 @@ class AreaLight:
         half = 0.5 * np.array(self.size)
         axes = self.world_matrix[:3, :2] * half
         size = float(2.0 * np.linalg.norm(axes, axis=0).max())
-        apart = size / max(_distance(self.centre, low, high), 1e-6 * size)
+        apart = size / max(distance_from_box(self.centre, low, high), 1e-6 * size)
         count = 1 if apart < SMALL else 2 if apart < MEDIUM_SIZE else 4
         count = min(count, int(most**0.5))
         quads = _disk_quads(count) if self._round else _square_quads(count)
@@ -338,12 +340,26 @@ class AreaLight:
         return found
 
 
-Lamp = PointLight | SpotLight | AreaLight
+class Lamp(Protocol):
+    """A light that has a place. name, receivers: as of PointLight. power: float64 (3,), W."""
+
+    name: str
+    power: np.ndarray
+    receivers: frozenset[str] | None
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,)."""
+
+    def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
+        """As of PointLight."""
+
+
 LAMPS = (PointLight, SpotLight, AreaLight)
 
 
 def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:
-    if most < len(OCTAHEDRON) or whole.radius <= 0.5 * SMALL * _distance(whole.centre, low, high):
+    if most < len(OCTAHEDRON) or whole.radius <= 0.5 * SMALL * distance_from_box(whole.centre, low, high):
         return [whole]
     return [
         SphereEmitter(
@@ -392,7 +408,7 @@ def _disk_quads(count: int) -> list[np.ndarray]:
     return found
 
 
-def _distance(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+def distance_from_box(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Distance of a point (3,) from a box."""
     return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 

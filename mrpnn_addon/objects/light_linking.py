@@ -6,7 +6,11 @@ from dataclasses import dataclass, field
 
 from ...inference.scene import Sun
 from .lights import Lamp
+from .surfaces import OpaqueMesh
 from .visibility import VisibleObject
+
+
+Light = Sun | Lamp | OpaqueMesh
 
 
 @dataclass
@@ -27,15 +31,15 @@ class LightLinks:
         """A surface, as `inference` knows it."""
         self._receivers.append(_Receiver(name, _addresses(shown), False))
 
-    def add_light(self, shown: VisibleObject, lights: list[Sun | Lamp]) -> None:
-        """The lights that a lamp is."""
+    def add_light(self, shown: VisibleObject, lights: list[Light]) -> None:
+        """The lights that a lamp or a mesh is."""
         collection = shown.object.light_linking.receiver_collection
         states = {} if collection is None else dict(_states(collection))
         of_volumes, of_surfaces = shown.object.visible_volume_scatter, shown.object.visible_diffuse
         if states or not (of_volumes and of_surfaces):
             self._lights += [_LinkedLight(light, states, of_volumes, of_surfaces) for light in lights]
 
-    def link(self) -> list[Sun | Lamp]:
+    def link(self) -> list[Light]:
         """Set the receivers of the lights that do not light everything; returns those that light nothing."""
         for one in self._lights:
             one.light.receivers = frozenset(receiver.name for receiver in self._receivers if one.lights(receiver))
@@ -55,7 +59,7 @@ class _Receiver:
 class _LinkedLight:
     """states: whether an object that the light is linked to, by address, is included."""
 
-    light: Sun | Lamp
+    light: Light
     states: dict[int, bool]
     of_volumes: bool
     of_surfaces: bool

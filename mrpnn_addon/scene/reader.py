@@ -211,6 +211,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer,
         if surface:
             description.opaque.append(surface)
             links.add_surface(shown, surface.name)
+            links.add_light(shown, [surface] if surface.colour.emission.any() else [])
         description.warnings += warnings
 
 

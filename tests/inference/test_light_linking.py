@@ -56,16 +56,19 @@ def test_volumes_that_a_light_does_not_light_are_baked_black():
 def test_ground_that_a_light_does_not_light_returns_nothing():
     ground = Surface(rectangle(-8.0, 8.0, -8.0, 8.0, -0.7).triangles, "ground", reflectance=0.8)
     black = replace(ground, reflectance=0.0)
-    for light in (SUN, LAMP):
-        bright, linked, dark = (
-            picture([one], surfaces=[surface])
-            for one, surface in ((light, ground), (only(light, "left", "right"), ground), (light, black))
+    bright, linked, below, dark = (
+        picture([light], surfaces=[surface])
+        for light, surface in (
+            (LAMP, ground),
+            (only(LAMP, "left", "right"), ground),
+            (only(LAMP, "ground"), ground),
+            (LAMP, black),
         )
-        assert bright.rgb.mean() > 1.05 * dark.rgb.mean()
-        # It still returns the light of the clouds.
-        assert linked.rgb.mean() == pytest.approx(dark.rgb.mean(), rel=0.03)
-        below = picture([only(light, "ground")], surfaces=[ground])
-        assert below.rgb.mean() == pytest.approx((bright.rgb - linked.rgb).mean(), rel=0.1)
+    )
+    assert bright.rgb.mean() > 1.05 * dark.rgb.mean()
+    # It still returns the light of the clouds.
+    assert linked.rgb.mean() == pytest.approx(dark.rgb.mean(), rel=0.03)
+    assert below.rgb.mean() == pytest.approx((bright.rgb - linked.rgb).mean(), rel=0.1)
 
 
 def test_parallel_suns_with_other_links_stay_apart():
