@@ -9,7 +9,6 @@ from .lights import Lamp
 from .surfaces import OpaqueMesh
 from .visibility import VisibleObject
 
-
 Light = Sun | Lamp | OpaqueMesh
 
 
