@@ -2,7 +2,7 @@
 """Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -80,6 +80,39 @@ def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: li
     found = [any(lights_object(light, name) for name in names) for light in lights]
     left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
     return [light for light, lit in zip(lights, found) if lit]
+
+
+@dataclass(frozen=True)
+class PredictedSun:
+    """A sun whose multiple scattering is predicted, and which of the suns that rays are marched for are its parts.
+
+    sun: with the irradiance of all parts. parts: numbers (n,) of them. shares: float32 (n,), of its light, sum to 1.
+    """
+
+    sun: Sun
+    parts: list[int]
+    shares: np.ndarray
+
+    @classmethod
+    def joined(cls, whole: Sun, parts: list[int], suns: Sequence[Sun]) -> "PredictedSun":
+        """parts: numbers of some suns."""
+        irradiance = np.array([suns[part].irradiance for part in parts])
+        light = irradiance.sum(axis=1)
+        shares = light / light.sum() if light.any() else np.full(len(parts), 1.0 / len(parts))
+        return cls(
+            replace(whole, irradiance=irradiance.sum(axis=0), receivers=suns[parts[0]].receivers),
+            parts,
+            shares.astype(np.float32),
+        )
+
+
+def predicted_suns(suns: Sequence[Sun]) -> list[PredictedSun]:
+    """The suns with the parts of each soft one joined, in the order of their first parts."""
+    wholes: dict[int, tuple[Sun, list[int]]] = {}
+    for number, sun in enumerate(suns):
+        whole = sun.part_of or sun
+        wholes.setdefault(id(whole), (whole, []))[1].append(number)
+    return [PredictedSun.joined(whole, parts, suns) for whole, parts in wholes.values()]
 
 
 def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
