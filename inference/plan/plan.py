@@ -109,10 +109,11 @@ class Plan:
 
     def linking_warnings(self) -> list[str]:
         """Names lights that are linked to a part of volumes that overlap."""
+        lights: list[Sun | Lamp] = [*self.suns, *self.lamps]
         return [
             f"{light.name}: it lights only some of {self.group_name(g)}, which overlap; their multiple scattering is "
             "as if it lit all of them"
-            for light in (*self.suns, *self.lamps)
+            for light in lights
             for g, members in enumerate(self.groups)
             if len(set(self.linking([light])[members, 0])) > 1
         ]
