@@ -333,7 +333,7 @@ def make_plan(
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered] + _reflecting(surfaces)
     lights = linked_lights(lights, names, left_out)
-    groups, _ = overlapping([volume for volume, _ in rendered])
+    groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
         sky = _sky(rendered, camera, surfaces)
