@@ -307,7 +307,7 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
-    groups, _ = overlapping([volume for volume, _ in rendered])
+    groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
         sky = _sky(rendered, camera, surfaces)
