@@ -10,6 +10,7 @@ weights. Run it with bpy 4.5 and with 5.2, which has two ways through volumes. E
 
 import argparse
 import functools
+import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -209,15 +210,16 @@ def _on_ladder(rungs: Sequence[Rung], errors: Sequence[float], error: float):
 
 def number(value: float) -> str:
     """Three digits."""
+    if not np.isfinite(value):
+        return "beyond telling"
     return f"{float(f'{value:.3g}'):,.0f}".replace(",", " ") if value >= 100.0 else f"{value:.3g}"
 
 
 def span(values: np.ndarray, how: str = "") -> str:
     """A ratio and its interval."""
     low, high = np.quantile(values[1:], [0.025, 0.975], method="nearest")
-    sign = {AT_LEAST: "≥ ", AT_MOST: "≤ "}.get(how, "")
-    upper = number(high) if np.isfinite(high) else "beyond telling"
-    return f"{sign}{number(values[0])} ({number(low)}–{upper})"
+    sign = {AT_LEAST: "≥ ", AT_MOST: "≤ "}.get(how, "") if np.isfinite(values[0]) else ""
+    return f"{sign}{number(values[0])} ({number(low)}–{number(high)})"
 
 
 def section(measured: list[Measured]) -> str:
@@ -230,14 +232,14 @@ def section(measured: list[Measured]) -> str:
         for name, several in [(method, [method]) for method in own] + [(QUICKEST[denoised], own)]:
             for of in (FIRST, NEXT):
                 # Of several methods the quickest one of each scene, resample by resample.
-                ratios = [
-                    np.min([one.ratios(method, of)[0] for method in several if method in one.ratio_methods()], axis=0)
-                    for one in small
-                    if set(several) & set(one.ratio_methods())
+                found = [
+                    [one.ratios(method, of) for method in several if method in one.ratio_methods()] for one in small
                 ]
+                ratios = [np.min([values for values, _ in each], axis=0) for each in found if each]
                 if ratios:
                     mean = np.exp(np.mean(np.log(ratios), axis=0))
-                    means.append([name, of.rpartition(", ")[2], span(mean), f"{len(ratios)} of {len(SMALL)}"])
+                    how = AT_LEAST if any(how == AT_LEAST for each in found for _, how in each) else ""
+                    means.append([name, of.rpartition(", ")[2], span(mean, how), f"{len(ratios)} of {len(SMALL)}"])
     summary = table(["against", "the layer's", "geometric mean of times as long", "scenes of 512²"], means)
     head = ["scene", "pixels", "method", "samples", "error", "bias", "processor seconds", "FLIP",
             "times as long to the layer's error, first / next frame"]  # fmt: skip
@@ -255,7 +257,9 @@ def image_rows(one: Measured) -> Iterator[list[str]]:
                 size,
                 method,
                 str(rung.samples),
-                f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})",
+                f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})"
+                if rung.rmse.high
+                else "below the reference's noise",
                 f"{100 * rung.bias.value:+.1f} %",
                 f"{rung.cpu_seconds:.3g}",
                 _shown_flip(rung, one.flip_noise),
@@ -302,12 +306,26 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+def folded(sources: set[str]) -> list[str]:
+    """Sentences on what made images, those that differ in the commit as one."""
+    found: dict[tuple[str, str], set[str]] = {}
+    for source in sources:
+        before, commit, after = re.fullmatch(r"(.*), commit ([^,]*), (.*)", source).groups()
+        found.setdefault((before, after), set()).add(commit)
+    sentences = []
+    for (before, after), commits in sorted(found.items()):
+        plain = ", ".join(sorted({commit.split()[0] for commit in commits}))
+        changed = ", some with local changes" if any(" " in commit for commit in commits) else ""
+        sentences.append(f"{before}, commit{'s' if ', ' in plain else ''} {plain}{changed}, {after}")
+    return sentences
+
+
 def write_page() -> None:
     """The section between its marks, and the CSV, of the scenes that are measured."""
     known = [scene for scene in SCENES if traced(scene) and any(images(scene))]
     measured = [Measured(scene, halves(scene), images(scene), scene.rows <= FLIP_ROWS) for scene in known]
     files = [file_of(scene, image.method, image.samples) for scene in known for image in images(scene)]
-    sources = sorted(set(map(source_of, files)))
+    sources = folded(set(map(source_of, files)))
     replace_file(DOCS / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
     page = DOCS / "error-vs-time.md"
     paths = "; ".join(f"{scene.name}: {traced(scene)}" for scene in known)

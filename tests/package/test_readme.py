@@ -41,6 +41,17 @@ def test_fidelity_is_that_of_the_table():
     )
 
 
+def test_ratios_at_real_sizes_are_those_of_the_table():
+    table = (ROOT / "docs" / "error-vs-time.md").read_text()
+    rows = re.findall(
+        r"^\| the quickest of these(, denoised)? \| first frame \| (?:≥ )?([\d. ]+) \(([\d. ]+)–", table, re.MULTILINE
+    )
+    (_, plain, plain_low), (_, denoised, denoised_low) = rows
+    text = page("README.md")
+    assert f"takes {plain} times as long to the layer's error, and at least {denoised} times denoised" in text
+    assert f"intervals reach down to {plain_low} and {denoised_low}" in text
+
+
 def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
     """Geometric means of the page's rows, without the plume, which a clone lacks, and where noise hides the error."""
     rows = re.findall(
