@@ -47,15 +47,19 @@ FINER = 3
 DEPTH_SAMPLES = 4
 #: Stated probabilities of the reliability plot.
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+#: Noise of the squared error, over the expected squared error, of views that count.
+TOLD = 0.25
 #: Ratios of deviations whose mixture the pixels' errors are fitted by; the shares are found.
 RATIOS = np.geomspace(0.1, 6.0, 14)
 
 
 @dataclass
 class Measured:
-    """One view. expected, error: relative RMSE that was stated and found; bias: found, over the mean.
+    """One view.
 
-    group: calibration, test or outside.
+    group: calibration, test or outside. network, sampling: root mean squares of the stated deviations over the mean,
+    the former without the factor JOINED. error, bias: relative RMSE and bias that were found. noise: standard deviation
+    of the squared error that the reference's noise causes.
     """
 
     group: str
@@ -63,14 +67,24 @@ class Measured:
     sigma_hat: float
     anisotropy: float
     albedo: float
-    expected: float
+    network: float
+    sampling: float
     error: float
     bias: float
+    noise: float
     pixels: int
+
+    def expected(self, joined: float) -> float:
+        """The relative RMSE that is stated; joined: the factor of the network's part."""
+        return float(np.hypot(joined * self.network, self.sampling))
 
 
 def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.ndarray]:
-    """A view's figures, and its pixels (3, N): difference to the reference, the stated deviation, the noise's."""
+    """A view's figures, and its pixels (4, N).
+
+    These are differences to the reference, the stated deviations of network (without JOINED) and depth sampling, and
+    the deviation of the reference's noise.
+    """
     path = folder / f"{group}-{view.name}-{weights_checksum('mrpnn')}-{weights_checksum('uncertainty/mrpnn')}.npz"
     if not path.exists():
         parts = view.halves()
@@ -80,8 +94,10 @@ def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.
         light, alpha = parts[..., :3].mean(axis=3), parts[..., 3].mean(axis=0)
         shown = alpha > SHOWN_ALPHA
         a, b = light[::2].mean(axis=0), light[1::2].mean(axis=0)
-        expected = layer.report.expected_error
-        # Neighbours share their noise's deviation, of which a pixel's own parts tell little.
+        whole = layer.alpha > SHOWN_ALPHA
+        deviation = np.sqrt(np.maximum(layer.uncertainty**2 - layer.sampling_error**2, 0.0)) / predicted_error.JOINED
+        mean = layer.rgb.mean(axis=2)[whole].mean()
+        network, sampling = (np.sqrt((one[whole] ** 2).mean()) / mean for one in (deviation, layer.sampling_error))
         noise = light.std(axis=0, ddof=1)[shown] / np.sqrt(len(light))
         found = Measured(
             group,
@@ -89,12 +105,16 @@ def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.
             view.spec.sigma_hat,
             view.spec.anisotropy,
             view.spec.albedo[0],
-            expected.error if expected else 0.0,
+            float(network),
+            float(sampling),
             relative_rmse(image * shown, a * shown, b * shown, shown).value,
             relative_bias(image * shown, a * shown, b * shown, shown).value,
+            # Of a product of two halves, each of twice the variance of their mean.
+            float(2.0 * np.sqrt((noise**4).sum()) / shown.sum() / light.mean(axis=0)[shown].mean() ** 2),
             int(shown.sum()),
         )
-        pixels = np.stack([(image - light.mean(axis=0))[shown], layer.uncertainty[centre, centre][shown], noise])
+        stated = [one[centre, centre][shown] for one in (deviation, layer.sampling_error)]
+        pixels = np.stack([(image - light.mean(axis=0))[shown], *stated, noise])
         folder.mkdir(parents=True, exist_ok=True)
         with open(path.with_suffix(".partial"), "wb") as file:
             np.savez(file, pixels=pixels, found=json.dumps(asdict(found)))
@@ -106,7 +126,7 @@ def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.
 def mixture_shares(pixels: np.ndarray, rounds: int = 400) -> np.ndarray:
     """Shares of RATIOS in the distribution of errors over stated deviations, by maximum likelihood.
 
-    pixels: (3, N), of `measure`. The noise is normal, of a deviation known in each pixel.
+    pixels: (3, N), differences, stated deviations and the noise's, which is taken as normal.
     """
     difference, stated, noise = pixels
     variance = (RATIOS[:, None] * stated) ** 2 + noise**2
@@ -129,23 +149,45 @@ def multiple_of(shares: np.ndarray, level: float) -> float:
     return float(np.interp(level, [within(shares, value) for value in tries], tries))
 
 
-def told(measured: list[Measured]) -> list[Measured]:
-    """Those whose error is predicted and told from 0 by the reference."""
-    return [one for one in measured if one.expected > 0.0]
+def joined_pixels(pixels: list[np.ndarray], joined: float) -> np.ndarray:
+    """(3, N), differences, stated deviations and the noise's, of the pixels of views in which any is stated."""
+    difference, network, sampling, noise = np.concatenate(pixels, axis=1)
+    stated = np.hypot(joined * network, sampling)
+    return np.stack([difference, stated, noise])[:, stated > 0.0]
+
+
+def told(measured: list[Measured], joined: float) -> list[Measured]:
+    """Views in which an error is expected that their references can tell from noise."""
+    return [one for one in measured if one.network > 0.0 and one.noise < TOLD * one.expected(joined) ** 2]
+
+
+def ratios(measured: list[Measured], joined: float) -> np.ndarray:
+    """Errors over expected ones."""
+    return np.array([one.error / one.expected(joined) for one in told(measured, joined)])
+
+
+def biases(measured: list[Measured], joined: float) -> np.ndarray:
+    """Absolute biases over expected errors."""
+    return np.array([abs(one.bias) / one.expected(joined) for one in told(measured, joined)])
+
+
+def share_between(values: np.ndarray, ends) -> float:
+    return float(np.mean((values >= ends[0]) & (values <= ends[1])))
 
 
 def fit(measured: list[Measured], pixels: list[np.ndarray]) -> dict:
     """Constants of `predicted_error` by the calibration's views."""
-    ratios = np.array([one.error / one.expected for one in told(measured)])
-    typical = float(np.exp(np.log(np.maximum(ratios, 0.05)).mean()))
-    shares = mixture_shares(np.concatenate(pixels, axis=1) * [[1.0], [typical], [1.0]])
+    tries = np.geomspace(0.1, 3.0, 300)
+    middle = [abs(np.log(np.median(ratios(measured, joined)))) for joined in tries]
+    joined = float(tries[np.argmin(middle)])
+    shares = mixture_shares(joined_pixels(pixels, joined))
     return {
-        "JOINED": predicted_error.JOINED * typical,
+        "JOINED": joined,
         "HALF_OF_PIXELS": multiple_of(shares, 0.5),
         "MOST_OF_PIXELS": multiple_of(shares, 0.95),
-        "HALF_OF_PICTURES": np.quantile(ratios, [0.25, 0.75]) / typical,
-        "MOST_OF_PICTURES": np.quantile(ratios, [0.025, 0.975]) / typical,
-        "BIAS": np.quantile([abs(one.bias) / one.expected for one in told(measured)], 0.95) / typical,
+        "HALF_OF_PICTURES": np.quantile(ratios(measured, joined), [0.25, 0.75]),
+        "MOST_OF_PICTURES": np.quantile(ratios(measured, joined), [0.025, 0.975]),
+        "BIAS": np.quantile(biases(measured, joined), 0.95),
     }
 
 
@@ -158,44 +200,45 @@ def binomial_interval(inside: int, count: int) -> tuple[float, float]:
 
 def coverage(measured: list[Measured], pixels: list[np.ndarray]) -> list[tuple[str, float, float, str]]:
     """Rows of the table: what is stated, how often, how often it was found, and its 95 % interval or pixels."""
-    ratios, count = np.array([one.error / one.expected for one in told(measured)]), len(told(measured))
+    joined = predicted_error.JOINED
+    found, biased = ratios(measured, joined), biases(measured, joined)
+    counted = (
+        ("pictures' errors", 0.5, share_between(found, predicted_error.HALF_OF_PICTURES)),
+        ("pictures' errors", 0.95, share_between(found, predicted_error.MOST_OF_PICTURES)),
+        ("pictures' biases", 0.95, share_between(biased, (0.0, predicted_error.BIAS))),
+    )
     rows = []
-    for level, (low, high) in ((0.5, predicted_error.HALF_OF_PICTURES), (0.95, predicted_error.MOST_OF_PICTURES)):
-        inside = int(((ratios >= low) & (ratios <= high)).sum())
-        ends = binomial_interval(inside, count)
-        rows.append(("pictures' errors", level, inside / count, f"{ends[0]:.0%} to {ends[1]:.0%} of {count} pictures"))
-    inside = sum(abs(one.bias) <= predicted_error.BIAS * one.expected for one in told(measured))
-    ends = binomial_interval(inside, count)
-    rows.append(("pictures' biases", 0.95, inside / count, f"{ends[0]:.0%} to {ends[1]:.0%} of {count} pictures"))
-    joined = np.concatenate(pixels, axis=1)
-    shares = mixture_shares(joined)
+    for what, level, share in counted:
+        low, high = binomial_interval(round(share * len(found)), len(found))
+        rows.append((what, level, share, f"{low:.0%} to {high:.0%}, {len(found)} pictures"))
+    shown = joined_pixels(pixels, predicted_error.JOINED)
+    shares = mixture_shares(shown)
     for level, multiple in ((0.5, predicted_error.HALF_OF_PIXELS), (0.95, predicted_error.MOST_OF_PIXELS)):
-        rows.append(("pixels' errors", level, within(shares, multiple), f"{joined.shape[1]} pixels"))
+        rows.append(("pixels' errors", level, within(shares, multiple), f"{shown.shape[1]} pixels"))
     return rows
 
 
 def plot(path: pathlib.Path, calibration, test) -> None:
     """The reliability plot: found against stated probabilities, and found against expected errors of pictures."""
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
-    of_calibration, of_test = (mixture_shares(np.concatenate(pixels, axis=1)) for _, pixels in (calibration, test))
+    joined = predicted_error.JOINED
+    of_calibration, of_test = (mixture_shares(joined_pixels(pixels, joined)) for _, pixels in (calibration, test))
     found = [within(of_test, multiple_of(of_calibration, level)) for level in LEVELS]
     left.plot([0, 1], [0, 1], color="#999999", linewidth=1)
     left.plot(LEVELS, found, "o-", color="#c0392b", label="pixels")
-    known = np.array([one.error / one.expected for one in told(calibration[0])])
-    ratios = np.array([one.error / one.expected for one in told(test[0])])
+    known, tested = (ratios(measured, joined) for measured, _ in (calibration, test))
     ends = [np.quantile(known, [0.5 - level / 2, 0.5 + level / 2]) for level in LEVELS]
-    left.plot(
-        LEVELS, [np.mean((ratios >= a) & (ratios <= b)) for a, b in ends], "s-", color="#1f77b4", label="pictures"
-    )
+    left.plot(LEVELS, [share_between(tested, pair) for pair in ends], "s-", color="#1f77b4", label="pictures")
     left.set(xlabel="stated probability", ylabel="share of the test's errors within", title="Reliability")
     left.legend()
     low, high = predicted_error.MOST_OF_PICTURES
-    line = np.geomspace(0.002, 0.5, 50)
+    line = np.geomspace(0.002, 0.7, 50)
     right.fill_between(line, line * low, line * high, color="#1f77b4", alpha=0.15, label="stated 95 %")
     right.plot(line, line, color="#999999", linewidth=1)
-    for views, colour, label in ((calibration[0], "#bbbbbb", "calibration"), (test[0], "#1f77b4", "test")):
-        one = told(views)
-        right.plot([v.expected for v in one], [max(v.error, 2e-3) for v in one], ".", color=colour, label=label)
+    for (measured, _), colour, label in ((calibration, "#bbbbbb", "calibration"), (test, "#1f77b4", "test")):
+        one = told(measured, joined)
+        stated = [view.expected(joined) for view in one]
+        right.plot(stated, [max(view.error, 2e-3) for view in one], ".", color=colour, label=label)
     right.set(xscale="log", yscale="log", xlabel="expected error", ylabel="error found", title="Pictures")
     right.legend()
     figure.savefig(path, dpi=100)
@@ -228,7 +271,8 @@ def main(options=None):
         found[group] = [], []
         for view in views:
             measured, pixels = measure(group, view, arguments.out)
-            print(f"{group} {view.name}: expected {measured.expected:.3f}, found {measured.error:.3f}", flush=True)
+            expected = measured.expected(predicted_error.JOINED)
+            print(f"{group} {view.name}: expected {expected:.3f}, found {measured.error:.3f}", flush=True)
             found[group][0].append(measured)
             found[group][1].append(pixels)
     for name, value in fit(*found["calibration"]).items():
@@ -236,9 +280,6 @@ def main(options=None):
     source = made_by(PROGRAM, options, ["mrpnn", "uncertainty/mrpnn"])
     text = table(coverage(*found["test"]))
     print(text)
-    outside = told(found["outside"][0])
-    for one in outside:
-        print(f"{one.view}: expected {one.expected:.3f}, found {one.error:.3f}")
     docs = ROOT / "docs" if arguments.docs else None
     rows = [asdict(one) for measured, _ in found.values() for one in measured]
     figures = csv_text([source], list(rows[0]), [row.values() for row in rows])

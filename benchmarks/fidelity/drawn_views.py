@@ -21,7 +21,7 @@ from .views import FOV, View, ViewSpec
 #: First seeds of the usual volumes, of those with evened dense parts and of solids.
 CALIBRATION_SEEDS = (2_300, 602_300, 502_300)
 TEST_SEEDS = (1_000_300, 1_600_300, 1_500_300)
-CALIBRATION_VIEWS, TEST_VIEWS = 56, 110
+CALIBRATION_VIEWS, TEST_VIEWS = 40, 104
 #: Kinds of volumes, numbers in the tuples above, in turn.
 KINDS = (0, 1, 0, 0, 1, 0, 2, 0, 1, 0)
 #: Pixels per edge; independent parts of a reference and paths per pixel in each. Few pixels with many paths: the
@@ -81,6 +81,6 @@ def drawn_views(seeds: tuple[int, int, int], count: int, folder: pathlib.Path) -
 
 
 def outside_views(folder: pathlib.Path) -> list[View]:
-    """Views outside the trained range, two volumes for each of OUTSIDE."""
-    numbers = range(2 * len(OUTSIDE))
+    """Views outside the trained range, one for each of OUTSIDE."""
+    numbers = range(len(OUTSIDE))
     return [drawn_view(seed_of(CALIBRATION_SEEDS, 80 + n), folder, OUTSIDE[n % len(OUTSIDE)]) for n in numbers]

@@ -8,7 +8,7 @@ from torch import nn
 
 from inference.network.uncertainty import COLUMNS
 
-WIDTH = 48
+WIDTH = 24
 #: Bounds of the deviation, and how fast it grows with the distance to what was trained: inputs beyond the range of the
 #: rows count as its end, and what they exceed it by, in standard deviations, adds up.
 LEAST, MOST, GROWTH = 0.005, 2.0, 0.2
