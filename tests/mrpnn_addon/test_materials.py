@@ -270,8 +270,8 @@ def test_phase_functions_equal_those_of_cycles(addon, scene, box, tmp_path, phas
     assert any(f"{mean:.3f}" in warning and "mean cosine" in warning for warning in described.warnings)
 
 
-def link_voronoi(node):
-    link(node, "TexVoronoi")
+def link_layer_weight(node):
+    link(node, "LayerWeight")
 
 
 def ramp_in_colour(node):
@@ -302,7 +302,7 @@ def bend_phase(node):
 @pytest.mark.parametrize(
     "change, named",
     [
-        (link_voronoi, "Voronoi Texture"),
+        (link_layer_weight, "Layer Weight"),
         (clear_attribute, "Density Attribute"),
         (fog_without_end, "endless fog"),
         (unlink, "Volume socket"),
