@@ -46,6 +46,7 @@ COMMANDS = (
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
     "benchmarks.cycles.baked_light",
     f"benchmarks.fidelity --out build/fidelity --views independent {SYSTEMS}",
+    "benchmarks.fidelity.calibration --docs",
     "benchmarks.stability",
     "benchmarks.stability.soak",
     "benchmarks.cycles.scenes",

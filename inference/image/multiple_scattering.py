@@ -260,7 +260,7 @@ class _Estimate:
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
-        self.deviation = SparseDeviation(tile.camera.window)
+        self.deviation = SparseDeviation(tile.camera)
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""

@@ -15,12 +15,13 @@ import numpy as np
 from ..network.uncertainty import has_uncertainty
 from ..plan.resolution import BAND
 from ..runtime.report import ExpectedError
+from ..scene.camera import Camera
 from .framebuffer import add_at
 from .layer import Layer
 
-# Pixels from one that the network for the error is evaluated in to the next. They are among those in which squares of
-# this size, `adaptive_interpolation.LEVELS`, evaluate the other.
-STRIDE = 8
+# Pixels from one that the network for the error is evaluated in to the next, in pictures of less than SMALL pixels along
+# an edge and in others. The largest squares of `adaptive_interpolation` evaluate the other network in all of them.
+SMALL, STRIDES = 256, (8, 16)
 # Standard deviation of the sum of a ray's errors, over the sum of their standard deviations.
 JOINED = 0.7
 # Deviations within which half and 95 % of pixels' errors lie: more near and more far than of a normal distribution.
@@ -41,15 +42,16 @@ RIM_ALPHA, LEAST_LIGHT = 0.5, 0.05
 
 
 class SparseDeviation:
-    """Standard deviation of one source's light in a window (x0, y0, x1, y1) of P pixels.
+    """Standard deviation of one source's light in a camera's window of P pixels.
 
     known: bool (P,), pixels in which it is evaluated.
     """
 
-    def __init__(self, window: tuple[int, int, int, int]):
-        x0, y0, x1, y1 = window
-        self._bands = [_bands(y0, y1), _bands(x0, x1)]
-        rows, columns = (np.arange(first, end) % BAND % STRIDE == 0 for first, end in ((y0, y1), (x0, x1)))
+    def __init__(self, camera: Camera):
+        x0, y0, x1, y1 = camera.window
+        stride = STRIDES[min(camera.resolution) >= SMALL]
+        self._bands = [_bands(y0, y1, stride), _bands(x0, x1, stride)]
+        rows, columns = (np.arange(first, end) % BAND % stride == 0 for first, end in ((y0, y1), (x0, x1)))
         self._shape = y1 - y0, x1 - x0
         self.known = (rows[:, None] & columns).ravel()
         self._sum = np.zeros(self.known.size)
@@ -73,12 +75,12 @@ class SparseDeviation:
         return (JOINED * relative.ravel() * np.maximum(light, 0.0)).astype(np.float32)
 
 
-def _bands(first: int, end: int) -> list[tuple[slice, np.ndarray]]:
+def _bands(first: int, end: int, stride: int) -> list[tuple[slice, np.ndarray]]:
     """Each band of rows or columns [first, end): where it lies, and weights (n, n) of its places for each of them."""
     found = []
     for start in range(first // BAND * BAND, end, BAND):
         places = np.arange(max(start, first), min(start + BAND, end))
-        weights = np.exp(-0.5 * ((places[:, None] - places) / STRIDE) ** 2)
+        weights = np.exp(-0.5 * ((places[:, None] - places) / stride) ** 2)
         found.append((slice(places[0] - first, places[-1] + 1 - first), weights))
     return found
 

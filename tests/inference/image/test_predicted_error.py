@@ -81,18 +81,17 @@ def test_networks_without_one_for_their_error_state_the_measured_one():
 
 def test_it_does_not_depend_on_the_window():
     """Deviations are interpolated within bands, and keep the ratio that they have where they are known."""
-    rng = np.random.default_rng(0)
-    light = rng.uniform(1.0, 2.0, (70, 80))
+    light = np.random.default_rng(0).uniform(1.0, 2.0, (70, 80))
     found = []
     for x0, x1 in ((0, 80), (33, 66)):
-        sparse = SparseDeviation((x0, 0, x1, 70))
+        sparse = SparseDeviation(camera(resolution=(80, 70), region=(x0, 0, x1, 70)))
         part = light[:, x0:x1].ravel()
         pixel = np.flatnonzero(sparse.known)
         sparse.add(pixel, 0.1 * part[pixel])
         found.append(sparse.everywhere(part, 1.0).reshape(70, -1))
     np.testing.assert_array_equal(found[0][:, 33:66], found[1])
     np.testing.assert_allclose(found[0] / light, (found[0] / light)[0, 0], rtol=1e-5)
-    nowhere = SparseDeviation((0, 0, 80, 70)).everywhere(np.zeros(5600), 0.2)
+    nowhere = SparseDeviation(camera(resolution=(80, 70))).everywhere(np.zeros(5600), 0.2)
     assert not nowhere.any()
 
 
