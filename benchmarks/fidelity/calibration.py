@@ -33,6 +33,7 @@ from ..support.provenance import made_by, weights_checksum
 from .drawn_views import (
     CALIBRATION_SEEDS,
     CALIBRATION_VIEWS,
+    PARTS,
     SIZE,
     TEST_SEEDS,
     TEST_VIEWS,
@@ -47,8 +48,12 @@ FINER = 3
 DEPTH_SAMPLES = 4
 #: Stated probabilities of the reliability plot.
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
-#: Noise of the squared error, over the expected squared error, of views that count.
-TOLD = 0.25
+#: Noise of pixels that count, over their stated deviations, and of the squared errors of pictures that count, over the
+#: expected ones: where there is more, the brightest paths may be missing from references.
+QUIET, FAINT = 0.7, 0.5
+#: Parameters that are tried: of the logarithm of errors over expected ones, and of biases over them.
+MIDDLES, SPREADS = np.linspace(-1.0, 1.0, 81), np.geomspace(0.05, 2.0, 60)
+RESAMPLES = 300
 #: Ratios of deviations whose mixture the pixels' errors are fitted by; the shares are found.
 RATIOS = np.geomspace(0.1, 6.0, 14)
 
@@ -149,97 +154,129 @@ def multiple_of(shares: np.ndarray, level: float) -> float:
     return float(np.interp(level, [within(shares, value) for value in tries], tries))
 
 
-def joined_pixels(pixels: list[np.ndarray], joined: float) -> np.ndarray:
-    """(3, N), differences, stated deviations and the noise's, of the pixels of views in which any is stated."""
+def quiet_pixels(pixels: list[np.ndarray], joined: float) -> np.ndarray:
+    """(3, N), differences, stated deviations and the noise's, of pixels whose reference tells their error."""
     difference, network, sampling, noise = np.concatenate(pixels, axis=1)
     stated = np.hypot(joined * network, sampling)
-    return np.stack([difference, stated, noise])[:, stated > 0.0]
+    return np.stack([difference, stated, noise])[:, noise < QUIET * stated]
 
 
-def told(measured: list[Measured], joined: float) -> list[Measured]:
-    """Views in which an error is expected that their references can tell from noise."""
-    return [one for one in measured if one.network > 0.0 and one.noise < TOLD * one.expected(joined) ** 2]
+class Pictures:
+    """Errors and biases of V pictures over the expected errors, without the references' noise.
+
+    Errors over expected ones are taken as log-normal, biases over them as normal around 0; `likelihood` (V, MIDDLES,
+    SPREADS) and `bias_likelihood` (V, SPREADS) are logarithmic, of their parameters.
+    """
+
+    def __init__(self, pixels: list[np.ndarray], joined: float):
+        squares, biases = [], []
+        for difference, network, sampling, noise in pixels:
+            expected, count = joined**2 * (network**2).sum() + (sampling**2).sum() + 1e-30, len(noise)
+            # The noise's variance, which is subtracted, is itself estimated from few parts.
+            spread = np.sqrt(2.0 * (1.0 + 1.0 / (PARTS - 1)) * (noise**4).sum()) / expected
+            if not spread < FAINT:
+                continue
+            squares.append(((difference**2 - noise**2).sum() / expected, spread, 4.0 * (noise**2).max() / expected))
+            scale = np.sqrt(expected * count)
+            biases.append((difference.sum() / scale, np.sqrt((noise**2).sum()) / scale))
+        self.square, self.spread, crossed = np.array(squares).T
+        self.bias, self.bias_spread = np.array(biases).T
+        nodes, weights = np.polynomial.hermite_e.hermegauss(24)
+        ratio = np.exp(MIDDLES[:, None, None] + SPREADS[:, None] * nodes) ** 2
+        variance = self.spread[:, None, None, None] ** 2 + crossed[:, None, None, None] * ratio + 1e-4
+        density = np.exp(-0.5 * (self.square[:, None, None, None] - ratio) ** 2 / variance) / np.sqrt(variance)
+        self.likelihood = np.log(np.maximum(density @ weights, 1e-100))
+        variance = SPREADS**2 + self.bias_spread[:, None] ** 2
+        self.bias_likelihood = -0.5 * (self.bias[:, None] ** 2 / variance + np.log(variance))
+
+    def error_parameters(self, counts: np.ndarray | None = None) -> tuple[float, float]:
+        """Middle and spread of the logarithm of errors over expected ones; counts: (V,), of a bootstrap."""
+        counts = np.ones(len(self.square)) if counts is None else counts
+        sums = np.tensordot(counts, self.likelihood, 1)
+        middle, spread = np.unravel_index(sums.argmax(), sums.shape)
+        return float(MIDDLES[middle]), float(SPREADS[spread])
+
+    def bias_parameter(self, counts: np.ndarray | None = None) -> float:
+        """Standard deviation of biases over expected errors."""
+        counts = np.ones(len(self.square)) if counts is None else counts
+        return float(SPREADS[(counts @ self.bias_likelihood).argmax()])
+
+    def errors_within(self, ends, counts: np.ndarray | None = None) -> float:
+        """Share of pictures whose error over the expected one lies between two ends."""
+        middle, spread = self.error_parameters(counts)
+        low, high = stats.norm.cdf((np.log(ends) - middle) / spread)
+        return float(high - low)
+
+    def biases_within(self, end: float, counts: np.ndarray | None = None) -> float:
+        """Share of pictures whose bias over the expected error is below an end."""
+        return float(2.0 * stats.norm.cdf(end / self.bias_parameter(counts)) - 1.0)
 
 
-def ratios(measured: list[Measured], joined: float) -> np.ndarray:
-    """Errors over expected ones."""
-    return np.array([one.error / one.expected(joined) for one in told(measured, joined)])
+def normal_end(level: float) -> float:
+    """Standard deviations within which a share of a normal distribution lies."""
+    return float(stats.norm.ppf(0.5 + level / 2.0))
 
 
-def biases(measured: list[Measured], joined: float) -> np.ndarray:
-    """Absolute biases over expected errors."""
-    return np.array([abs(one.bias) / one.expected(joined) for one in told(measured, joined)])
-
-
-def share_between(values: np.ndarray, ends) -> float:
-    return float(np.mean((values >= ends[0]) & (values <= ends[1])))
-
-
-def fit(measured: list[Measured], pixels: list[np.ndarray]) -> dict:
+def fit(pixels: list[np.ndarray]) -> dict:
     """Constants of `predicted_error` by the calibration's views."""
-    tries = np.geomspace(0.1, 3.0, 300)
-    middle = [abs(np.log(np.median(ratios(measured, joined)))) for joined in tries]
-    joined = float(tries[np.argmin(middle)])
-    shares = mixture_shares(joined_pixels(pixels, joined))
+    tries = np.geomspace(0.3, 2.0, 39)
+    joined = min(tries, key=lambda value: abs(Pictures(pixels, value).error_parameters()[0]))
+    pictures, shares = Pictures(pixels, joined), mixture_shares(quiet_pixels(pixels, joined))
+    _, spread = pictures.error_parameters()
     return {
         "JOINED": joined,
         "HALF_OF_PIXELS": multiple_of(shares, 0.5),
         "MOST_OF_PIXELS": multiple_of(shares, 0.95),
-        "HALF_OF_PICTURES": np.quantile(ratios(measured, joined), [0.25, 0.75]),
-        "MOST_OF_PICTURES": np.quantile(ratios(measured, joined), [0.025, 0.975]),
-        "BIAS": np.quantile(biases(measured, joined), 0.95),
+        "HALF_OF_PICTURES": np.exp(normal_end(0.5) * spread * np.array([-1.0, 1.0])),
+        "MOST_OF_PICTURES": np.exp(normal_end(0.95) * spread * np.array([-1.0, 1.0])),
+        "BIAS": normal_end(0.95) * pictures.bias_parameter(),
     }
 
 
-def binomial_interval(inside: int, count: int) -> tuple[float, float]:
-    """95 % interval (Clopper and Pearson) of a share."""
-    low = stats.beta.ppf(0.025, inside, count - inside + 1) if inside else 0.0
-    high = stats.beta.ppf(0.975, inside + 1, count - inside) if inside < count else 1.0
-    return float(low), float(high)
-
-
-def coverage(measured: list[Measured], pixels: list[np.ndarray]) -> list[tuple[str, float, float, str]]:
+def coverage(pixels: list[np.ndarray]) -> list[tuple[str, float, float, str]]:
     """Rows of the table: what is stated, how often, how often it was found, and its 95 % interval or pixels."""
-    joined = predicted_error.JOINED
-    found, biased = ratios(measured, joined), biases(measured, joined)
-    counted = (
-        ("pictures' errors", 0.5, share_between(found, predicted_error.HALF_OF_PICTURES)),
-        ("pictures' errors", 0.95, share_between(found, predicted_error.MOST_OF_PICTURES)),
-        ("pictures' biases", 0.95, share_between(biased, (0.0, predicted_error.BIAS))),
-    )
-    rows = []
-    for what, level, share in counted:
-        low, high = binomial_interval(round(share * len(found)), len(found))
-        rows.append((what, level, share, f"{low:.0%} to {high:.0%}, {len(found)} pictures"))
-    shown = joined_pixels(pixels, predicted_error.JOINED)
+    pictures, random, rows = Pictures(pixels, predicted_error.JOINED), np.random.default_rng(0), []
+    views = len(pictures.square)
+    drawn = random.multinomial(views, np.full(views, 1.0 / views), RESAMPLES)
+    for what, level, share_of in (
+        ("pictures' errors", 0.5, lambda counts: pictures.errors_within(predicted_error.HALF_OF_PICTURES, counts)),
+        ("pictures' errors", 0.95, lambda counts: pictures.errors_within(predicted_error.MOST_OF_PICTURES, counts)),
+        ("pictures' biases", 0.95, lambda counts: pictures.biases_within(predicted_error.BIAS, counts)),
+    ):
+        low, high = np.quantile([share_of(counts) for counts in drawn], [0.025, 0.975])
+        rows.append((what, level, share_of(None), f"{views} pictures: {low:.0%} to {high:.0%}"))
+    shown = quiet_pixels(pixels, predicted_error.JOINED)
     shares = mixture_shares(shown)
     for level, multiple in ((0.5, predicted_error.HALF_OF_PIXELS), (0.95, predicted_error.MOST_OF_PIXELS)):
         rows.append(("pixels' errors", level, within(shares, multiple), f"{shown.shape[1]} pixels"))
     return rows
 
 
-def plot(path: pathlib.Path, calibration, test) -> None:
+def plot(path: pathlib.Path, calibration: list[np.ndarray], test: list[np.ndarray]) -> None:
     """The reliability plot: found against stated probabilities, and found against expected errors of pictures."""
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
     joined = predicted_error.JOINED
-    of_calibration, of_test = (mixture_shares(joined_pixels(pixels, joined)) for _, pixels in (calibration, test))
-    found = [within(of_test, multiple_of(of_calibration, level)) for level in LEVELS]
+    of_calibration, of_test = (mixture_shares(quiet_pixels(pixels, joined)) for pixels in (calibration, test))
+    known, tested = Pictures(calibration, joined), Pictures(test, joined)
+    _, spread = known.error_parameters()
     left.plot([0, 1], [0, 1], color="#999999", linewidth=1)
+    found = [within(of_test, multiple_of(of_calibration, level)) for level in LEVELS]
     left.plot(LEVELS, found, "o-", color="#c0392b", label="pixels")
-    known, tested = (ratios(measured, joined) for measured, _ in (calibration, test))
-    ends = [np.quantile(known, [0.5 - level / 2, 0.5 + level / 2]) for level in LEVELS]
-    left.plot(LEVELS, [share_between(tested, pair) for pair in ends], "s-", color="#1f77b4", label="pictures")
+    ends = [np.exp(normal_end(level) * spread * np.array([-1.0, 1.0])) for level in LEVELS]
+    left.plot(LEVELS, [tested.errors_within(pair) for pair in ends], "s-", color="#1f77b4", label="pictures")
     left.set(xlabel="stated probability", ylabel="share of the test's errors within", title="Reliability")
     left.legend()
     low, high = predicted_error.MOST_OF_PICTURES
-    line = np.geomspace(0.002, 0.7, 50)
-    right.fill_between(line, line * low, line * high, color="#1f77b4", alpha=0.15, label="stated 95 %")
-    right.plot(line, line, color="#999999", linewidth=1)
-    for (measured, _), colour, label in ((calibration, "#bbbbbb", "calibration"), (test, "#1f77b4", "test")):
-        one = told(measured, joined)
-        stated = [view.expected(joined) for view in one]
-        right.plot(stated, [max(view.error, 2e-3) for view in one], ".", color=colour, label=label)
-    right.set(xscale="log", yscale="log", xlabel="expected error", ylabel="error found", title="Pictures")
+    for pictures, colour, label in ((known, "#bbbbbb", "calibration"), (tested, "#1f77b4", "test")):
+        order = pictures.spread
+        square = np.stack([pictures.square - 2.0 * order, pictures.square, pictures.square + 2.0 * order])
+        ratio = np.sqrt(np.maximum(square, 0.0))
+        bars = [ratio[1] - ratio[0], ratio[2] - ratio[1]]
+        right.errorbar(order, ratio[1], bars, fmt=".", color=colour, label=label, linewidth=0.6)
+    right.axhspan(low, high, color="#1f77b4", alpha=0.15, label="stated 95 %")
+    right.axhline(1.0, color="#999999", linewidth=1)
+    right.set(xscale="log", ylim=(0.0, 4.0), title="Pictures")
+    right.set(xlabel="noise of the squared error over the expected one", ylabel="error over the expected one")
     right.legend()
     figure.savefig(path, dpi=100)
     pyplot.close(figure)
@@ -275,16 +312,16 @@ def main(options=None):
             print(f"{group} {view.name}: expected {expected:.3f}, found {measured.error:.3f}", flush=True)
             found[group][0].append(measured)
             found[group][1].append(pixels)
-    for name, value in fit(*found["calibration"]).items():
+    for name, value in fit(found["calibration"][1]).items():
         print(f"{name} = {np.round(value, 3)}")
     source = made_by(PROGRAM, options, ["mrpnn", "uncertainty/mrpnn"])
-    text = table(coverage(*found["test"]))
+    text = table(coverage(found["test"][1]))
     print(text)
     docs = ROOT / "docs" if arguments.docs else None
     rows = [asdict(one) for measured, _ in found.values() for one in measured]
     figures = csv_text([source], list(rows[0]), [row.values() for row in rows])
     replace((docs or arguments.out) / "calibration.csv", figures)
-    plot((docs / "images" if docs else arguments.out) / "reliability.png", found["calibration"], found["test"])
+    plot((docs / "images" if docs else arguments.out) / "reliability.png", found["calibration"][1], found["test"][1])
     if docs:
         page = docs / "fidelity.md"
         replace(page, with_table(page.read_text(), "calibration", text, source))

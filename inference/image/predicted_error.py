@@ -19,9 +19,9 @@ from ..scene.camera import Camera
 from .framebuffer import add_at
 from .layer import Layer
 
-# Pixels from one that the network for the error is evaluated in to the next, in pictures of less than SMALL pixels along
-# an edge and in others. The largest squares of `adaptive_interpolation` evaluate the other network in all of them.
-SMALL, STRIDES = 256, (8, 16)
+# Pixels from one in which the network for the error is evaluated to the next: a power of two, the largest that leaves
+# so many of them along the picture's shorter edge, and no larger than the last.
+LEAST_ACROSS, LARGEST_STRIDE = 16, 16
 # Standard deviation of the sum of a ray's errors, over the sum of their standard deviations.
 JOINED = 0.7
 # Deviations within which half and 95 % of pixels' errors lie: more near and more far than of a normal distribution.
@@ -44,28 +44,30 @@ RIM_ALPHA, LEAST_LIGHT = 0.5, 0.05
 class SparseDeviation:
     """Standard deviation of one source's light in a camera's window of P pixels.
 
-    known: bool (P,), pixels in which it is evaluated.
+    known: bool (P,), pixels in which it is evaluated, where the source's light is.
     """
 
     def __init__(self, camera: Camera):
         x0, y0, x1, y1 = camera.window
-        stride = STRIDES[min(camera.resolution) >= SMALL]
+        across = max(min(camera.resolution) // LEAST_ACROSS, 1)
+        stride = min(1 << (across.bit_length() - 1), LARGEST_STRIDE)
         self._bands = [_bands(y0, y1, stride), _bands(x0, x1, stride)]
         rows, columns = (np.arange(first, end) % BAND % stride == 0 for first, end in ((y0, y1), (x0, x1)))
         self._shape = y1 - y0, x1 - x0
         self.known = (rows[:, None] & columns).ravel()
-        self._sum = np.zeros(self.known.size)
+        self._sum, self._told = np.zeros(self.known.size), np.zeros(self.known.size, bool)
 
     def add(self, pixel: np.ndarray, deviations: np.ndarray) -> None:
         """Add depth samples: their pixels int (N,), ascending, and the deviations (N,) of what they contribute."""
         add_at(self._sum, pixel, deviations)
+        self._told[pixel] = True
 
     def everywhere(self, light: np.ndarray, typical: float) -> np.ndarray:
         """Standard deviation float32 (P,) in all pixels.
 
         light: (P,), of the source. typical: deviation over the light where it is known nowhere near.
         """
-        values = np.stack([self._sum, np.maximum(light, 0.0) * self.known]).reshape(2, *self._shape)
+        values = np.stack([self._sum, np.maximum(light, 0.0) * self._told]).reshape(2, *self._shape)
         relative = np.full(self._shape, typical)
         # Bands by themselves, so that the image does not depend on the tiles.
         for rows, down in self._bands[0]:

@@ -9,9 +9,11 @@ from torch import nn
 from inference.network.uncertainty import COLUMNS
 
 WIDTH = 24
-#: Bounds of the deviation, and how fast it grows with the distance to what was trained: inputs beyond the range of the
-#: rows count as its end, and what they exceed it by, in standard deviations, adds up.
-LEAST, MOST, GROWTH = 0.005, 2.0, 0.2
+#: Bounds of the deviation.
+LEAST, MOST = 0.005, 0.7
+#: How fast it grows with the distance to what was trained, up to what distance: inputs beyond the range of the rows
+#: count as its end, and what they exceed it by, in standard deviations, adds up.
+GROWTH, FARTHEST = 0.2, 5.0
 
 
 class UncertaintyNet(nn.Module):
@@ -43,7 +45,7 @@ class UncertaintyNet(nn.Module):
         h = torch.tanh(self.layers[0](inside))
         h = torch.tanh(self.layers[1](h))
         y = torch.exp(self.layers[2](h)[:, 0].clamp(math.log(LEAST), math.log(MOST)))
-        return y * (1.0 + GROWTH * (x - inside).abs().sum(dim=1))
+        return y * (1.0 + GROWTH * (x - inside).abs().sum(dim=1).clamp(max=FARTHEST))
 
     def graph(self, g):
         """Add the network to an ONNX graph."""
@@ -55,5 +57,6 @@ class UncertaintyNet(nn.Module):
         y = g.op("Clip", g.linear(h, self.layers[2]), g.number(math.log(LEAST)), g.number(math.log(MOST)))
         excess = g.op("Abs", g.op("Sub", x, inside))
         excess = g.op("MatMul", excess, g.constant(torch.full((COLUMNS, 1), GROWTH)))
+        excess = g.op("Min", excess, g.number(GROWTH * FARTHEST))
         y = g.op("Mul", g.op("Exp", y), g.op("Add", excess, g.number(1.0)))
         g.output("deviation", g.reshape(y, (-1,)), ["N"])
