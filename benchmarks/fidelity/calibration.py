@@ -51,6 +51,8 @@ LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 #: Noise of pixels that count, over their stated deviations, and of the squared errors of pictures that count, over the
 #: expected ones: where there is more, the brightest paths may be missing from references.
 QUIET, FAINT = 0.7, 0.5
+#: Stated deviation of pixels that count, over the picture's mean.
+LEAST_STATED = 0.02
 #: Parameters that are tried: of the logarithm of errors over expected ones, and of biases over them.
 MIDDLES, SPREADS = np.linspace(-1.0, 1.0, 81), np.geomspace(0.05, 2.0, 60)
 RESAMPLES = 300
@@ -63,8 +65,8 @@ class Measured:
     """One view.
 
     group: calibration, test or outside. network, sampling: root mean squares of the stated deviations over the mean,
-    the former without the factor JOINED. error, bias: relative RMSE and bias that were found. noise: standard deviation
-    of the squared error that the reference's noise causes.
+    the former without the factor JOINED. error, bias: relative RMSE and bias that were found. mean: radiance of
+    the reference.
     """
 
     group: str
@@ -76,7 +78,7 @@ class Measured:
     sampling: float
     error: float
     bias: float
-    noise: float
+    mean: float
     pixels: int
 
     def expected(self, joined: float) -> float:
@@ -114,8 +116,7 @@ def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.
             float(sampling),
             relative_rmse(image * shown, a * shown, b * shown, shown).value,
             relative_bias(image * shown, a * shown, b * shown, shown).value,
-            # Of a product of two halves, each of twice the variance of their mean.
-            float(2.0 * np.sqrt((noise**4).sum()) / shown.sum() / light.mean(axis=0)[shown].mean() ** 2),
+            float(light.mean(axis=0)[shown].mean()),
             int(shown.sum()),
         )
         stated = [one[centre, centre][shown] for one in (deviation, layer.sampling_error)]
@@ -125,7 +126,9 @@ def measure(group: str, view: View, folder: pathlib.Path) -> tuple[Measured, np.
             np.savez(file, pixels=pixels, found=json.dumps(asdict(found)))
         path.with_suffix(".partial").replace(path)
     with np.load(path) as data:
-        return Measured(**json.loads(str(data["found"]))), data["pixels"]
+        found = Measured(**json.loads(str(data["found"])))
+        # Relative to the mean, so that pictures can be compared.
+        return found, data["pixels"] / found.mean
 
 
 def mixture_shares(pixels: np.ndarray, rounds: int = 400) -> np.ndarray:
@@ -155,10 +158,13 @@ def multiple_of(shares: np.ndarray, level: float) -> float:
 
 
 def quiet_pixels(pixels: list[np.ndarray], joined: float) -> np.ndarray:
-    """(3, N), differences, stated deviations and the noise's, of pixels whose reference tells their error."""
+    """(3, N), differences, stated deviations and the noise's, of pixels whose reference tells their error.
+
+    Where next to nothing is stated there is next to no light, and references miss the paths that bring it.
+    """
     difference, network, sampling, noise = np.concatenate(pixels, axis=1)
     stated = np.hypot(joined * network, sampling)
-    return np.stack([difference, stated, noise])[:, noise < QUIET * stated]
+    return np.stack([difference, stated, noise])[:, (noise < QUIET * stated) & (stated > LEAST_STATED)]
 
 
 class Pictures:
@@ -179,8 +185,8 @@ class Pictures:
             squares.append(((difference**2 - noise**2).sum() / expected, spread, 4.0 * (noise**2).max() / expected))
             scale = np.sqrt(expected * count)
             biases.append((difference.sum() / scale, np.sqrt((noise**2).sum()) / scale))
-        self.square, self.spread, crossed = np.array(squares).T
-        self.bias, self.bias_spread = np.array(biases).T
+        self.square, self.spread, crossed = np.array(squares).reshape(-1, 3).T
+        self.bias, self.bias_spread = np.array(biases).reshape(-1, 2).T
         nodes, weights = np.polynomial.hermite_e.hermegauss(24)
         ratio = np.exp(MIDDLES[:, None, None] + SPREADS[:, None] * nodes) ** 2
         variance = self.spread[:, None, None, None] ** 2 + crossed[:, None, None, None] * ratio + 1e-4

@@ -45,7 +45,7 @@ POINTS_PER_TASK = 2048
 MAX_FLUENCE = 5.04
 # Relative errors beyond the trained range, standard deviations: for each factor by which the optical thickness exceeds
 # it, and by which 1 - |G| falls short of it (natural logarithms); measured by benchmarks.fidelity.calibration.
-BEYOND_THICKNESS, BEYOND_ANISOTROPY = 0.1, 0.2
+BEYOND_THICKNESS, BEYOND_ANISOTROPY = 0.6, 2.0
 # Of the coarse transport, which takes the network's place around a lamp near a volume or inside it; docs/method.md.
 NEARBY_DEVIATION = 0.08
 
