@@ -11,6 +11,7 @@ them into docs. A run that is stopped continues where it was.
 """
 
 import argparse
+import functools
 import json
 import pathlib
 from dataclasses import asdict, dataclass
@@ -244,13 +245,26 @@ def coverage(pixels: list[np.ndarray]) -> list[tuple[str, float, float, str]]:
     pictures, random, rows = Pictures(pixels, predicted_error.JOINED), np.random.default_rng(0), []
     views = len(pictures.square)
     drawn = random.multinomial(views, np.full(views, 1.0 / views), RESAMPLES)
-    for what, level, share_of in (
-        ("pictures' errors", 0.5, lambda counts: pictures.errors_within(predicted_error.HALF_OF_PICTURES, counts)),
-        ("pictures' errors", 0.95, lambda counts: pictures.errors_within(predicted_error.MOST_OF_PICTURES, counts)),
-        ("pictures' biases", 0.95, lambda counts: pictures.biases_within(predicted_error.BIAS, counts)),
+    ratio, bias = np.sqrt(np.maximum(pictures.square, 0.0)), np.abs(pictures.bias)
+    half, most, end = predicted_error.HALF_OF_PICTURES, predicted_error.MOST_OF_PICTURES, predicted_error.BIAS
+    for what, level, share_of, inside in (
+        (
+            "pictures' errors",
+            0.5,
+            functools.partial(pictures.errors_within, half),
+            (ratio > half[0]) & (ratio < half[1]),
+        ),
+        (
+            "pictures' errors",
+            0.95,
+            functools.partial(pictures.errors_within, most),
+            (ratio > most[0]) & (ratio < most[1]),
+        ),
+        ("pictures' biases", 0.95, functools.partial(pictures.biases_within, end), bias < end),
     ):
         low, high = np.quantile([share_of(counts) for counts in drawn], [0.025, 0.975])
-        rows.append((what, level, share_of(None), f"{views} pictures: {low:.0%} to {high:.0%}"))
+        plain = f"{low:.0%} to {high:.0%}; with the noise {inside.sum()} of {views} pictures"
+        rows.append((what, level, share_of(None), plain))
     shown = quiet_pixels(pixels, predicted_error.JOINED)
     shares = mixture_shares(shown)
     for level, multiple in ((0.5, predicted_error.HALF_OF_PIXELS), (0.95, predicted_error.MOST_OF_PIXELS)):
@@ -320,7 +334,7 @@ def main(options=None):
             found[group][1].append(pixels)
     for name, value in fit(found["calibration"][1]).items():
         print(f"{name} = {np.round(value, 3)}")
-    source = made_by(PROGRAM, options, ["mrpnn", "uncertainty/mrpnn"])
+    source = f"{made_by(PROGRAM, options)} The network for the error: {weights_checksum('uncertainty/mrpnn')}."
     text = table(coverage(found["test"][1]))
     print(text)
     docs = ROOT / "docs" if arguments.docs else None
