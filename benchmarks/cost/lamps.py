@@ -3,8 +3,8 @@
 
     python -m benchmarks.cost.lamps [--sizes 64x64 256x256] [--rounds 3]
 
-Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, and by four
-suns and four point lights, in turn, and prints the least seconds of each and their ratios to the sun's.
+Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, and by
+four suns and four point lights, in turn, and prints the least seconds of each and their ratios to the sun's.
 """
 
 import argparse
