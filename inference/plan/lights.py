@@ -3,16 +3,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..scene.description import Sun, Surface
 from ..scene.environment import Environment
-from ..scene.lamps import LAMPS, Lamp
+from ..scene.lamps import LAMPS, Lamp, solid_angles
+from ..scene.mesh_light import MeshLight
 from ..scene.settings import Settings
 from .directional_lights import directional_lights
 
 Light = Sun | Lamp | Environment
+AnyLight = TypeVar("AnyLight", bound=Light)
 
 #: Networks beside which there is one for light from everywhere.
 ENVIRONMENT_MODELS = frozenset({"mrpnn"})
@@ -20,6 +23,9 @@ ENVIRONMENT_MODELS = frozenset({"mrpnn"})
 LAMP_MODELS = frozenset({"mrpnn"})
 #: Why environments are computed as suns where a scene has surfaces.
 SURFACES_SHADOW = "surfaces shadow it"
+# Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
+# those larger than the volumes which fill more of its view than so many steradians.
+MESH_LIGHTS, AROUND = 8, 2.5
 # Parallel lights that represent an environment where it is not computed as a whole.
 DIRECTIONS = 12
 
@@ -57,6 +63,25 @@ def split_lights(
     return suns, environments
 
 
+def lights_object(light: Light, name: str) -> bool:
+    """Whether a light lights the volume or surface of a name."""
+    receivers = None if isinstance(light, Environment) else light.receivers
+    return receivers is None or name in receivers
+
+
+def linking(lights: Sequence[Light], names: Sequence[str]) -> np.ndarray:
+    """Whether lights light objects of some names, 0 or 1: float64 (objects, lights)."""
+    found = [[lights_object(light, name) for light in lights] for name in names]
+    return np.array(found, np.float64).reshape(len(names), len(lights))
+
+
+def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: list[str]) -> list[AnyLight]:
+    """Lights that light any object of some names; adds sentences about the others to `left_out`."""
+    found = [any(lights_object(light, name) for name in names) for light in lights]
+    left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
+    return [light for light, lit in zip(lights, found) if lit]
+
+
 @dataclass(frozen=True)
 class PredictedSun:
     """A sun whose multiple scattering is predicted, and which of the suns that rays are marched for are its parts.
@@ -74,7 +99,11 @@ class PredictedSun:
         irradiance = np.array([suns[part].irradiance for part in parts])
         light = irradiance.sum(axis=1)
         shares = light / light.sum() if light.any() else np.full(len(parts), 1.0 / len(parts))
-        return cls(replace(whole, irradiance=irradiance.sum(axis=0)), parts, shares.astype(np.float32))
+        return cls(
+            replace(whole, irradiance=irradiance.sum(axis=0), receivers=suns[parts[0]].receivers),
+            parts,
+            shares.astype(np.float32),
+        )
 
 
 def predicted_suns(suns: Sequence[Sun]) -> list[PredictedSun]:
@@ -91,6 +120,30 @@ def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
     lamps = [light for light in lights if isinstance(light, LAMPS)]
     left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
     return [lamp for lamp in lamps if lamp.power.any()]
+
+
+def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:
+    """Surfaces that emit light and are lamps; corners: (N, 3), of the volumes."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle, found = 0.5 * (low + high), []
+    for surface in surfaces:
+        if not surface.emission.any() or not len(surface.triangles):
+            continue
+        light = MeshLight(surface)
+        seen = solid_angles(surface.triangles - middle).sum() / (2.0 if light.closed else 1.0)
+        if light.power.any() and (seen < AROUND or light.extent < (high - low).max()):
+            square = max(float(((light.centre - middle) ** 2).sum()), float(((high - low) ** 2).sum()) / 4.0)
+            found.append((float(light.power.mean()) / square, light))
+    brightest = sorted(range(len(found)), key=lambda number: -found[number][0])[:MESH_LIGHTS]
+    return [found[number][1] for number in sorted(brightest)]
+
+
+def without_lamps(surfaces: Sequence[Surface], lamps: Sequence[Lamp]) -> list[Surface]:
+    """Surfaces, those that are lamps without their emission."""
+    shining = [lamp.surface for lamp in lamps if isinstance(lamp, MeshLight)]
+    return [
+        replace(surface, emission=0.0) if any(surface is one for one in shining) else surface for surface in surfaces
+    ]
 
 
 def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: list[str], left_out: list[str]) -> bool:

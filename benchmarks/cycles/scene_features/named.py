@@ -14,7 +14,7 @@ def world_fog(stage):
 
 
 def linked_sun(stage):
-    stage.sun.light_linking.receiver_collection = bpy.data.collections.new("Some")
+    stage.sun.light_linking.blocker_collection = bpy.data.collections.new("Some")
 
 
 def surface(stage):
@@ -57,7 +57,7 @@ def missing_frame(stage):
 
 NAMED = {
     "World volume": world_fog,
-    "Light linking": linked_sun,
+    "Shadow linking": linked_sun,
     "Opaque mesh": surface,
     "Glass": glass,
     "Depth of field, motion blur": blur,
