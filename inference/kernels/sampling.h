@@ -22,6 +22,8 @@ static inline float clamped(float x, float low, float high) {
 
 static inline float least(float a, float b) { return a < b ? a : b; }
 
+static inline int64_t least_int(int64_t a, int64_t b) { return a < b ? a : b; }
+
 static inline int64_t within(int64_t n, int64_t last) {
     return n < 0 ? 0 : n > last ? last : n;
 }
