@@ -26,6 +26,7 @@ from .scene import (
     Sun,
     Surface,
     Volume,
+    soft_sun,
 )
 
 __all__ = [
@@ -51,4 +52,5 @@ __all__ = [
     "predict_multiple",
     "render",
     "render_tiles",
+    "soft_sun",
 ]

@@ -5,6 +5,7 @@ Packages import only those above them in this list; `tests/package/test_import_o
 
     runtime     threads, processes of their own, files that are complete or absent
     settings    properties of scenes and view layers, preferences, networks to choose from
+    textures    procedural textures
     nodes       shader nodes and materials, evaluated as Cycles evaluates them
     vdb         density grids of .vdb files
     objects     transforms, visibility, camera, lights, meshes and surfaces

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a newcomer meets: a .vdb file as Blender imports it, in one sun, with every default.
 
-    python -m benchmarks.cost.imported_smoke [--percentage 100]
+    python -m benchmarks.cost.imported_smoke [--percentage 100] [--figures docs/readme.csv]
 
 `openvdb_smoke.vdb` is 107 m high then, with a density of 1: its optical thickness is above 1000. Prints the seconds of
 an F12 of 1920 × 1080 pixels in background, and how much of the picture the smoke covers.
@@ -19,6 +19,7 @@ from PIL import Image
 
 from ..support.data import VOLUMES
 from ..support.extension import load_extension
+from ..support.pages import record
 from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cost.imported_smoke"
@@ -59,6 +60,7 @@ def make_scene(percentage: int):
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.splitlines()[0])
     parser.add_argument("--percentage", type=int, default=100, help="of the resolution")
+    parser.add_argument("--figures", type=Path, help="file to enter the figures into")
     chosen = parser.parse_args(arguments)
     load_extension()
     scene = make_scene(chosen.percentage)
@@ -71,6 +73,8 @@ def main(arguments=None) -> int:
             covered = np.mean(np.array(picture)[..., 3] > 5)
     print(f"{seconds:.0f} s, {processor:.0f} processor seconds, {covered:.0%} of the picture covered")
     print(made_by(PROGRAM, arguments))
+    if chosen.figures:
+        record(chosen.figures, made_by(PROGRAM, arguments), {"smoke, processor seconds": processor, "covered": covered})
     return 0
 
 

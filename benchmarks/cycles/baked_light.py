@@ -3,11 +3,10 @@
 
     python -m benchmarks.cycles.baked_light [VIEW ...]
 
-Writes docs/baked-light.csv, a row per view as soon as it is measured; views that it holds are not measured again.
-Needs bpy.
+Writes docs/baked-light.csv, a row per view as soon as it is measured; views that it holds of the present commit
+and weights are not measured again. Needs bpy.
 """
 
-import csv
 import sys
 import tempfile
 import time
@@ -20,9 +19,11 @@ from inference.evaluation.error import relative_bias, relative_rmse
 from inference.scene.optimizations import ALL
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views, look_at
+from ..support.pages import csv_text, read_csv, replace
 from ..support.provenance import commit, weights_checksum
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "baked-light.csv"
+SOURCE = "`python -m benchmarks.cycles.baked_light`, weights and commit in each row."
 SAMPLES, ORBIT = 64, 40.0
 COLUMNS = (
     "view",
@@ -151,16 +152,13 @@ def main(names: list[str]) -> None:
     from ..support.extension import extension
 
     extension()
-    rows = list(csv.DictReader(PAGE.open())) if PAGE.exists() else []
-    known = {row["view"] for row in rows}
+    rows = read_csv(PAGE) if PAGE.exists() else []
     for view in independent_views():
-        if view.name in known or names and view.name not in names:
+        present = dict(view=view.name, weights=weights_checksum("mrpnn"), commit=commit())
+        if names and view.name not in names or any(present.items() <= row.items() for row in rows):
             continue
-        rows.append(measure(view))
-        with PAGE.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
+        rows = [row for row in rows if row["view"] != view.name] + [measure(view)]
+        replace(PAGE, csv_text([SOURCE], COLUMNS, [[row[column] for column in COLUMNS] for row in rows]))
         print({k: round(v, 4) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
 
 

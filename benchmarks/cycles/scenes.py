@@ -4,7 +4,7 @@
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
 
 One small scene for each feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run that
-was stopped continues where it was; --table only rewrites the page.
+was stopped continues where it was, until the code or the weights change; --table only rewrites the page.
 """
 
 import argparse
@@ -40,20 +40,22 @@ def main(arguments=None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "results.json"
     results = json.loads(file.read_text()) if file.is_file() else {}
+    source = made_by(PROGRAM, arguments)
     if not options.table:
         extension()
         cloud = options.out / "cloud.vdb"
         if not cloud.is_file():
             write_cloud(cloud)
         for name, builder in {**scene_features.NAMED, **scene_features.MEASURED}.items():
-            if name in results and not options.only or options.only and options.only not in name:
+            measured_before = not options.only and results.get(name, {}).get("made_by") == source
+            if measured_before or options.only not in name:
                 continue
             stage = scene_features.make_stage(options.out, cloud, options.size)
             builder(stage)
             bpy.context.view_layer.update()
             start = time.perf_counter()
             results[name] = measured(name, stage, options) if name in scene_features.MEASURED else named(stage)
-            results[name]["made_by"] = made_by(PROGRAM, arguments)
+            results[name]["made_by"] = source
             replace(file, json.dumps(results, indent=1) + "\n")
             print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
     replace(PAGE, page(results))

@@ -12,6 +12,7 @@ import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,18 +102,21 @@ class Reference:
         return row
 
 
-def rows_of_layer(scene, reference: Reference) -> list[dict]:
-    """The layer, its first frame and another one with the same cache."""
+def layers(settings: Settings) -> Iterator[tuple[str, np.ndarray, float]]:
+    """The current scene's layer, its first frame and another one with the same cache: name, image (H, W, 3), seconds.
+
+    Seconds are the processor's, with reading the scene.
+    """
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     from tests.support import blender_scenes as scenes
 
-    description, cache, rows = read_scene(scenes.depsgraph()), RenderCache(), []
+    cache = RenderCache()
     for name in ("MRPNN layer, first frame", "MRPNN layer, next frame"):
         start = time.process_time()
-        layer = render(description.volumes, description.lights, description.camera, Settings(), cache=cache)
-        rows.append(reference.row(name, f"{Settings().depth_samples} depths", layer.rgb, time.process_time() - start))
-    return rows
+        description = read_scene(scenes.depsgraph())
+        layer = render(description.volumes, description.lights, description.camera, settings, cache=cache)
+        yield name, layer.rgb, time.process_time() - start
 
 
 def rows_of_baked_light(scene, reference: Reference, folder: Path) -> list[dict]:
@@ -151,7 +155,10 @@ def measure(view: View) -> list[dict]:
     reference = Reference(view)
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(view, Path(folder))
-        rows = rows_of_layer(scene, reference) + rows_of_baked_light(scene, reference, Path(folder))
+        settings = Settings()
+        depths = f"{settings.depth_samples} depths"
+        rows = [reference.row(name, depths, image, seconds) for name, image, seconds in layers(settings)]
+        rows += rows_of_baked_light(scene, reference, Path(folder))
         choices = CHOICES + (NULL_CHOICES if hasattr(scene.cycles, "volume_biased") else ())
         for choice in choices:
             image, seconds = picture(scene, Path(folder), choice)

@@ -9,6 +9,7 @@ error) and the comparison's report in NAME-comparison, and prints the table.
 """
 
 import argparse
+import json
 import os
 import sys
 import time
@@ -18,6 +19,7 @@ import bpy
 
 from ..support import pictures
 from ..support.extension import ROOT, extension
+from ..support.pages import record
 from ..support.provenance import made_by
 from . import scene as demo_scene
 
@@ -27,8 +29,11 @@ ERROR_LIMIT = 0.5
 LADDER = 16
 
 
-def demo(path: Path, out: Path, options) -> str:
-    """Render and compare one volume; gives the table. Raises RuntimeError with the operator's message."""
+def demo(path: Path, out: Path, options) -> tuple[str, dict[str, float]]:
+    """Render and compare one volume; gives the table, and processor seconds.
+
+    Raises RuntimeError with the operator's message.
+    """
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     scene, volume, shader = demo_scene.make_scene(path, options.size, options.grid, options.y_up)
@@ -36,9 +41,9 @@ def demo(path: Path, out: Path, options) -> str:
     scene.mrpnn.depth_samples = options.depth_samples
 
     say(f"{path.name}: rendering {options.size[0]} x {options.size[1]} pixels")
-    start = time.perf_counter()
+    start, processor = time.perf_counter(), time.process_time()
     bpy.ops.mrpnn.render(filepath=str(out / f"{path.stem}.exr"))
-    seconds = time.perf_counter() - start
+    seconds, processor = time.perf_counter() - start, time.process_time() - processor
     layer = pictures.pixels("MRPNN")
     pictures.view_transformed(pictures.over_sky(layer), scene).save(out / f"{path.stem}.png")
     covered = (layer[..., 3] > 0.02).mean()
@@ -53,7 +58,14 @@ def demo(path: Path, out: Path, options) -> str:
         folder=str(out / f"{path.stem}-comparison"),
     )
     comparison_picture(scene, options).save(out / f"{path.stem}-comparison.png")
-    return bpy.data.texts["MRPNN comparison"].as_string()
+    figures = json.loads((out / f"{path.stem}-comparison" / "figures.json").read_text())
+    [cycles] = [one for one in figures["equal"] if (one["method"], one["clock"]) == ("cycles", "cpu_seconds")]
+    compared = {"error": figures["judged"]["rmse"]["value"], "layer": figures["judged"]["cpu_seconds"]}
+    return bpy.data.texts["MRPNN comparison"].as_string(), {
+        f"{path.stem}, processor seconds": processor,
+        **{f"{path.stem} compared: {name}": value for name, value in compared.items()},
+        f"{path.stem} compared: Cycles to this error": cycles["needed"]["value"],
+    }
 
 
 def comparison_picture(scene, options):
@@ -107,6 +119,7 @@ def parse(arguments):
     parser.add_argument("--scale", type=int, default=25, help="size of the comparison in percent (25)")
     parser.add_argument("--samples", type=int, default=48, help="samples per pixel in each of two Cycles renders (48)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")
+    parser.add_argument("--figures", type=Path, help="file to enter the figures into, such as docs/readme.csv")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()
     return options
@@ -130,13 +143,15 @@ def main(arguments=None) -> int:
     failed = 0
     for path in paths:
         try:
-            table = demo(path.resolve(), options.out, options)
+            table, figures = demo(path.resolve(), options.out, options)
         # What Blender raises where an operator reports an error, and the extension's own refusals.
         except (RuntimeError, ValueError) as error:
             say(f"{path.name}: {str(error).strip()}")
             failed += 1
             continue
         say("\n" + table)
+        if options.figures:
+            record(options.figures, made_by("benchmarks.demo", arguments), figures)
     say(f"pictures are in {os.path.relpath(options.out)}")
     say(made_by("benchmarks.demo", arguments))
     return 1 if failed else 0

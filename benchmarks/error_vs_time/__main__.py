@@ -5,13 +5,14 @@
 
 Runs the extension's comparison in Blender for each case of `cases`. Every image of Cycles is stored in OUT, and so are
 the figures of finished cases: a run that was stopped continues where it was, and with more --samples the references
-that are there are continued. With other weights every case is measured again, against the stored images. With --again
-every image that is timed is rendered again, but for the references. --table only rewrites the page, from the figures
-of the present weights.
+that are there are continued. With other weights or code every case is measured again, against the stored images. With
+--again every image that is timed is rendered again, but for the references. --table only rewrites the page, from the
+figures of the present weights.
 """
 
 import argparse
 import json
+import re
 import sys
 import time
 from dataclasses import asdict, replace
@@ -22,7 +23,7 @@ import bpy
 from ..support.extension import ROOT, extension
 from ..support.pages import csv_text
 from ..support.pages import replace as replace_file
-from ..support.provenance import made_by
+from ..support.provenance import commit, made_by
 from . import page, plots
 from .cases import absent_files, cases, make
 
@@ -54,7 +55,7 @@ def main(arguments=None) -> int:
         for case in scenes:
             if not (options.only in case.name or options.only in case.growth):
                 continue
-            start, state = time.perf_counter(), [weights(), options.samples]
+            start, state = time.perf_counter(), [weights(), options.samples, commit()]
             if results.get(case.name, {}).get("state") != state:
                 results[case.name] = {
                     "case": asdict(case),
@@ -75,7 +76,9 @@ def main(arguments=None) -> int:
     plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
     plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
     plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
-    replace_file(DOCS / "error-vs-time.md", page.page(known, len(scenes)))
+    written = DOCS / "error-vs-time.md"
+    kept = re.search("## Real sizes\n(.*?)\n## ", written.read_text(), re.DOTALL)
+    replace_file(written, page.page(known, len(scenes), kept[1].strip() + "\n" if kept else ""))
     return 0
 
 

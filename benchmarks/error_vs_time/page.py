@@ -92,8 +92,8 @@ def csv_table(results):
     ]
 
 
-def page(results, wanted: int) -> str:
-    """results: of the cases measured so far, of `wanted`."""
+def page(results, wanted: int, real_sizes: str = "") -> str:
+    """results: of the cases measured so far, of `wanted`. real_sizes: the section that `real_sizes` writes."""
     main = of_the_set(results)
     model = results[0]["judged"]["method"]
     size = results[0]["case"]["size"]
@@ -110,6 +110,8 @@ def page(results, wanted: int) -> str:
         "nearly all of it. Errors need references that take hours at the size of a real image; seconds do not, and are "
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
+    if real_sizes:
+        parts += ["## Real sizes\n", real_sizes, "## Many scenes, in small images\n"]
     if main:
         parts += [
             "![Seconds to the same error](images/error-vs-time-headline.png)\n",

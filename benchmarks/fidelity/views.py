@@ -145,7 +145,7 @@ def independent_views() -> list:
 
 
 @functools.lru_cache(1)
-def _held_back_density(seed: int, cells: int) -> np.ndarray:
+def held_back_density(seed: int, cells: int) -> np.ndarray:
     return make_volume(seed, cells).density
 
 
@@ -172,7 +172,7 @@ def traced_view(name: str, spec: ViewSpec, density: Callable, folder: pathlib.Pa
 def procedural_view(spec: ViewSpec, cells: int, folder: pathlib.Path) -> View:
     """A held-back volume, one of VOLUMES; cells: along an edge of it."""
     name = f"{spec.volume}-{spec.light}-g{spec.anisotropy:g}-albedo{spec.albedo[0]:g}"
-    return traced_view(name, spec, functools.partial(_held_back_density, VOLUMES[spec.volume], cells), folder)
+    return traced_view(name, spec, functools.partial(held_back_density, VOLUMES[spec.volume], cells), folder)
 
 
 def procedural_views(size: int, samples: int, cells: int, folder: pathlib.Path) -> list:

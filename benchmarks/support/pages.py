@@ -39,3 +39,12 @@ def read_csv(path: Path) -> list[dict]:
 def csv_made_by(path: Path) -> list[str]:
     """The sentences of such a file on what made it."""
     return [line[2:] for line in path.read_text().splitlines() if line.startswith("# ")]
+
+
+def record(path: Path, made_by: str, figures: dict[str, float]) -> None:
+    """Enter a program's figures into a CSV of columns made_by, figure and value, in place of what it had there."""
+    command = made_by[made_by.index("`python") :]
+    known = read_csv(path) if path.exists() else []
+    rows = [list(row.values()) for row in known if not row["made_by"].endswith(command)]
+    rows += [[made_by, name, f"{value:.4g}"] for name, value in figures.items()]
+    replace(path, csv_text([], ("made_by", "figure", "value"), rows))

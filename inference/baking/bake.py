@@ -164,7 +164,7 @@ class _Bake:
     def _expect(self) -> None:
         """Tell the progress what there is to do."""
         progress, plan = self.context.progress, self.scene.plan
-        lights = len(plan.suns) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
+        lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
         jobs = lights * len(plan.channels)
         points = sum(float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices)))
         if self.context.settings.directional:
@@ -270,7 +270,7 @@ class _Bake:
                     return product(coefficient / np.float32(3.0), radiance)
                 return (self._coefficient(v, positions).T * radiance).sum(axis=0) / np.float32(3.0)
 
-            lobe = make_lobe(self.scene.plan.suns, medium.anisotropy)
+            lobe = make_lobe([one.sun for one in self.scene.plan.predicted_suns()], medium.anisotropy)
             sharpness = DETAIL_SHARPNESS * medium.anisotropy**2
             with report.stage("directions"):
                 directional = fit_directions(

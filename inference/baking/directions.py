@@ -16,6 +16,11 @@ MAX_LIGHTS = 4
 # Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
 # which it hardly counts.
 MIN_TRANSMITTANCE, MIN_RADIANCE = 0.02, 0.01
+# Further directions about a lobe that is narrower than DIRECTIONS are apart, and about the baked view: degrees from it
+# and how many. NARROW: anisotropy from which on a lobe is.
+LOBE_RINGS, VIEW_RING, NARROW = ((0.0, 1), (22.0, 4), (45.0, 7)), (45.0, 7), 0.4
+# How much a node can count in a picture, as a share of the most, below which it takes the coefficients of others.
+MIN_IMPORTANCE = 0.1
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
@@ -30,6 +35,31 @@ def make_lobe(suns: Sequence[Sun], anisotropy: float) -> Lobe:
     if not bright:
         return Lobe(np.array([[0.0, 0.0, 1.0]]), np.ones(1), 0.0)
     return Lobe(directions, weights / weights.sum(), float(np.copysign(anisotropy**2, anisotropy)))
+
+
+def sampled_directions(lobe: Lobe, along: np.ndarray | None) -> np.ndarray:
+    """Directions of rays (D, 3) along which light is predicted: DIRECTIONS, and more where those are too far apart.
+
+    That is about the baked view's rays, of which along (N, 3) holds some, and about narrow lobes of the brightest
+    lights, those at least half as bright as the first.
+    """
+    found = [DIRECTIONS]
+    if abs(lobe.anisotropy) > NARROW:
+        axes = lobe.directions[lobe.weights >= 0.5 * lobe.weights[0]] * np.sign(lobe.anisotropy)
+        found += [_ring(axis, *ring) for axis in axes for ring in LOBE_RINGS]
+    if along is not None:
+        middle = along.mean(axis=0)
+        found.append(_ring(middle / np.linalg.norm(middle), *VIEW_RING))
+    return np.concatenate(found)
+
+
+def _ring(axis: np.ndarray, degrees: float, count: int) -> np.ndarray:
+    """Unit directions (count, 3) at an angle to a unit axis (3,)."""
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    across /= np.linalg.norm(across)
+    turn = 2.0 * np.pi * (np.arange(count)[:, None] + 0.5) / count
+    ring = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
+    return np.cos(np.radians(degrees)) * axis + np.sin(np.radians(degrees)) * ring
 
 
 def fit_directions(
@@ -53,25 +83,27 @@ def fit_directions(
     nodes, voxels = _representatives(scattered, stride)
     if not len(nodes):
         return None
+    directions = sampled_directions(lobe, view.directions(lattice.positions(voxels)))
     # A ray along a direction shows a point to a viewer on the other side of it.
-    opposite = [int(np.abs(DIRECTIONS + direction).sum(axis=1).argmin()) for direction in DIRECTIONS]
-    seen = visibility.transmittances(voxels)[:, opposite]
+    seen = visibility.transmittances(voxels, -directions)
     seen[seen < MIN_TRANSMITTANCE] = 0.0
-    some = seen.any(axis=1)
-    if some.any():
+    thickness = visibility.extinction(voxels) * np.float32(stride * lattice.voxel)
+    importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
+    if importance.any():
+        some = importance >= MIN_IMPORTANCE * importance.max()
         nodes, voxels, seen = nodes[some], voxels[some], seen[some]
     else:
         seen = np.ones_like(seen)
     positions = lattice.positions(voxels)
     same = steady[tuple(voxels.T)].mean(axis=1)
-    samples = np.zeros((len(nodes), len(DIRECTIONS)))
-    for number, direction in enumerate(DIRECTIONS):
+    samples = np.zeros((len(nodes), len(directions)))
+    for number, direction in enumerate(directions):
         at = np.flatnonzero(seen[:, number])
         samples[at, number] = same[at] + predict(positions[at], np.broadcast_to(direction, (len(at), 3)).copy())
     coefficients = np.zeros((len(nodes), COEFFICIENTS), np.float32)
     for start in range(0, len(nodes), NODES_PER_BATCH):
         span = slice(start, start + NODES_PER_BATCH)
-        coefficients[span, :-2] = _fit(samples[span], seen[span], lobe)
+        coefficients[span, :-2] = _fit(samples[span], seen[span], directional_terms(directions, lobe))
     coefficients[:, -1] = np.log(np.maximum(scattered[tuple(voxels.T)].mean(axis=1), 1e-30))
     along = view.directions(positions)
     if along is not None:
@@ -97,13 +129,13 @@ def _representatives(scattered: np.ndarray, stride: int) -> tuple[np.ndarray, np
     return blocks[first], voxels[first]
 
 
-def _fit(samples: np.ndarray, seen: np.ndarray, lobe: Lobe) -> np.ndarray:
-    """Coefficients (N, COEFFICIENTS - 2) from grey light (N, 26) along DIRECTIONS.
+def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Coefficients (N, COEFFICIENTS - 2) from grey light (N, D) along D directions.
 
-    seen: (N, 26), importance of each direction, 0 where the light is not known, but never for all. Least squares of the
-    logarithm, weighted such that relative errors count by the light, then scaled to the right mean.
+    seen: (N, D), importance of each direction, 0 where the light is not known, but never for all. terms: of the
+    directions, (D, COEFFICIENTS - 2). Least squares of the logarithm, weighted such that relative errors count by the
+    light, then scaled to the right mean.
     """
-    terms = directional_terms(DIRECTIONS, lobe)
     mean = samples.sum(axis=1, keepdims=True) / (seen > 0.0).sum(axis=1, keepdims=True)
     floor = np.maximum(MIN_RADIANCE * mean, 1e-30)
     logarithms = np.log(np.maximum(samples, floor) / np.maximum(mean, 1e-30))

@@ -114,17 +114,18 @@ class Visibility:
     def __init__(self, lattice: BakeLattice, sigma_t: float, cancel: CancelToken = NEVER):
         self.shape = np.array(lattice.density.shape)
         self.cell = int(-(-self.shape.max() // VISIBILITY_CELLS))
-        coarse = _block_means(lattice.density, self.cell)
+        self._extinction = _block_means(lattice.density, self.cell) * np.float32(sigma_t)
         frame = lattice.world_from_index[:3, :3] * self.cell
-        index_from_world = np.linalg.inv(frame)
-        found = []
-        for direction in DIRECTIONS:
-            cancel.check()
-            found.append(sun_optical_depth(coarse, index_from_world @ direction) * np.float32(sigma_t))
-        self.depths = np.stack(found)
+        self._index_from_world, self._cancel = np.linalg.inv(frame), cancel
+        self.depths = np.stack([self._depths(direction) for direction in DIRECTIONS])
         # From the middle of a cell to its corners.
         edge = np.linalg.norm(frame, axis=0).max()
-        self._within = np.float32(0.5 * np.sqrt(3.0) * edge * sigma_t) * coarse
+        self._within = np.float32(0.5 * np.sqrt(3.0) * edge) * self._extinction
+
+    def _depths(self, direction: np.ndarray) -> np.ndarray:
+        """Optical depths (cx, cy, cz) towards a unit direction (3,) in the world."""
+        self._cancel.check()
+        return sun_optical_depth(self._extinction, self._index_from_world @ direction)
 
     def seen(self) -> np.ndarray:
         """bool (nx, ny, nz): voxels that some straight line reaches from outside within UNSEEN_DEPTH."""
@@ -146,15 +147,25 @@ class Visibility:
                 depths = np.maximum(depths - self.depths[(nearest, *at)], np.float32(0.0))
         return self._in_voxels(np.exp(-depths).reshape(self.depths.shape[1:]))
 
+    def extinction(self, voxels: np.ndarray) -> np.ndarray:
+        """Extinction per world unit, float32 (N,), of the cells around voxels int (N, 3)."""
+        x, y, z = (voxels // self.cell).T
+        return self._extinction[x, y, z]
+
     def _in_voxels(self, cells: np.ndarray) -> np.ndarray:
         for axis, size in enumerate(self.shape):
             cells = cells.repeat(self.cell, axis).take(range(size), axis)
         return cells
 
-    def transmittances(self, voxels: np.ndarray) -> np.ndarray:
-        """Transmittance float32 (N, 26) from voxels int (N, 3) towards DIRECTIONS."""
+    def transmittances(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Transmittance float32 (N, D) from voxels int (N, 3) towards unit directions (D, 3)."""
         x, y, z = (voxels // self.cell).T
-        return np.exp(-self.depths[:, x, y, z]).T
+        found = []
+        for direction in directions:
+            known = np.abs(DIRECTIONS - direction).max(axis=1) < 1e-6
+            depths = self.depths[known.argmax()] if known.any() else self._depths(direction)
+            found.append(np.exp(-depths[x, y, z]))
+        return np.stack(found, axis=1)
 
 
 def _block_means(values: np.ndarray, size: int) -> np.ndarray:

@@ -10,11 +10,12 @@ from ..numerics.small_matmul import product
 from ..runtime.report import Report
 from ..scene.phase_function import henyey_greenstein
 
-#: Products of a direction's components in the quadratic term: traceless, so that it is orthogonal to a constant.
-QUADRATIC = 5
-#: Coefficients per point of a DirectionalFactor: constant, linear, quadratic, of the lobe, its correction along the
-#: baked view, and what was baked there.
-COEFFICIENTS = 1 + 3 + QUADRATIC + 1 + 2
+#: Polynomials of a direction's components in the quadratic and the cubic term: harmonic, so that they are orthogonal to
+#: each other and to the terms before.
+QUADRATIC, CUBIC = 5, 7
+#: Coefficients per point of a DirectionalFactor: constant, linear, quadratic, cubic, of the lobe, its correction along
+#: the baked view, and what was baked there.
+COEFFICIENTS = 1 + 3 + QUADRATIC + CUBIC + 1 + 2
 #: Largest absolute value of the factor's logarithm.
 MAX_LOGARITHM = 8.0
 #: How fast the correction fades with the angle to the view that was baked, and how fast detail does, over the square of
@@ -69,15 +70,16 @@ class DirectionalFactor:
     The mean over the colours of the light that density 1 scatters towards the viewer of a ray along w is modelled as
 
         L(w) = exp(f(w) + r exp(SHARPNESS (w . v - 1))) (L / exp(d))^exp(s (w . v - 1)),
-        f(w) = a + b . w + q(w) + c log lobe(w),
+        f(w) = a + b . w + q(w) + p(w) + c log lobe(w),
 
     with v the direction of the baked view's ray, L the light that was baked, d its logarithm in the coarse voxel, and
-    q(w) the sum of q_k times `quadratic_terms`. The correction r = d - f(v) makes it L along the baked view. The detail
-    L / exp(d) fades beside it, because with forward scattering one direction does not show what another shows. Without
-    a view, detail is that at a right angle to one.
+    q(w) and p(w) the sums of q_k times `quadratic_terms` and p_k times `cubic_terms`. The correction r = d - f(v) makes
+    it L along the baked view. The detail L / exp(d) fades beside it, because with forward scattering one direction does
+    not show what another shows. Without a view, detail is that at a right angle to one.
 
-    coefficients: float32 (nx, ny, nz, COEFFICIENTS), of a, b (3), q (5), c, r and d; trilinear between voxel centres
-    and constant beyond the outermost. world_from_index: (4, 4) of this grid. lobe, view: see there. sharpness: s.
+    coefficients: float32 (nx, ny, nz, COEFFICIENTS), of a, b (3), q (5), p (7), c, r and d; trilinear between
+    voxel centres and constant beyond the outermost. world_from_index: (4, 4) of this grid. lobe, view: see there.
+    sharpness: s.
     """
 
     coefficients: np.ndarray
@@ -118,10 +120,20 @@ def quadratic_terms(directions: np.ndarray) -> np.ndarray:
     return np.stack([x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0], axis=1)
 
 
+def cubic_terms(directions: np.ndarray) -> np.ndarray:
+    """(N, CUBIC): x^3 - 3 x y^2, 3 x^2 y - y^3, z (x^2 - y^2), x y z, x (5 z^2 - 1), y (5 z^2 - 1) and z (5 z^2 - 3) of
+    unit directions (N, 3).
+    """
+    x, y, z = directions.T
+    squares, axial = x * x - y * y, 5.0 * z * z - 1.0
+    first, second = x * (x * x - 3.0 * y * y), y * (3.0 * x * x - y * y)
+    return np.stack([first, second, z * squares, x * y * z, x * axial, y * axial, z * (axial - 2.0)], axis=1)
+
+
 def directional_terms(directions: np.ndarray, lobe: Lobe) -> np.ndarray:
     """What the coefficients of a DirectionalFactor but the last two multiply: (N, COEFFICIENTS - 2)."""
     one, bright = np.ones((len(directions), 1)), lobe.logarithm(directions)[:, None]
-    return np.concatenate([one, directions, quadratic_terms(directions), bright], axis=1)
+    return np.concatenate([one, directions, quadratic_terms(directions), cubic_terms(directions), bright], axis=1)
 
 
 @dataclass(frozen=True)

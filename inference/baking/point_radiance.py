@@ -30,17 +30,19 @@ class PointRadiance:
         group, plan = scene.groups[g], scene.plan
         assert group is not None
         self._context, self._predictor = context, group.predictor
-        self.group, self.channels, self.suns = g, channels, plan.suns
+        self.group, self.channels, self.suns = g, channels, plan.predicted_suns()
         self._medium, self._optimizations = group.medium, plan.optimizations
         self._albedos: dict[int, Albedos] = {}
         self._anisotropy = group.medium.anisotropy
         self._sigma_t, self._occluders = float(group.medium.sigma_t[channels.indices[0]]), scene.occluders
         fluence = None
         if scene.network is not None and scene.network.needs_ray_features:
-            with context.report.stage("fields"), context.progress.stage("transport", len(plan.suns)):
+            with context.report.stage("fields"), context.progress.stage("transport", len(self.suns)):
                 context.progress.message(f"multiple scattering of {plan.group_name(g)}")
-                directions = [sun.direction for sun in plan.suns]
+                directions = [one.sun.direction for one in self.suns]
                 fluence = group.predictor.fluence(self._sigma_t, directions, scene.occluders, context.tasks)
+                of_part = {part: number for number, one in enumerate(self.suns) for part in one.parts}
+                fluence = fluence and fluence.of_parts([of_part[l] for l in range(len(plan.suns))])
         media = scene.media(channels, list(range(len(plan.suns))))
         self._media: list[BoundMedium] = [media[v] for v in plan.groups[g]]
         self._ready: dict[int, PreparedPredictor] = {}
@@ -67,9 +69,9 @@ class PointRadiance:
         """
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
-        for l, sun in enumerate(self.suns):
-            prepared = self._prepared(l)
-            of_sun = None if features is None else features.of(slice(None), 0, l)
+        for l, one in enumerate(self.suns):
+            prepared, sun = self._prepared(l), one.sun
+            of_sun = None if features is None else features.mean(slice(None), 0, one.parts, one.shares)
             with context.report.stage("network"), context.progress.stage("network"):
                 albedos = self._albedos_of(l)
                 for span, values in self._predicted((prepared, albedos), sun, positions, directions, of_sun):
@@ -86,7 +88,7 @@ class PointRadiance:
                 self._medium,
                 self._sigma_t,
                 self.channels.indices,
-                self.suns[l].direction,
+                self.suns[l].sun.direction,
                 self._occluders,
                 self._context.tasks,
                 self._optimizations,
@@ -100,7 +102,7 @@ class PointRadiance:
             context, predictor = self._context, self._predictor
             with context.report.stage("fields"), context.progress.stage("lattices", 1):
                 found = predictor.prepare(
-                    self._sigma_t, self.suns[l].direction, predictor.extent(), self._occluders, context.tasks
+                    self._sigma_t, self.suns[l].sun.direction, predictor.extent(), self._occluders, context.tasks
                 )
             # Lookup lattices of networks without ray features differ from sun to sun.
             if self._march is not None:
@@ -136,7 +138,8 @@ class PointRadiance:
             return None
         batch, context = rays_outwards(self._media, positions, directions), self._context
         # Where a ray meets no density, nothing lies ahead.
-        values = np.zeros((len(positions), 1, len(self.suns), COLUMNS), np.float32)
+        suns = sum(len(one.parts) for one in self.suns)
+        values = np.zeros((len(positions), 1, suns, COLUMNS), np.float32)
 
         def task(span: slice) -> tuple[np.ndarray, np.ndarray, int]:
             segment = march(batch.take(span))

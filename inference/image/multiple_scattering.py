@@ -39,13 +39,16 @@ def solve_transport(
     wanted = context.settings.multiple and scene.plan.suns
     if network is None or not network.needs_ray_features or not wanted:
         return None
-    directions = [scene.plan.suns[l].direction for l in suns]
+    joined = scene.plan.predicted_suns(suns)
+    directions = [one.sun.direction for one in joined]
+    of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             with context.progress.stage("transport", len(directions)):
-                found[g] = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
+                fluence = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
+            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
     return found
 
 
@@ -73,15 +76,16 @@ def prepare_prediction(
         last = np.array([last_albedo(*plan.volumes[v]) for v in members])
         with context.report.stage("fields"):
             bounds = lattice_bounds(context, members, group.predictor, view)
-            for place, l in enumerate(channel_pass.suns):
-                sun = plan.suns[l]
+            for one in plan.predicted_suns(channel_pass.suns):
+                sun = one.sun
                 with context.progress.stage("lattices", 1):
                     prepared = group.predictor.prepare(sigma_t, sun.direction, bounds, scene.occluders, context.tasks)
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()
                 source = Source(
                     group=g,
-                    place=place,
+                    lights=one.parts,
+                    shares=one.shares,
                     members=members,
                     indices=indices,
                     albedos=group.predictor.albedos(
@@ -114,7 +118,8 @@ def prepare_prediction(
                 context.cancel.check()
                 source = Source(
                     group=g,
-                    place=k,
+                    lights=[k],
+                    shares=np.ones(1, np.float32),
                     members=members,
                     indices=indices,
                     albedos=albedos,
@@ -172,7 +177,8 @@ def sample_batches(points: np.ndarray) -> list[np.ndarray]:
 class Source:
     """One group of volumes in the light of one sun or lamp.
 
-    group: its number. place: of the sun or lamp among those that are rendered together. members: numbers of the group's
+    group: its number. lights: places of the sun's parts, or of the lamp, among those that are rendered together.
+    shares: float32 (n,), of the light of each. members: numbers of the group's
     volumes. indices: colour channels that are rendered together. albedos: of these channels. last_albedo: float64 (V,
     3), as of `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or
     times a lamp's power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes
@@ -181,7 +187,8 @@ class Source:
     """
 
     group: int
-    place: int
+    lights: list[int]
+    shares: np.ndarray
     members: list[int]
     indices: list[int]
     albedos: Albedos
@@ -273,7 +280,8 @@ class _Estimate:
         """Ray features of some samples, if the network needs them."""
         lamp = self.source.directions is None
         features = self.samples.lamp_features if lamp else self.samples.features
-        return None if features is None else features.of(points, self.source.group, self.source.place)
+        source = self.source
+        return None if features is None else features.mean(points, source.group, source.lights, source.shares)
 
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""

@@ -29,7 +29,7 @@ class WorkEstimate:
         self._all, self._finished = np.zeros((2, 2))
         plan, progress = scene.plan, context.progress
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
-        suns = groups * (len(plan.suns) + len(plan.lamps) * plan.predicts_lamps)
+        suns = groups * (len(plan.predicted_suns()) + len(plan.lamps) * plan.predicts_lamps)
         # Environments are predicted together.
         self._jobs = suns + groups * bool(plan.environments)
         needs_fluence = scene.network is not None and scene.network.needs_ray_features

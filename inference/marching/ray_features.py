@@ -40,6 +40,18 @@ class RayFeatures:
         """float32 (N, COLUMNS) of some points, in one medium and for one sun."""
         return self.values[points, medium, sun]
 
+    def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], shares: np.ndarray) -> np.ndarray:
+        """float32 (N, COLUMNS), as `of`, for several suns of which each has a share of the light.
+
+        Light is averaged, and so is the transmittance instead of the optical depth.
+        """
+        if len(suns) == 1:
+            return self.of(points, medium, suns[0])
+        values = self.values[points, medium][:, suns]
+        mean = np.einsum("nsc,s->nc", values, shares, optimize=False)
+        mean[:, 0] = -np.log(np.exp(-values[..., 0]) @ shares)
+        return mean
+
 
 @dataclass(frozen=True)
 class SampleSteps:

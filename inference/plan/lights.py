@@ -2,6 +2,9 @@
 """Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..scene.description import Sun, Surface
 from ..scene.environment import Environment
@@ -52,6 +55,35 @@ def split_lights(
         else:
             environments.append(rest)
     return suns, environments
+
+
+@dataclass(frozen=True)
+class PredictedSun:
+    """A sun whose multiple scattering is predicted, and which of the suns that rays are marched for are its parts.
+
+    sun: with the irradiance of all parts. parts: numbers (n,) of them. shares: float32 (n,), of its light, sum to 1.
+    """
+
+    sun: Sun
+    parts: list[int]
+    shares: np.ndarray
+
+    @classmethod
+    def joined(cls, whole: Sun, parts: list[int], suns: Sequence[Sun]) -> "PredictedSun":
+        """parts: numbers of some suns."""
+        irradiance = np.array([suns[part].irradiance for part in parts])
+        light = irradiance.sum(axis=1)
+        shares = light / light.sum() if light.any() else np.full(len(parts), 1.0 / len(parts))
+        return cls(replace(whole, irradiance=irradiance.sum(axis=0)), parts, shares.astype(np.float32))
+
+
+def predicted_suns(suns: Sequence[Sun]) -> list[PredictedSun]:
+    """The suns with the parts of each soft one joined, in the order of their first parts."""
+    wholes: dict[int, tuple[Sun, list[int]]] = {}
+    for number, sun in enumerate(suns):
+        whole = sun.part_of or sun
+        wholes.setdefault(id(whole), (whole, []))[1].append(number)
+    return [PredictedSun.joined(whole, parts, suns) for whole, parts in wholes.values()]
 
 
 def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:

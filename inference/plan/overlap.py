@@ -1,25 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Overlapping volumes, which the network treats as one medium."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ..scene.description import Volume
+from ..scene.description import Medium, Volume
 
 # Volumes are joined while the extent of all is at most this many times that of the smallest: beyond, the network would
 # resolve the smallest too coarsely.
 MAX_EXTENT_RATIO = 4.0
 
 
-def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int, int]]]:
+def overlapping(
+    volumes: Sequence[tuple[Volume, Medium]],
+) -> tuple[list[list[int]], list[tuple[int, int]]]:
     """Groups of volumes that are treated as one medium, and pairs that overlap but differ too much in size for that.
 
     Volumes are given by number. Every volume is in one group; groups and their members are in the order of the volumes.
     """
-    corners = np.array([_corners(volume) for volume in volumes]).reshape(-1, 8, 3)
+    corners = np.array([_corners(volume) for volume, _ in volumes]).reshape(-1, 8, 3)
     low, high = corners.min(axis=1), corners.max(axis=1)
     extent = (high - low).max(axis=1)
     overlaps = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
-    pairs = [(int(first), int(second)) for first, second in np.argwhere(np.triu(overlaps, 1))]
+    pairs = [
+        (int(first), int(second))
+        for first, second in np.argwhere(np.triu(overlaps, 1))
+        if share_light(volumes[first][1], volumes[second][1])
+    ]
     groups = [[v] for v in range(len(volumes))]
     for first, second in pairs:
         a, b = (next(group for group in groups if v in group) for v in (first, second))
@@ -31,6 +39,12 @@ def overlapping(volumes: list[Volume]) -> tuple[list[list[int]], list[tuple[int,
         (first, second) for first, second in pairs if not any(first in group and second in group for group in groups)
     ]
     return groups, apart
+
+
+def share_light(one: Medium, other: Medium) -> bool:
+    """Whether what one medium does to light matters to the other: unless they attenuate different colours."""
+    both = (one.sigma_t > 0.0) & (other.sigma_t > 0.0)
+    return bool(both.any()) or not one.sigma_t.any() or not other.sigma_t.any()
 
 
 def _corners(volume: Volume) -> np.ndarray:

@@ -16,7 +16,16 @@ from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .lights import LAMP_MODELS, SURFACES_SHADOW, Light, needed_lamps, reflects_light, split_lights
+from .lights import (
+    LAMP_MODELS,
+    SURFACES_SHADOW,
+    Light,
+    PredictedSun,
+    needed_lamps,
+    predicted_suns,
+    reflects_light,
+    split_lights,
+)
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
 from .resolution import BAND
@@ -97,6 +106,10 @@ class Plan:
             for v in self.groups[group]
         )
 
+    def predicted_suns(self, numbers: Sequence[int] | None = None) -> list[PredictedSun]:
+        """Those of some suns, by number, or of all; `parts` are places among these."""
+        return predicted_suns(self.suns if numbers is None else [self.suns[n] for n in numbers])
+
     @property
     def small(self) -> bool:
         """Whether lookup lattices are built for the points of the view alone."""
@@ -136,12 +149,13 @@ def distinct_albedos(
 
 
 def merge_parallel(suns: list[Sun]) -> list[Sun]:
-    """Merge suns of equal direction, adding their irradiance; suns with an angular extent are left alone."""
+    """Merge suns of equal direction, adding their irradiance; soft suns and others with an extent are left alone."""
     merged: list[Sun] = []
     for sun in suns:
         for other in merged:
             parallel = np.linalg.norm(sun.direction - other.direction) < PARALLEL_ANGLE
-            if parallel and sun.spread is None and other.spread is None:
+            whole = not any(one.spread or one.part_of for one in (sun, other))
+            if parallel and whole:
                 other.irradiance = other.irradiance + sun.irradiance
                 break
         else:
@@ -293,7 +307,7 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
-    groups, _ = overlapping([volume for volume, _ in rendered])
+    groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
         sky = _sky(rendered, camera, surfaces)
@@ -303,7 +317,16 @@ def make_plan(
         assert sky is not None
         unhidden, environments = environments, [behind(environment, sky) for environment in environments]
         planned += [f"{environment.name}: as the middle of the volumes sees it" for environment in environments]
+    # Surfaces shadow each part of a soft sun differently.
+    if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
+        suns = [replace(sun, part_of=None) for sun in suns]
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
+    joined = predicted_suns(merged)
+    left_out += [
+        f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"
+        for one in joined
+        if len(one.parts) > 1
+    ]
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     if lamps and settings.multiple and not predicts_lamps:

@@ -8,6 +8,7 @@ from .environment import Environment
 from .errors import SceneError
 from .lamps import AreaLight, PointLight, SpotLight
 from .settings import Settings
+from .soft_sun import soft_sun
 from .sparse_grid import SparseGrid
 
 __all__ = [
@@ -26,4 +27,5 @@ __all__ = [
     "Sun",
     "Surface",
     "Volume",
+    "soft_sun",
 ]

@@ -204,6 +204,7 @@ class Sun:
     name: for messages.
     spread: angular extent of the light, if it does not come from a single direction: unit vectors (K, 3) towards it and
         weights (K,) that sum to 1. The phase function is averaged over it; shadows are those of `direction`.
+    part_of: the soft sun of which this is a part, or None. Multiple scattering is predicted once for all parts.
 
     Raises SceneError for a zero direction and for irradiance out of range.
     """
@@ -212,6 +213,7 @@ class Sun:
     irradiance: np.ndarray = field(default_factory=lambda: np.ones(3))
     name: str = "sun"
     spread: tuple[np.ndarray, np.ndarray] | None = None
+    part_of: "Sun | None" = None
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)

@@ -29,6 +29,9 @@ OPTIMIZATIONS = {
     "needless_suns": Optimization(
         "Merge and Cull Suns", "Suns without light, or shadowed by meshes, are skipped, and parallel ones merged", 5e-3
     ),
+    "soft_suns": Optimization(
+        "Join Soft Suns", "Multiple scattering of the directions of a soft sun is predicted once for all of them", 0.02
+    ),
     "equal_channels": Optimization(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
     ),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fluence and flux of scattered light on coarse cells, for networks at points and for camera rays on their way."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -122,6 +123,10 @@ class ScatteredFluence:
         """From the solution in the working cube of a volume."""
         linear = cube.rotation.T * (CELLS / cube.edge)
         return cls(linear, 0.5 * CELLS - linear @ cube.centre, lights, anisotropy, scales)
+
+    def of_parts(self, numbers: Sequence[int]) -> "ScatteredFluence":
+        """For each of some suns the light of the one with a number."""
+        return replace(self, lights=[self.lights[number] for number in numbers])
 
     @property
     def reduced_fraction(self) -> float:

@@ -76,12 +76,7 @@ def bake_scene(
     keys = light_keys(scene, settings)
     stale = [v for v, name in enumerate(names) if target.keys.get(name) != keys[v]]
     # Overlapping volumes share their light.
-    wanted = sorted(
-        v
-        for group in overlapping([volume for volume, _ in scene.volumes])[0]
-        for v in group
-        if stale and set(group) & set(stale)
-    )
+    wanted = sorted(v for group in overlapping(scene.volumes)[0] for v in group if stale and set(group) & set(stale))
     if not wanted:
         return BakedScene(scene.frame, [], names, 0.0, warnings, settings.directional)
     try:

@@ -47,7 +47,7 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
         around.update(repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale)).encode())
     own = [_volume_digest(volume, medium) for volume, medium in description.volumes]
     keys = [""] * len(own)
-    for group in overlapping([volume for volume, _ in description.volumes])[0]:
+    for group in overlapping(description.volumes)[0]:
         together = around.copy()
         for v in group:
             together.update(own[v])

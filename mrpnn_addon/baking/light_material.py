@@ -79,7 +79,7 @@ def _factor(build: "_Nodes", ray, cosine, light, directional: DirectionalFactor)
     separate = build.node("ShaderNodeSeparateXYZ")
     build.link(ray, separate.inputs[0])
     x, y, z = separate.outputs
-    linear, quadratic, lobe, view = map(build.attribute, DIRECTIONS)
+    linear, quadratic, lobe, view, *cubic = map(build.attribute, DIRECTIONS)
     products = build.combine(build.math("MULTIPLY", x, y), build.math("MULTIPLY", y, z), build.math("MULTIPLY", x, z))
     squares = build.combine(
         build.math("SUBTRACT", build.math("MULTIPLY", x, x), build.math("MULTIPLY", y, y)),
@@ -90,7 +90,8 @@ def _factor(build: "_Nodes", ray, cosine, light, directional: DirectionalFactor)
     build.link(view, constants.inputs[0])
     constant, correction, coarse = constants.outputs
     logarithm = build.math("SUBTRACT", constant, fine)
-    for coefficients, terms in ((linear, ray), (quadratic, products), (lobe, squares)):
+    vectors = ((linear, ray), (quadratic, products), (lobe, squares), *zip(cubic, _cubic(build, x, y, z)))
+    for coefficients, terms in vectors:
         logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", coefficients, terms))
     share: Any = math.exp(-directional.sharpness)
     if cosine is not None:
@@ -101,6 +102,19 @@ def _factor(build: "_Nodes", ray, cosine, light, directional: DirectionalFactor)
     logarithm = build.math("MULTIPLY_ADD", build.math("SUBTRACT", fine, coarse), share, logarithm)
     logarithm = build.math("MAXIMUM", build.math("MINIMUM", logarithm, MAX_LOGARITHM), -MAX_LOGARITHM)
     return build.math("EXPONENT", logarithm)
+
+
+def _cubic(build: "_Nodes", x, y, z) -> list:
+    """The sockets of `cubic_terms`, three to a vector."""
+    xx, yy, zz = (build.math("MULTIPLY", value, value) for value in (x, y, z))
+    # x^2 - 3 y^2, 3 x^2 - y^2, x^2 - y^2 and 5 z^2 - 1.
+    first = build.math("MULTIPLY_ADD", yy, -3.0, xx)
+    second = build.math("SUBTRACT", build.math("MULTIPLY", xx, 3.0), yy)
+    squares, axial = build.math("SUBTRACT", xx, yy), build.math("MULTIPLY_ADD", zz, 5.0, -1.0)
+    terms = ((x, first), (y, second), (z, squares)), ((build.math("MULTIPLY", x, y), z), (x, axial), (y, axial))
+    found = [build.combine(*(build.math("MULTIPLY", *factors) for factors in three)) for three in terms]
+    # A grid of numbers gives a vector of three equal ones.
+    return [*found, build.combine(build.math("MULTIPLY", z, build.math("SUBTRACT", axial, 2.0)), 0.0, 0.0)]
 
 
 def _lobe(build: "_Nodes", ray, lobe: Lobe):

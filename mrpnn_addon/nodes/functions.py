@@ -9,10 +9,9 @@ import numpy as np
 from mathutils import Euler
 
 from .emission import blackbody_colour
-from .environment_image import environment_image
 from .math_operations import MATH, VECTOR_MATH, clamp, divide, smoothstep
-from .sockets import Unsupported
-from .textures import gradient, noise
+from .sockets import unsupported
+from .texture_nodes import TEXTURES
 
 RAMP_CELLS = 256
 CURVE_CELLS = 256
@@ -32,7 +31,7 @@ def _math(values, node, output, groups):
 def _vector_math(values, node, output, groups):
     operation = VECTOR_MATH.get(node.operation)
     if operation is None:
-        raise _unsupported(node, f"operation {node.operation}")
+        raise unsupported(node, f"operation {node.operation}")
     vectors = [values.colour(node, name, groups) for name in ("Vector", "Vector_001", "Vector_002")]
     return operation(*vectors, values.number(node, "Scale", groups))
 
@@ -123,7 +122,7 @@ BLENDS = {
 def _mix(values, node, output, groups):
     kind = {"FLOAT": "Float", "VECTOR": "Vector", "RGBA": "Color"}.get(node.data_type)
     if kind is None:
-        raise _unsupported(node, f"data type {node.data_type}")
+        raise unsupported(node, f"data type {node.data_type}")
     if kind == "Vector" and node.factor_mode == "NON_UNIFORM":
         factor = values.colour(node, "Factor_Vector", groups)
     else:
@@ -155,7 +154,7 @@ def _mix_rgb(values, node, output, groups):
 
 def _blend(node, blend, factor, first, second, clamp_result):
     if blend not in BLENDS:
-        raise _unsupported(node, f"blending mode {blend}")
+        raise unsupported(node, f"blending mode {blend}")
     result = BLENDS[blend](factor, first, second)
     return clamp(result, 0.0, 1.0) if clamp_result else result
 
@@ -174,7 +173,7 @@ def _combine(values, node, output, groups):
 
 def _require_rgb(node):
     if getattr(node, "mode", "RGB") != "RGB":
-        raise _unsupported(node, f"mode {node.mode}")
+        raise unsupported(node, f"mode {node.mode}")
 
 
 def _rgb_to_bw(values, node, output, groups):
@@ -199,7 +198,7 @@ def _bright_contrast(values, node, output, groups):
 
 def _attribute(values, node, output, groups):
     if node.attribute_type != "GEOMETRY" or output.identifier == "Alpha":
-        raise _unsupported(node, f"{output.name} of type {node.attribute_type}")
+        raise unsupported(node, f"{output.name} of type {node.attribute_type}")
     found = values.points.attribute(node.attribute_name, node)
     # The mean of a vector's components is its factor.
     return found.mean(axis=1, keepdims=True) if output.type == "VALUE" else found
@@ -217,12 +216,12 @@ def _texture_coordinate(values, node, output, groups):
         return values.points.coordinates("world", node) @ inverse[:3, :3].T + inverse[:3, 3]
     if output.identifier == "Generated" and not node.from_instancer:
         return values.points.coordinates("generated", node)
-    raise _unsupported(node, f"output {output.name}")
+    raise unsupported(node, f"output {output.name}")
 
 
 def _geometry(values, node, output, groups):
     if output.identifier != "Position":
-        raise _unsupported(node, f"output {output.name}")
+        raise unsupported(node, f"output {output.name}")
     return values.points.coordinates("world", node)
 
 
@@ -230,7 +229,7 @@ def _light_path(values, node, output, groups):
     # Only a World knows which ray evaluates it.
     seen = getattr(values.points, "visible_to_camera", None)
     if seen is None or output.identifier != "Is Camera Ray":
-        raise _unsupported(node, f"output {output.name}")
+        raise unsupported(node, f"output {output.name}")
     return np.full((1, 1), float(seen))
 
 
@@ -238,7 +237,7 @@ def _mapping(values, node, output, groups):
     vector = values.colour(node, "Vector", groups)
     angles = values.colour(node, "Rotation", groups)
     if len(angles) > 1:
-        raise _unsupported(node, "a rotation that varies in space")
+        raise unsupported(node, "a rotation that varies in space")
     turn = np.array(Euler(angles[0]).to_matrix())
     scale = values.colour(node, "Scale", groups)
     if node.vector_type == "VECTOR":
@@ -250,49 +249,6 @@ def _mapping(values, node, output, groups):
     if node.vector_type == "TEXTURE":
         return divide((vector - location) @ turn, scale)
     return (vector * scale) @ turn.T + location
-
-
-def _texture_vector(values, node, groups):
-    """A texture's coordinates; Generated where none are linked."""
-    if values.is_linked(node, "Vector", groups):
-        return values.colour(node, "Vector", groups)
-    return values.points.coordinates("generated", node)
-
-
-def _noise_texture(values, node, output, groups):
-    if node.noise_dimensions != "3D" or node.noise_type != "FBM" or output.type != "VALUE":
-        raise _unsupported(
-            node, f"{output.name} of {node.noise_type} in {node.noise_dimensions}; use the factor of 3D fBM"
-        )
-    named = ("Scale", "Detail", "Roughness", "Lacunarity", "Distortion")
-    settings = [values.number(node, name, groups) for name in named]
-    if any(len(setting) > 1 for setting in settings[1:]):
-        raise _unsupported(node, "detail that varies in space")
-    scale, *rest = settings
-    return noise(_texture_vector(values, node, groups) * scale, *(float(s[0, 0]) for s in rest), node.normalize)
-
-
-def _gradient_texture(values, node, output, groups):
-    return gradient(_texture_vector(values, node, groups), node.gradient_type)
-
-
-def _environment_texture(values, node, output, groups):
-    if not getattr(values.points, "images", False):
-        raise _unsupported(node, "an image here")
-    if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
-        raise _unsupported(node, f"{output.name} in projection {node.projection}")
-    if values.is_linked(node, "Vector", groups):
-        vector = values.colour(node, "Vector", groups)
-    else:
-        vector = values.points.coordinates("world", node)
-    try:
-        return environment_image(node.image)(vector)
-    except ValueError as problem:
-        raise _unsupported(node, str(problem)) from None
-
-
-def _unsupported(node, what: str) -> Unsupported:
-    return Unsupported(f'node "{node.name}" ({node.bl_label}): {what} cannot be evaluated')
 
 
 FUNCTIONS = {
@@ -321,7 +277,5 @@ FUNCTIONS = {
     "ShaderNodeNewGeometry": _geometry,
     "ShaderNodeLightPath": _light_path,
     "ShaderNodeMapping": _mapping,
-    "ShaderNodeTexNoise": _noise_texture,
-    "ShaderNodeTexGradient": _gradient_texture,
-    "ShaderNodeTexEnvironment": _environment_texture,
+    **TEXTURES,
 }

@@ -27,7 +27,8 @@ class Closure:
     phase: phase function.
     grid: name of the grid whose values are `weight`, or "".
     emission: (n, 3) or (1, 3), radiance per world unit, not scaled by the weight.
-    hot: whether a grid drives a blackbody's temperature.
+    hot: whether a grid drives a blackbody's temperature. phase_varies: whether the phase function, here the mean over
+    what the points scatter, varies in space.
     """
 
     weight: np.ndarray
@@ -37,6 +38,7 @@ class Closure:
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     hot: bool = False
+    phase_varies: bool = False
 
 
 @dataclass
@@ -186,7 +188,8 @@ def _principled(shading, values, node, groups):
         weight, grid = weight * density, ""
     else:
         scatter, absorb = scatter * density, absorb * density
-    return Closure(weight, scatter, absorb, _phase(shading, values, node, groups), grid, emission, hot)
+    phase, varies = _phase(shading, values, node, groups, weight * scatter)
+    return Closure(weight, scatter, absorb, phase, grid, emission, hot, varies)
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
@@ -211,8 +214,9 @@ def _density(values, node, groups):
 
 def _scatter(shading, values, node, groups):
     # Volume Scatter does not absorb.
-    colour = np.maximum(values.colour(node, "Color", groups), 0.0)
-    return Closure(_density(values, node, groups), colour, np.zeros((1, 3)), _phase(shading, values, node, groups))
+    colour, density = np.maximum(values.colour(node, "Color", groups), 0.0), _density(values, node, groups)
+    phase, varies = _phase(shading, values, node, groups, density * colour)
+    return Closure(density, colour, np.zeros((1, 3)), phase, phase_varies=varies)
 
 
 def _absorption(shading, values, node, groups):
@@ -225,7 +229,8 @@ def _coefficients(shading, values, node, groups):
         np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
         for kind in ("Scatter", "Absorption", "Emission")
     )
-    return Closure(np.ones((1, 1)), scatter, absorb, _phase(shading, values, node, groups), emission=emission)
+    phase, varies = _phase(shading, values, node, groups, scatter)
+    return Closure(np.ones((1, 1)), scatter, absorb, phase, emission=emission, phase_varies=varies)
 
 
 def _emission(shading, values, node, groups):
@@ -242,8 +247,10 @@ CLOSURES = {
 }
 
 
-def _phase(shading, values, node, groups) -> PhaseFunction:
-    """The node's phase function; adds a note where it is not Henyey-Greenstein."""
+def _phase(shading, values, node, groups, scattered) -> tuple[PhaseFunction, bool]:
+    """The node's phase function, and whether it varies in space: then that of the mean over what points scatter, (n, 3)
+    or (1, 3). Adds a note where it does, or is not Henyey-Greenstein.
+    """
     kind = getattr(node, "phase", "HENYEY_GREENSTEIN")
     sockets = {
         "HENYEY_GREENSTEIN": ("Anisotropy",),
@@ -253,12 +260,18 @@ def _phase(shading, values, node, groups) -> PhaseFunction:
         "FOURNIER_FORAND": ("IOR", "Backscatter"),
     }[kind]
     found = [values.number(node, name, groups) for name in sockets]
-    if any(len(value) > 1 for value in found):
-        raise Unsupported(f'the phase function of node "{node.name}" varies in space, which is not supported')
+    varies = any(len(value) > 1 for value in found)
+    if varies:
+        amount = np.maximum(scattered, 0.0).mean(axis=1)
+        amount = np.broadcast_to(amount if amount.any() else 1.0, max(map(len, found)))
+        found = [np.average(np.broadcast_to(value[:, 0], len(amount)), weights=amount).reshape(1, 1) for value in found]
+        shading.notes.append(
+            f'the phase function of node "{node.name}" varies in space; its mean over what the voxels scatter is used'
+        )
     phase = phase_function(kind, *(float(value[0, 0]) for value in found))
     if kind != "HENYEY_GREENSTEIN":
         shading.notes.append(
             f'node "{node.name}" has phase function {kind.replace("_", "-").title()}; multiple scattering uses '
             f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}"
         )
-    return phase
+    return phase, varies

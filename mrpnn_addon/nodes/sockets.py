@@ -10,6 +10,11 @@ class Unsupported(Exception):
     """A node or link that cannot be evaluated; the message names it."""
 
 
+def unsupported(node, what: str) -> Unsupported:
+    """The exception for something that a node has."""
+    return Unsupported(f'node "{node.name}" ({node.bl_label}): {what} cannot be evaluated')
+
+
 @dataclass(frozen=True)
 class Source:
     """What drives a socket.

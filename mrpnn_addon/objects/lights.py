@@ -4,17 +4,12 @@
 import math
 
 import numpy as np
-from mathutils import Vector
 
-from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun
+from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun, soft_sun
 from ..nodes.evaluation import constant
 from ..nodes.sockets import Unsupported, active_output, linked_node
 from .placement import placement_problem
 from .visibility import VisibleObject
-
-# Angles up to which a sun becomes one direction, a ring of four, or seven; beyond, nineteen. The real sun's angular
-# diameter is about half a degree.
-ONE, FOUR, SEVEN = (math.radians(degrees) for degrees in (2.0, 12.0, 40.0))
 
 
 def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
@@ -41,12 +36,7 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
     # angle.
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, name)
-
-    suns = [
-        Sun(direction, share * irradiance, name=name)
-        for direction, share in disc_directions(shown.matrix[:3, :3], lamp.angle)
-    ]
-    return suns, _warnings(shown, name)
+    return soft_sun(shown.matrix[:3, 2], irradiance, lamp.angle, name), _warnings(shown, name)
 
 
 Lamp = PointLight | SpotLight | AreaLight
@@ -108,33 +98,6 @@ def _strength(lamp) -> np.ndarray:
     if getattr(lamp, "use_temperature", False):
         strength *= np.array(lamp.temperature_color)
     return strength
-
-
-def disc_directions(frame: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
-    """Directions (3,) in a disc of angular diameter `angle` around the frame's z axis, and their shares of its uniform
-    light.
-
-    Equal areas of a disc are equal solid angles. One, four or seven directions, which integrate polynomials up to
-    degree 1, 3 and 5 over a disc (Stroud 1971, S2), or nineteen of equal area.
-    """
-    if angle <= ONE:
-        return [(frame[:, 2], 1.0)]
-    if angle <= FOUR:
-        rings = [(math.sqrt(1.0 / 2.0), 4, 1.0)]
-    elif angle <= SEVEN:
-        rings = [(0.0, 1, 1.0 / 4.0), (math.sqrt(2.0 / 3.0), 6, 3.0 / 4.0)]
-    else:
-        rings = [(0.0, 1, 1.0 / 19.0), (0.47, 6, 6.0 / 19.0), (0.8253, 12, 12.0 / 19.0)]
-    lengths = np.linalg.norm(frame, axis=0)
-    # An axis may have scale 0.
-    axes = frame / lengths if lengths.all() else np.array(Vector(frame[:, 2]).to_track_quat("Z", "Y").to_matrix())
-    found = []
-    for radius, count, share in rings:
-        for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
-            cosine = 1.0 - radius**2 * (1.0 - math.cos(angle / 2.0))
-            sine = math.sqrt(1.0 - cosine**2)
-            found.append((axes @ np.array([sine * math.cos(turn), sine * math.sin(turn), cosine]), share / count))
-    return found
 
 
 def _warnings(shown: VisibleObject, name: str) -> list[str]:

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ...inference.plan.overlap import overlapping
+from ...inference.plan.overlap import overlapping, share_light
 from ...inference.scene import Medium, Volume
 
 # Differences of mean cosine below this need no warning.
@@ -14,7 +14,7 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
     """Warnings about overlapping volumes that the network treats as one mean medium or each as if alone, and about
     emission that does not light other volumes.
     """
-    groups, apart = overlapping([volume for volume, _ in pairs])
+    groups, apart = overlapping(pairs)
     found = []
     for group in groups:
         media = [pairs[v][1] for v in group]
@@ -36,7 +36,11 @@ def _unlit(pairs, groups) -> list[str]:
     """A warning about a volume whose emission does not light a separate one."""
     for group in groups:
         emitting = [v for v in group if pairs[v][0].emission is not None]
-        others = [v for v, (_, medium) in enumerate(pairs) if v not in group and medium.scatters]
+        others = [
+            v
+            for v, (_, medium) in enumerate(pairs)
+            if v not in group and medium.scatters and any(share_light(pairs[one][1], medium) for one in emitting)
+        ]
         if emitting and others:
             return [
                 f'light that volume "{pairs[emitting[0]][0].name}" emits does not light volume '

@@ -208,10 +208,11 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
     where, unseen = f'volume "{shown.name}"', hidden_from_camera(shown, view_layer)
     if not unseen:
         try:
-            volume, medium, warnings = reader.read(shown)
-            description.volumes.append((volume, medium))
-            remember_density(shown, volume, medium)
-            description.boxes.append(box_around(shown))
+            pairs, warnings = reader.read(shown)
+            description.volumes += pairs
+            remember_density(shown, *max(pairs, key=lambda pair: pair[0].density.max()))
+            box, channels = box_around(shown)
+            description.boxes.append((box, max(channels, len(pairs))))
             description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
             return
         except EmptyVolume as nothing:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...inference.plan.lights import predicted_suns
 from ...inference.plan.plan import merge_parallel
 from ...inference.scene import SceneError, Sun
 from ..nodes.material import shows_volume
@@ -22,7 +23,7 @@ from .cost_model import estimate_seconds, is_rough
 
 @dataclass
 class Forecast:
-    """volumes, suns: numbers of each; soft suns count as several suns, other lamps and the World as one. pixels: inside
+    """volumes, suns: numbers of each; a soft sun counts as one, as do other lamps and the World. pixels: inside
     the bounds of volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera and
     lights. problem: why the scene cannot be rendered, or "". lamps: of all kinds. world: whether the World lights the
     volumes. rough: whether the density of the volumes is a guess because they have not been read.
@@ -77,7 +78,7 @@ def forecast(depsgraph) -> Forecast:
         world = lights_volumes(depsgraph.scene.world)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    suns = len(merge_parallel(lights)) + placed + world
+    suns = len(predicted_suns(merge_parallel(lights))) + placed + world
     workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = workload.window * settings.depth_samples * suns
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())

@@ -11,11 +11,11 @@ from ...inference.baking.lit_volume import MAX_LOGARITHM
 from .density_grid import VOXEL_CENTRE
 from .openvdb_module import load_openvdb
 
-#: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three to a grid.
+#: Grids of a file: density, the light that it scatters, and the coefficients of other directions, at most three each.
 DENSITY, LIGHT = "light_density", "light"
-DIRECTIONS = ("light_linear", "light_quadratic", "light_lobe", "light_view")
+DIRECTIONS = tuple(f"light_{name}" for name in ("linear", "quadratic", "lobe", "view", "x3", "xyz", "z3"))
 # Which of a DirectionalFactor's coefficients each grid holds.
-COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (0, 10, 11))
+COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 16), (0, 17, 18), (9, 10, 11), (12, 13, 14), 15)
 # Largest value of a half float, and of what is written.
 MAX_HALF = 65504.0
 

@@ -37,8 +37,11 @@ class VolumeReader:
     known: dict[tuple, SceneError | tuple[ShadedGrid, np.ndarray, list[str]]] = field(default_factory=dict)
     meshes: dict[tuple, Mesh] = field(default_factory=dict)
 
-    def read(self, shown: VisibleObject) -> tuple[Volume, Medium, list[str]]:
+    def read(self, shown: VisibleObject) -> tuple[list[tuple[Volume, Medium]], list[str]]:
         """The density, placement and medium of one visible volume, and warnings.
+
+        Several pairs, one for each colour channel that attenuates or emits light, where the colour of its extinction
+        varies.
 
         Raises SceneError, naming the object, where its transform, file, grid, mesh or material cannot be used;
         EmptyVolume where it is empty in this frame.
@@ -63,11 +66,14 @@ class VolumeReader:
         scale = 1.0
         if shown.object.type == "VOLUME":
             scale = density_scale(shown.object.data.render.space, shown.matrix)
-        volume = Volume(
-            shaded.density, shown.matrix @ object_from_index, shown.name, shaded.emission, shaded.emission_power
-        )
-        medium = Medium(shaded.sigma_t * scale, shaded.albedo, shaded.anisotropy, scale, shaded.phase)
-        return volume, medium, warnings + [f"{where}: {note}" for note in shaded.notes]
+        pairs = [
+            (
+                Volume(part.density, shown.matrix @ object_from_index, shown.name, part.emission, part.emission_power),
+                Medium(part.sigma_t * scale, part.albedo, part.anisotropy, scale, part.phase),
+            )
+            for part in shaded.parts()
+        ]
+        return pairs, warnings + [f"{where}: {note}" for note in shaded.notes]
 
     def wanted(self, depsgraph, space=None) -> list[VolumeSource]:
         """Sources of the scene that are not read yet, including a World that Cycles has to render: for a

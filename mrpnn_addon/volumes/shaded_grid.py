@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume shader evaluated at every voxel: one density grid with uniform extinction, its albedo, and emission."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -24,7 +24,8 @@ INTERPOLATES_EMISSION = bpy.app.version >= (5, 0, 0)
 class ShadedGrid:
     """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t: float64 (3,), extinction per unit density. albedo:
     float64 (3,), or grids where it varies, see `Medium`. anisotropy: mean cosine. phase: see `Medium`. notes:
-    deviations from Cycles. emission: see `Volume`.
+    deviations from Cycles. emission: see `Volume`. extinction: where its colour varies, that of each colour channel, as
+    `density`, which then is the largest of them; the albedo is three grids.
     """
 
     density: np.ndarray | SparseGrid
@@ -35,6 +36,28 @@ class ShadedGrid:
     emission: None | np.ndarray | tuple[SparseGrid, ...] = None
     phase: PhaseFunction | None = None
     emission_power: int = 1
+    extinction: None | tuple[np.ndarray | SparseGrid, ...] = None
+
+    def parts(self) -> list["ShadedGrid"]:
+        """Itself, or where the colour of the extinction varies, what each colour channel attenuates and emits."""
+        if self.extinction is None:
+            return [self]
+        found = []
+        for c, (density, albedo) in enumerate(zip(self.extinction, self.albedo)):
+            emission = None if self.emission is None else _one_channel(self.emission, c)
+            if density.max() > 0.0 or emission is not None:
+                one = replace(self, density=density, sigma_t=np.eye(3)[c], albedo=(albedo,), extinction=None)
+                found.append(replace(one, emission=emission))
+        return found
+
+
+def _one_channel(emission, channel: int):
+    """Emission of one colour channel alone, as of `Volume`; None where there is none."""
+    if isinstance(emission, tuple):
+        dark = emission[channel].with_values(np.zeros_like(emission[channel].values))
+        parts = tuple(part if c == channel else dark for c, part in enumerate(emission))
+        return parts if emission[channel].any() else None
+    return emission * np.eye(3, dtype=np.float32)[channel] if emission[..., channel].any() else None
 
 
 def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> ShadedGrid:
@@ -42,8 +65,8 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
 
     check: called often; an exception that it raises stops the evaluation.
 
-    Raises SceneError, naming object and material, where the shader cannot be evaluated, scatters or absorbs where every
-    grid is 0, or the colour of its extinction varies; EmptyMaterial where it neither scatters, absorbs nor emits.
+    Raises SceneError, naming object and material, where the shader cannot be evaluated, or scatters or absorbs where
+    every grid is 0; EmptyMaterial where it neither scatters, absorbs nor emits.
     """
     grids, inside, shape = domain.grids, domain.inside, domain.shape
 
@@ -53,12 +76,12 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
 
     # Two voxels reveal which values are uniform.
     points, shading = at(np.zeros(2, int))
-    varies = 0
+    varies, coloured = 0, False
     uniform, placed = _has_uniform_colour(shading), points.placed
     emits = len(shading.emission) > 1 or shading.emission.any()
     if not shading.closures and not emits:
         refuse_nothing(material)
-    if uniform and inside is None and shading.closures[0].grid:
+    if uniform and inside is None and shading.closures[0].grid and not shading.closures[0].phase_varies:
         # The shader's coefficients are one grid's values, unchanged.
         closure = shading.closures[0]
         density, phases = grids[closure.grid], {closure.phase: float(closure.scatter.mean())}
@@ -66,19 +89,20 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         density = np.zeros(int(np.prod(shape)), np.float32)
         # Sums over voxels of products of coefficients: extinction and scattering, three channels each.
         gram, reference, phases = np.zeros((6, 6)), 0, {}
-        for number, voxels in enumerate(_chunks(grids, placed, inside)):
+        for voxels in _chunks(grids, placed, inside):
             check()
             points, shading = at(voxels)
             _sum_phases(phases, shading, len(voxels))
             if uniform:
-                density[voxels] = np.maximum(shading.closures[0].weight[:, 0], 0.0)
+                density[voxels] = most = np.maximum(shading.closures[0].weight[:, 0], 0.0)
             else:
                 coefficients = _coefficients(shading)
-                reference = reference if number else int(coefficients[:, :3].sum(axis=0).argmax())
+                if not gram[reference, reference] > 0.0:
+                    reference = int(coefficients[:, :3].sum(axis=0).argmax())
                 gram += coefficients.T @ coefficients * (len(voxels) / len(coefficients))
-                density[voxels] = coefficients[:, reference]
+                density[voxels], most = coefficients[:, reference], coefficients[:, :3].max(axis=1)
             if inside is None:
-                _require_empty_background(material, points, density[voxels])
+                _require_empty_background(material, points, np.broadcast_to(most, len(voxels)))
         if inside is not None:
             density *= inside.reshape(-1)
         if not density.max() > 0.0 and not emits:
@@ -88,13 +112,17 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
-        extinction, scatter, varies = _one_colour(material, gram, reference)
+        extinction, scatter, varies, coloured = _one_colour(gram, reference)
     if not extinction.max() > 0.0 and not emits:
         _refuse_emptiness(material)
     albedo = np.clip(np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0), 0.0, 1.0)
     if varies:
-        chunks = _chunks(grids, placed, inside)
-        albedo = _albedo(at, shape, chunks, varies, check)
+        albedo = _albedo(at, shape, _chunks(grids, placed, inside), varies, check)
+    by_channel = None
+    if coloured:
+        by_channel = _extinction(at, shape, _chunks(grids, placed, inside), check)
+        by_channel = by_channel if inside is None else by_channel * inside
+        density = by_channel.max(axis=0)
     notes = shading.notes
     emitting = inside if domain.emitting is None else domain.emitting
     emission = _emission(at, shape, _chunks(grids, placed, emitting), check) if emits else None
@@ -103,7 +131,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     power = 4 if shading.hot and not INTERPOLATES_EMISSION else 1
     if emission is not None and power != 1:
         emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
-    if len(phases) > 1:
+    if len(phases) > 1 and len(shading.closures) > 1:
         notes = notes + [
             "phase functions of several shaders are mixed in the same shares everywhere, and multiple "
             "scattering uses Henyey-Greenstein with their mean cosine"
@@ -120,7 +148,17 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         emission,
         None if phase.is_henyey_greenstein else phase,
         power,
+        None if by_channel is None else tuple(by_channel),
     )
+
+
+def _extinction(at, shape, chunks, check) -> np.ndarray:
+    """float32 (3, nx, ny, nz) of the voxels in chunks."""
+    extinction = np.zeros((3, int(np.prod(shape))), np.float32)
+    for voxels in chunks:
+        check()
+        extinction[:, voxels] = _coefficients(at(voxels)[1])[:, :3].T
+    return extinction.reshape(3, *shape)
 
 
 def _albedo(at, shape, chunks, count: int, check) -> tuple[np.ndarray, ...]:
@@ -180,30 +218,27 @@ def _sum_phases(phases, shading, voxels: int) -> None:
             phases[closure.phase] = phases.get(closure.phase, 0.0) + scattered
 
 
-def _one_colour(material, gram, reference: int):
-    """(extinction, scatter) (3,) per unit of the reference channel's extinction, and of how many channels the albedo
-    varies: 0 where it does not, 1 where it is grey, 3 otherwise.
+def _one_colour(gram, reference: int):
+    """(extinction, scatter) (3,) per unit of the reference channel's extinction; of how many channels the albedo
+    varies: 0 where it does not, 1 where it is grey, 3 otherwise; and whether the colour of the extinction varies.
     """
     diagonal = np.maximum(np.diag(gram), 0.0)
     if not diagonal[reference] > 0.0:
-        return np.zeros(3), np.zeros(3), 0
+        return np.zeros(3), np.zeros(3), 0, False
     share = gram[reference] / diagonal[reference]
     left = diagonal - gram[reference] ** 2 / diagonal[reference]
     varies = left > COLOUR_TOLERANCE**2 * diagonal
     if varies[:3].any():
-        material.refuse(
-            "the colour of its extinction, of what it scatters and absorbs together, varies from voxel to voxel, which "
-            "is not supported; use Principled Volume with a black Absorption Color, which varies in albedo alone"
-        )
+        return share[:3], np.clip(share[3:], 0.0, share[:3]), 3, True
     if not varies[3:].any():
-        return share[:3], share[3:], 0
+        return share[:3], share[3:], 0, False
     # Scattering per extinction of each channel, compared with that of the first that scatters.
     scale = np.concatenate([share[:3], share[:3]])
     scaled = gram / np.maximum(np.outer(scale, scale), 1e-30)
     first = 3 + int(np.argmax(np.diag(scaled)[3:]))
     apart = np.diag(scaled)[3:] + scaled[first, first] - 2.0 * scaled[first, 3:]
     grey = np.all((share[:3] > 0.0) & (apart <= COLOUR_TOLERANCE**2 * scaled[first, first]))
-    return share[:3], share[3:], 1 if grey else 3
+    return share[:3], share[3:], 1 if grey else 3, False
 
 
 def is_linear(material, probe: Probe) -> bool:

@@ -145,6 +145,8 @@ class FileSource(VolumeSource):
         domain = VoxelDomain(grids, frames, index_of=blocks.index, vectors=probe.vectors)
         shaded = shade(self.material, domain, check)
         shaded.density = blocks.grid(shaded.density)
+        if shaded.extinction is not None:
+            shaded.extinction = tuple(shaded.density.with_rows(channel) for channel in shaded.extinction)
         if isinstance(shaded.albedo, tuple):
             shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
         if shaded.emission is not None:

@@ -3,12 +3,10 @@
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
-from ...inference.scene import Environment, Sun
+from ...inference.scene import Environment, Sun, soft_sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
-from ..objects.lights import disc_directions
 from ..objects.visibility import evaluated_world
 from .picture import WorldSource, is_known, world_picture, world_source
 from .process import PictureFailed
@@ -60,11 +58,7 @@ def _picture(world, scene, sphere, name, check):
     """Radiance (n, 3) at the sphere's directions and the Suns of discs, rendered by Cycles. Raises PictureFailed."""
     picture, discs = world_picture(world, scene, check), []
     for x, y, z, red, green, blue, angle in picture.suns:
-        frame = np.array(Vector((x, y, z)).to_track_quat("Z", "Y").to_matrix())
-        discs += [
-            Sun(direction, share * np.array([red, green, blue]), name=f"sun of {name}")
-            for direction, share in disc_directions(frame, angle)
-        ]
+        discs += soft_sun((x, y, z), (red, green, blue), angle, name=f"sun of {name}")
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 

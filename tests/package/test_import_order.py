@@ -44,6 +44,7 @@ ROOMS = {
     "mrpnn_addon": (
         "runtime",
         "settings",
+        "textures",
         "nodes",
         "vdb",
         "objects",

@@ -2,7 +2,9 @@
 """The README's example runs as printed, and its figures are those of the tables."""
 
 import re
+import statistics
 
+from benchmarks.fidelity.measurements import published_network
 from benchmarks.support.pages import read_csv
 from tests.support.paths import ROOT
 
@@ -18,6 +20,41 @@ def test_the_example_runs(capsys):
     assert "(90, 160, 3)" in capsys.readouterr().out
 
 
+def page(name):
+    return " ".join((ROOT / name).read_text().split())
+
+
+def test_fidelity_is_that_of_the_table():
+    ours = [row for row in read_csv(ROOT / "docs" / "fidelity.csv") if row["system"] == "mrpnn"]
+    published = published_network()
+    assert len(ours) == len(published) == 12
+    stated = re.search(
+        r"RMSE of ([\d.]+) and a bias of (\S+) % over (\d+) views .{0,120} authors has ([\d.]+) and (\S+) %",
+        page("README.md"),
+    ).groups()
+    assert stated == (
+        f"{statistics.fmean(float(row['rmse']) for row in ours):.3f}",
+        f"{100 * statistics.fmean(float(row['bias']) for row in ours):+.1f}",
+        "12",
+        f"{statistics.fmean(one['rmse'] for one in published.values()):.3f}",
+        f"{100 * statistics.fmean(one['bias'] for one in published.values()):+.1f}",
+    )
+
+
+def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
+    """Geometric means of the page's rows, without the plume, which a clone lacks, and where noise hides the error."""
+    rows = re.findall(
+        r"^\| (?!plume)[^|]+\| ([\d.]+) \(.*?: ([\d.e+]+) / ([\d.e+]+) × \|",
+        (ROOT / "docs" / "error-vs-time.md").read_text(),
+        re.MULTILINE,
+    )
+    known = [(float(first), float(frame)) for error, first, frame in rows if float(error) > 0.0]
+    first, frame = (statistics.geometric_mean(column) for column in zip(*known))
+    stated = re.search(r"takes (\d+) times as long for a first image and (\d+) times for a further", page("README.md"))
+    assert [int(value) for value in stated.groups()] == [round(first), round(frame)]
+    assert f"geometric means of {len(known)} scenes" in page("README.md")
+
+
 def test_figures_of_artists_settings_are_those_of_the_table():
     rows = read_csv(ROOT / "docs" / "cycles-settings.csv")
     settings = "Cycles, 12 volume bounces, clamped at 10, denoised"
@@ -28,7 +65,7 @@ def test_figures_of_artists_settings_are_those_of_the_table():
         found = sorted(factor * float(row[key]) for row in cycles)
         return f"{found[0]:.{digits}f} to {found[-1]:.{digits}f}"
 
-    text = " ".join((ROOT / "README.md").read_text().split())
+    text = page("README.md")
     assert f"{span('bias', 0, -100.0)} % too dark" in text
     assert f"an error of {span('error', 2)} after {span('seconds', 0)} processor seconds" in text
     assert {f"{float(row['error']):.2f}" for row in layer} == {"0.07"} and "the layer errs by 0.07 after 1" in text

@@ -334,7 +334,7 @@ def trace_pixels(scene: Scene, camera: PinholeCamera, medium: Medium, sampling: 
         raise ValueError(f"trace_pixels takes one sun, not {len(scene.suns)}")
     if np.ptp(medium.sigma_t) != 0.0 or medium.phase is not None:
         raise ValueError("trace_pixels takes one extinction for all channels and Henyey-Greenstein's phase function")
-    grid = scene.grid
+    grid, rays = scene.grid, camera.rays()
     image = _pixels_kernel(
         grid,
         _Coefficients(
@@ -343,7 +343,7 @@ def trace_pixels(scene: Scene, camera: PinholeCamera, medium: Medium, sampling: 
             np.ascontiguousarray(medium.albedo, dtype=np.float32),
         ),
         _Suns(scene.suns, scene.sun_depths),
-        _View((np.asarray(camera.position, np.float64) + 0.5) * grid.cells, camera.rays().reshape(-1, 3)),
+        _View((np.asarray(camera.position, np.float64) + 0.5) * grid.cells, rays.reshape(-1, 3)),
         Sampling(*map(int, sampling)),
     )
-    return image.reshape(camera.resolution, camera.resolution, 4)
+    return image.reshape(*rays.shape[:2], 4)

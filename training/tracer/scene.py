@@ -76,13 +76,17 @@ class Vertices:
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A square perspective image. position, look_at: cube units; fov: degrees across; resolution: pixels per edge."""
+    """A perspective image. position, look_at: cube units; fov: degrees across.
+
+    resolution: pixels across; rows: pixels down, as many without.
+    """
 
     position: tuple
     look_at: tuple
     up: tuple
     fov: float
     resolution: int
+    rows: int | None = None
 
     def rays(self) -> np.ndarray:
         """Unit directions float32 (H, W, 3) through pixel centres, rows from the top, columns along forward x up."""
@@ -91,8 +95,11 @@ class PinholeCamera:
         right = np.cross(forward, np.asarray(self.up, np.float64))
         right /= np.linalg.norm(right)
         above = np.cross(right, forward)
-        axis = ((np.arange(self.resolution) + 0.5) / self.resolution * 2 - 1) * np.tan(np.radians(self.fov) / 2)
-        rays = forward + axis[None, :, None] * right - axis[:, None, None] * above
+        pixel = 2 * np.tan(np.radians(self.fov) / 2) / self.resolution
+        across, down = (
+            (np.arange(count) + 0.5 - count / 2) * pixel for count in (self.resolution, self.rows or self.resolution)
+        )
+        rays = forward + across[None, :, None] * right - down[:, None, None] * above
         return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
 
 

@@ -23,7 +23,9 @@ from inference import (
     predict_multiple,
     render,
 )
+from inference.baking.directions import make_lobe, sampled_directions
 from inference.baking.lattice import DIRECTIONS, WEIGHTS
+from inference.baking.lit_volume import cubic_terms, quadratic_terms
 from inference.grids.grid import Grid
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import SUN, box, camera, cloud
@@ -305,6 +307,32 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
     truth = truth.emission.reshape(-1, 3)
     assert relative(found, truth) < error
     assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
+
+
+def test_terms_of_other_directions_are_orthogonal_harmonics():
+    # Gauss-Legendre in z and equal steps in azimuth: exact for polynomials of this degree.
+    z, weights = np.polynomial.legendre.leggauss(6)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    r = np.sqrt(1.0 - z * z)[:, None]
+    grid = np.broadcast_arrays(r * np.cos(azimuth), r * np.sin(azimuth), z[:, None])
+    directions = np.stack(grid, axis=-1).reshape(-1, 3)
+    one = np.ones((len(directions), 1))
+    terms = np.concatenate([one, directions, quadratic_terms(directions), cubic_terms(directions)], axis=1)
+    products = terms.T @ (terms * np.repeat(weights / 24.0, 12)[:, None])
+    np.testing.assert_allclose(products - np.diag(np.diag(products)), 0.0, atol=1e-12)
+    assert np.diag(products).min() > 0.0
+
+
+def test_other_directions_of_strong_forward_scattering_are_sampled_about_the_sun_and_the_view():
+    lobe, along = make_lobe([Sun((0.0, 0.6, 0.8), 1.0)], 0.85), np.array([[0.0, 0.0, -1.0]])
+    directions = sampled_directions(lobe, along)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
+    np.testing.assert_allclose(directions[: len(DIRECTIONS)], DIRECTIONS)
+    near = directions @ lobe.directions[0] > np.cos(np.radians(46.0))
+    assert near.sum() >= 12
+    # Where no direction is brighter, those of the lattice and about the view are enough.
+    assert len(sampled_directions(make_lobe([Sun((0.0, 0.6, 0.8), 1.0)], 0.0), along)) < len(directions)
+    assert len(sampled_directions(make_lobe([], 0.85), None)) == len(DIRECTIONS)
 
 
 def test_a_light_with_an_extent_is_the_mean_of_its_parts():

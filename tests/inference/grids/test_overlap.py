@@ -34,9 +34,18 @@ def amount(volume):
 def test_touching_volumes_are_merged_unless_one_is_much_smaller():
     first, second = ball(name="first"), ball((0.5, 0.0, 0.0), name="second")
     third, far = ball((1.0, 0.0, 0.0), name="third"), ball((5.0, 0.0, 0.0), name="far")
-    assert overlapping([first, far, second, third]) == ([[0, 2, 3], [1]], [])
+    fog = Medium(1.0)
+    assert overlapping([(one, fog) for one in (first, far, second, third)]) == ([[0, 2, 3], [1]], [])
     speck = ball((0.1, 0.0, 0.0), radius=0.3 / MAX_EXTENT_RATIO)
-    assert overlapping([first, speck]) == ([[0], [1]], [(0, 1)])
+    assert overlapping([(first, fog), (speck, fog)]) == ([[0], [1]], [(0, 1)])
+
+
+def test_volumes_of_different_colour_channels_are_not_merged():
+    """Neither takes light that the other scatters; one that only emits shines into both."""
+    one, two = ball(name="one"), ball((0.5, 0.0, 0.0), name="two")
+    red, blue, clear = (Medium(sigma_t) for sigma_t in ((1.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.0))
+    assert overlapping([(one, red), (two, blue)]) == ([[0], [1]], [])
+    assert overlapping([(one, red), (two, clear)]) == ([[0, 1]], [])
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, 0.8, 0.3)])

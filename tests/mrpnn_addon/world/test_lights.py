@@ -89,13 +89,13 @@ def test_a_coloured_world_is_light_from_all_directions(addon, scene, tmp_path):
 def test_a_world_that_cannot_be_shown_is_named(addon, scene, tmp_path, monkeypatch):
     blender_scenes.cloud_scene(scene, tmp_path)
     tree, node = scene.world.node_tree, background(scene)
-    tree.links.new(tree.nodes.new("ShaderNodeTexVoronoi").outputs["Color"], node.inputs["Color"])
+    tree.links.new(tree.nodes.new("ShaderNodeTexSky").outputs["Color"], node.inputs["Color"])
     # A process that fails at its task.
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no Cycles here')")
     monkeypatch.setattr(importlib.import_module("mrpnn.mrpnn_addon.world.process"), "WORKER", broken)
     (warning,) = read(addon).warnings
-    assert "World" in warning and "Voronoi Texture" in warning and "no Cycles here" in warning
+    assert "World" in warning and "Sky Texture" in warning and "no Cycles here" in warning
     assert "its light is not rendered" in warning and not world_lights(addon)
     fog = tree.nodes.new("ShaderNodeVolumeScatter")
     tree.links.new(fog.outputs[0], tree.get_output_node("CYCLES").inputs["Volume"])

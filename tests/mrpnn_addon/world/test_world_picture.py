@@ -93,7 +93,7 @@ def test_a_thread_has_the_world_rendered_and_can_be_cancelled(addon, scene, tmp_
     """Reading starts the World's render beside the volumes; once that is known there is nothing to wait for."""
     reading, loading = (importlib.import_module(f"mrpnn.mrpnn_addon.volumes.{name}") for name in ("reader", "loading"))
     blender_scenes.cloud_scene(scene, tmp_path)
-    feed(scene, "ShaderNodeTexVoronoi", "Color").inputs["Scale"].default_value = 3.25
+    feed(scene, "ShaderNodeTexSky", "Color").sun_elevation = 0.325
     wanted = reading.VolumeReader().wanted(blender_scenes.depsgraph())
     assert [source.key[0] for source in wanted[1:]] == ["world"]
     stopped = loading.VolumeLoading(reading.VolumeReader(), wanted[1:])

@@ -163,3 +163,15 @@ def test_overlapping_volumes_of_different_albedo_keep_their_colours():
     albedo[middle] = 0.65
     expected = draw(albedo).rgb
     assert np.sqrt(((found - expected) ** 2).mean()) < 0.05 * expected[expected > 0.0].mean()
+
+
+@pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
+def test_a_volume_per_colour_channel_is_the_chromatic_medium(light):
+    """So an extinction whose colour varies is rendered: overlapping volumes of different channels do not mix."""
+    sigma_t, settings = np.array([16.0, 8.0, 4.0]), Settings(threads=1, leave_out=ALL - {"shared_pixels"})
+    whole = [(cloud(), Medium(sigma_t, COLOUR, 0.4))]
+    parts = [(cloud(), Medium(sigma_t * channel, albedo, 0.4)) for channel, albedo in zip(np.eye(3), COLOUR)]
+    expected, found = (render(volumes, [LIGHTS[light]], camera(), settings) for volumes in (whole, parts))
+    close(found.rgb, expected.rgb, 1e-4)
+    close(found.multiple, expected.multiple, 1e-4)
+    close(found.alpha, expected.alpha, 1e-4)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every figure in docs and README anew, one command after the other, in a night or more.
+
+    python -m benchmarks.all [--list] [--only WORDS]
+
+What is done for the present code and weights, by this version of Python, is skipped, so that a run that was stopped
+continues; a command that fails is told and the rest go on. What commands print is kept in build/all. Run it once more
+with Blender 5.2's module and `--only cycles` for that version's rows. --list says which tables in docs are of other
+weights or older code, and runs nothing.
+"""
+
+import argparse
+import hashlib
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from .support.extension import ROOT
+from .support.pages import replace
+
+#: What decides a figure; pages are not among it.
+CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
+RENDERER = ("inference", "mrpnn_addon")
+SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
+#: In the order in which they run: what is short, and then what takes hours.
+COMMANDS = (
+    "benchmarks.demo --figures docs/readme.csv",
+    "benchmarks.cost.imported_smoke --figures docs/readme.csv",
+    "benchmarks.cost.frame",
+    "benchmarks.cost.frame --size 3840 2160",
+    "benchmarks.cost.speed",
+    "benchmarks.cost.scaling",
+    "benchmarks.cost.environments --rounds 2",
+    "benchmarks.cost.sparse",
+    "benchmarks.cost.viewport",
+    "benchmarks.cycles.film",
+    "benchmarks.cycles.settings",
+    "benchmarks.cycles.baked_speed",
+    "benchmarks.cycles.baked_ways",
+    "benchmarks.cycles.baked_film",
+    "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
+    "benchmarks.cycles.baked_light",
+    f"benchmarks.fidelity --out build/fidelity --views independent {SYSTEMS}",
+    "benchmarks.stability",
+    "benchmarks.stability.soak",
+    "benchmarks.cycles.scenes",
+    "benchmarks.fidelity --out build/real --views real --models mrpnn --size 32 --samples 256 --depth-samples 32",
+    "benchmarks.fidelity --out build/held --views procedural --match g0.857-albedo1 --models mrpnn mrpnn-paper rpnn"
+    " --size 48 --samples 512",
+    "training.data.targets --out data/test --volumes 1000000-1000039 --points 256 --paths 1024",
+    "training.evaluate --held data/test --checkpoint inference/weights/mrpnn.onnx",
+    "benchmarks.error_vs_time.real_sizes",
+    "benchmarks.error_vs_time",
+)
+PROGRAM, COMMIT = r"python\S*\s+-m\s+((?:benchmarks|training)[\w.]*\w)|run\.py (demo)", "[0-9a-f]{7,12}"
+
+
+class Stamp(NamedTuple):
+    """What made a table: its page, the command named there or last before, commits, first digits of checksums."""
+
+    page: Path
+    program: str
+    commits: list[str]
+    checksums: list[str]
+
+
+def stamps() -> Iterator[Stamp]:
+    """Of the tables in README and docs, but for the history of what was."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*.csv"))]
+    for page in pages:
+        program, texts = "", re.split(r"\n\s*\n|\n- |\n# ", "" if page.name == "history.md" else page.read_text())
+        for text, after in zip(texts, [*texts[1:], ""]):
+            # Where the sentence ends with a colon, the command follows.
+            named = re.findall(PROGRAM, text + (after if text.endswith(":") else ""))
+            program = f"benchmarks.{named[-1][1]}" if named and named[-1][1] else named[-1][0] if named else program
+            several = re.findall(rf"commits?\s+({COMMIT}(?:(?:, | and | to ){COMMIT})*)\b", text)
+            commits = list(dict.fromkeys(re.findall(COMMIT, " ".join(several))))
+            if commits:
+                checksums = sorted(set(re.findall(r"\b[0-9a-f]{12}\b", text)) - set(commits))
+                yield Stamp(page, program, commits, checksums)
+
+
+def shipped() -> dict[str, str]:
+    """First digits of each shipped network's checksum: its file."""
+    files = sorted((ROOT / "inference" / "weights").rglob("*.onnx"))
+    return {hashlib.sha256(file.read_bytes()).hexdigest()[:12]: file.stem for file in files}
+
+
+def stale() -> Iterator[str]:
+    """A line for each table of other weights or of an older renderer."""
+    present = shipped()
+    for stamp in stamps():
+        other = [checksum for checksum in stamp.checksums if checksum not in present]
+        reasons = [f"weights {', '.join(other)}"] if other else []
+        for commit in stamp.commits:
+            changes = _git("rev-list", "--count", f"{commit}..HEAD", "--", *RENDERER)
+            reasons += [f"changes of the renderer since {commit}: {changes or 'unknown'}"] if changes != "0" else []
+        if reasons:
+            yield f"{stamp.page.relative_to(ROOT)}: {stamp.program}: {'; '.join(reasons)}"
+
+
+def run(commands: Sequence[str], folder: Path) -> int:
+    """Run what is not done for the present code and weights; gives the number of commands that failed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    state = [_git("log", "-1", "--format=%h", "--", *CODE), *shipped(), "Python {}.{}".format(*sys.version_info)]
+    file, failed = folder / "done.json", 0
+    for command in commands:
+        done = json.loads(file.read_text()) if file.exists() else {}
+        if done.get(command) == state:
+            print(f"done before: {command}", flush=True)
+            continue
+        print(f"running: {command}", flush=True)
+        with open(folder / f"{re.sub('[^a-z0-9_]+', '-', command)[:80]}.log", "w") as log:
+            status = subprocess.call([sys.executable, "-m", *shlex.split(command)], cwd=ROOT, stdout=log, stderr=log)
+        if status == 0:
+            replace(file, json.dumps(done | {command: state}, indent=1) + "\n")
+        else:
+            print(f"failed with status {status}; see {log.name}", flush=True)
+            failed += 1
+    return failed
+
+
+def _git(*arguments: str) -> str:
+    """What git says, "" where it fails."""
+    return subprocess.run(["git", *arguments], cwd=ROOT, text=True, capture_output=True).stdout.strip()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.all", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--list", action="store_true", help="tables of other weights or older code; run nothing")
+    parser.add_argument("--only", default="", metavar="WORDS", help="commands that contain this")
+    options = parser.parse_args(arguments)
+    if options.list:
+        print("\n".join(stale()))
+        return 0
+    return min(run([command for command in COMMANDS if options.only in command], ROOT / "build" / "all"), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light without the noise of a renderer: against independent references, and beside the baked camera.
+
+    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64]
+
+Prints a row per view: the error and bias of layers, of the baked light where it was baked, both against the view's
+reference, and of the baked light from cameras turned about the volume, against layers rendered from there, at size^2
+pixels; and the processor seconds of the bake, with and without other directions. Baked light is integrated along the
+pixels' rays, and the single scattering is the layer's.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from inference import Camera, LitVolume, Settings, Sun, bake, render
+from inference.evaluation.error import relative_bias, relative_rmse
+from inference.grids.grid import Grid
+from inference.scene.optimizations import ALL
+
+from ..support.provenance import commit, weights_checksum
+from .views import MASK_ALPHA, View, independent_views, look_at
+
+ORBIT = 40.0
+EXACT = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+# Steps along a ray, in edges of the cube, and transmittance at which it ends.
+STEP, OPAQUE = 1.0 / 192.0, 1e-3
+
+
+def turned(view: View, degrees: float) -> np.ndarray:
+    """The camera's position, turned about the vertical axis through the volume."""
+    angle, axis, p = np.radians(degrees), np.asarray(view.up, float), np.asarray(view.position, float)
+    return p * np.cos(angle) + np.cross(axis, p) * np.sin(angle) + axis * (axis @ p) * (1.0 - np.cos(angle))
+
+
+def seen(view: View, camera: Camera, lit: LitVolume, pixels: np.ndarray) -> np.ndarray:
+    """Baked light, attenuated by the volume, in some pixels, bool (H, W), of a square camera: (H, W, 3)."""
+    [(volume, medium)] = view.volumes()
+    grid, size = Grid(volume), camera.resolution[0]
+    rows, columns = np.nonzero(pixels)
+    plane = np.stack([columns + 0.5 - size / 2, size / 2 - rows - 0.5], axis=1) * (2.0 * np.tan(camera.fov / 2) / size)
+    rays = np.concatenate([plane, -np.ones((len(plane), 1))], axis=1) @ camera.world_matrix[:3, :3].T
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    eye = camera.world_matrix[:3, 3]
+    ends = (np.array([[-0.5], [0.5]])[:, None] - eye) / np.where(np.abs(rays) < 1e-12, 1e-12, rays)
+    at, last = np.maximum(ends.min(axis=0).max(axis=1), 0.0) + 0.5 * STEP, ends.max(axis=0).min(axis=1)
+    light, transmittance, active = np.zeros((len(rays), 3)), np.ones(len(rays)), np.flatnonzero(last > at)
+    while len(active):
+        positions = eye + rays[active] * at[active, None]
+        density = grid.sample_density(grid.index(positions).T.astype(np.float32))
+        filled = active[density > 0.0]
+        depth = np.maximum(density[density > 0.0].astype(np.float64) * float(medium.sigma_t[0]) * STEP, 1e-12)
+        share = transmittance[filled] * STEP * -np.expm1(-depth) / depth
+        light[filled] += lit.towards(positions[density > 0.0], rays[filled]) * share[:, None]
+        transmittance[filled] *= np.exp(-depth)
+        at[active] += STEP
+        active = active[(at[active] < last[active]) & (transmittance[active] > OPAQUE)]
+    image = np.zeros((*pixels.shape, 3))
+    image[pixels] = light
+    return image
+
+
+def measure(view: View, size: int) -> str:
+    """One row of the table."""
+    scene, camera = (view.volumes(), [Sun(view.sun, 1.0)]), view.camera(view.spec.size)
+    start = time.process_time()
+    bake(*scene, camera, Settings(directional=False))
+    middle = time.process_time()
+    [lit] = bake(*scene, camera)
+    seconds = middle - start, time.process_time() - middle
+    layer, halves = render(*scene, camera, EXACT), view.halves()
+    shown = halves[..., 3].mean(axis=0) > MASK_ALPHA
+    a, b = halves[..., :3] * shown[..., None]
+    own = layer.rgb * shown[..., None]
+    baked = own + (seen(view, camera, lit, shown) - layer.multiple) * shown[..., None]
+    figures = [
+        f"{relative_rmse(image, a, b, shown).value:.3f} ({100 * relative_bias(image, a, b, shown).value:+.1f} %)"
+        for image in (own, baked)
+    ]
+    beside = Camera(look_at(turned(view, ORBIT), view.up), resolution=(size, size), fov=camera.fov)
+    layer = render(*scene, beside, EXACT)
+    shown = layer.alpha > MASK_ALPHA
+    change = (seen(view, beside, lit, shown) - layer.multiple)[shown] / layer.rgb[shown].mean()
+    figures.append(f"{np.sqrt(np.mean(change**2)):.3f} ({100 * change.mean():+.1f} %)")
+    return f"| {view.name} | {' | '.join(figures)} | {seconds[1]:.1f} | {seconds[0]:.1f} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("views", nargs="*")
+    parser.add_argument("--size", type=int, default=64)
+    options = parser.parse_args()
+    print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
+    for view in independent_views():
+        if not options.views or view.name in options.views:
+            print(measure(view, options.size), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Texture nodes: what their sockets say, for the textures of `mrpnn_addon.textures`.
+
+Functions as in `functions`.
+"""
+
+import bpy
+import numpy as np
+
+from ..textures import patterns
+from ..textures.gabor import gabor
+from ..textures.noise import Fractal, noise_texture
+from ..textures.voronoi import Voronoi
+from .environment_image import environment_image
+from .math_operations import divide
+from .sockets import unsupported
+
+# Whether Voronoi cells are hashed by PCG rather than lookup3.
+PCG = bpy.app.version >= (5, 0, 0)
+
+
+def texture_vector(values, node, groups):
+    """(n, 3) coordinates of a texture; Generated where none are linked."""
+    if values.is_linked(node, "Vector", groups):
+        return values.colour(node, "Vector", groups)
+    return values.points.coordinates("generated", node)
+
+
+def _points(values, node, groups, dimensions: str, scaled=True):
+    """Coordinates (n, d) of a texture in "1D" to "4D", scaled by its socket."""
+    parts = []
+    if dimensions != "1D":
+        parts.append(texture_vector(values, node, groups)[:, : min(int(dimensions[0]), 3)])
+    if dimensions in ("1D", "4D"):
+        parts.append(values.number(node, "W", groups))
+    most = max(len(part) for part in parts)
+    points = np.concatenate([np.broadcast_to(part, (most, part.shape[1])) for part in parts], axis=1)
+    return points * values.number(node, "Scale", groups) if scaled else points
+
+
+def _numbers(values, node, groups, *names):
+    return {name.lower().replace(" ", "_"): values.number(node, name, groups) for name in names}
+
+
+def _noise(values, node, output, groups):
+    settings = _numbers(values, node, groups, "Detail", "Roughness", "Lacunarity", "Offset", "Gain")
+    fractal = Fractal(node.noise_type, **settings, normalize=node.normalize)
+    points = _points(values, node, groups, node.noise_dimensions)
+    return noise_texture(points, fractal, values.number(node, "Distortion", groups), output.type == "RGBA")
+
+
+def _voronoi(values, node, output, groups):
+    settings = _numbers(
+        values, node, groups, "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness"
+    )
+    voronoi = Voronoi(node.feature, node.distance, **settings, normalize=node.normalize, pcg=PCG)
+    points = _points(values, node, groups, node.voronoi_dimensions)
+    if node.feature == "DISTANCE_TO_EDGE":
+        return voronoi.edge(points)
+    if node.feature == "N_SPHERE_RADIUS":
+        return voronoi.radius(points)
+    distance, colour, position = voronoi.cells(points)
+    if output.identifier == "Distance":
+        return distance
+    if output.identifier == "Color":
+        return colour
+    position = divide(position, values.number(node, "Scale", groups))
+    if output.identifier == "W":
+        return position[:, -1:]
+    position = position[:, : 0 if node.voronoi_dimensions == "1D" else 3]
+    return np.pad(position, ((0, 0), (0, 3 - position.shape[1])))
+
+
+def _gradient(values, node, output, groups):
+    return patterns.gradient(texture_vector(values, node, groups), node.gradient_type)
+
+
+def _wave(values, node, output, groups):
+    rings = node.wave_type == "RINGS"
+    wave = patterns.Wave(
+        rings,
+        node.rings_direction if rings else node.bands_direction,
+        node.wave_profile,
+        *_numbers(
+            values, node, groups, "Distortion", "Detail", "Detail Scale", "Detail Roughness", "Phase Offset"
+        ).values(),
+    )
+    return wave.at(_points(values, node, groups, "3D"))
+
+
+def _magic(values, node, output, groups):
+    points, distortion = _points(values, node, groups, "3D"), values.number(node, "Distortion", groups)
+    colour = patterns.magic(points, node.turbulence_depth, distortion)
+    return colour if output.identifier == "Color" else colour.mean(axis=1, keepdims=True)
+
+
+def _checker(values, node, output, groups):
+    first = patterns.checker(_points(values, node, groups, "3D"))
+    if output.identifier == "Fac":
+        return first
+    return np.where(first > 0.0, values.colour(node, "Color1", groups), values.colour(node, "Color2", groups))
+
+
+def _brick(values, node, output, groups):
+    sockets = _numbers(values, node, groups, "Mortar Size", "Mortar Smooth", "Bias", "Brick Width", "Row Height")
+    brick = patterns.Brick(node.offset, node.offset_frequency, node.squash, node.squash_frequency, *sockets.values())
+    tint, mortar = brick.at(_points(values, node, groups, "3D"))
+    if output.identifier == "Fac":
+        return mortar
+    first, second, between = (values.colour(node, name, groups) for name in ("Color1", "Color2", "Mortar"))
+    colour = first + tint * (second - first)
+    return colour + mortar * (between - colour)
+
+
+def _white_noise(values, node, output, groups):
+    points = _points(values, node, groups, node.noise_dimensions, scaled=False)
+    return patterns.white_noise(points, output.identifier == "Color")
+
+
+def _gabor(values, node, output, groups):
+    if node.gabor_type == "2D":
+        orientation = values.number(node, "Orientation 2D", groups)
+    else:
+        orientation = values.colour(node, "Orientation 3D", groups)
+    frequency, anisotropy = (values.number(node, name, groups) for name in ("Frequency", "Anisotropy"))
+    found = gabor(_points(values, node, groups, node.gabor_type), frequency, anisotropy, orientation)
+    return found[("Value", "Phase", "Intensity").index(output.identifier)]
+
+
+def _environment(values, node, output, groups):
+    if not getattr(values.points, "images", False):
+        raise unsupported(node, "an image here")
+    if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
+        raise unsupported(node, f"{output.name} in projection {node.projection}")
+    if values.is_linked(node, "Vector", groups):
+        vector = values.colour(node, "Vector", groups)
+    else:
+        vector = values.points.coordinates("world", node)
+    try:
+        return environment_image(node.image)(vector)
+    except ValueError as problem:
+        raise unsupported(node, str(problem)) from None
+
+
+TEXTURES = {
+    "ShaderNodeTexNoise": _noise,
+    "ShaderNodeTexVoronoi": _voronoi,
+    "ShaderNodeTexGradient": _gradient,
+    "ShaderNodeTexWave": _wave,
+    "ShaderNodeTexMagic": _magic,
+    "ShaderNodeTexChecker": _checker,
+    "ShaderNodeTexBrick": _brick,
+    "ShaderNodeTexWhiteNoise": _white_noise,
+    "ShaderNodeTexGabor": _gabor,
+    "ShaderNodeTexEnvironment": _environment,
+}
