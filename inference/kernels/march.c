@@ -33,6 +33,7 @@ typedef float Steps __attribute__((vector_size(4 * STEPS)));
 /* A ray as continuous indices into some frame: first + place * slope. */
 typedef struct {
     double first[3], slope[3];
+    double blocks_per_cell;  /* coarse blocks, by the axis along which cells of density follow each other fastest */
 } Line;
 
 /* One ray between two distances. */
@@ -58,7 +59,7 @@ typedef struct {
     float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
     float *start, *end;          /* (groups, steps) each, optical depth of a group towards a light at the ends of steps */
-    float *whole_start, *whole_end;  /* (steps), of all volumes */
+    float *whole_start, *whole_end;  /* (steps), of all volumes; those of the group if there is one alone */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
@@ -87,6 +88,15 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
         line.first[i] = start + offset[i];
         line.slope[i] = slope * ray->dt;
     }
+    line.blocks_per_cell = 0.0;
+    return line;
+}
+
+/* The line through a volume, whose cells it passes. */
+static inline Line line_through(const Medium *medium, const Ray *ray) {
+    Line line = line_in(medium->linear, medium->offset, ray);
+    double x = fabs(line.slope[0]), y = fabs(line.slope[1]), z = fabs(line.slope[2]);
+    line.blocks_per_cell = 1.0 / ((x > y ? (x > z ? x : z) : (y > z ? y : z)) * medium->occupancy.scale * STEPS);
     return line;
 }
 
@@ -117,7 +127,7 @@ static inline Floats sample_block(const Grid *grid, const Line *line, double pla
 typedef struct {
     int near;        /* whether any volume may hold something, */
     double peak;     /* the largest extinction that there may be */
-    int64_t empty;   /* blocks behind this one that are known to be empty */
+    int64_t empty;   /* coarse blocks behind this one that are known to be empty */
 } Nearby;
 
 /* Whether a volume may hold something in a block. nearby: what is known of other volumes, to which this one is added. */
@@ -128,10 +138,8 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     position_at(line, place + 0.5 * STEPS * size, position);
     int64_t cell = cell_around(cells, position), clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
     if (clearance > 1) {
-        double x = fabs(line->slope[0]), y = fabs(line->slope[1]), z = fabs(line->slope[2]);
-        double advance = (x > y ? (x > z ? x : z) : (y > z ? y : z)) * cells->scale * STEPS * size;
         /* Blocks are judged by the cells of their middles, which are rounded. */
-        double blocks = ((double)clearance - 1.01) / advance;
+        double blocks = ((double)clearance - 1.01) * line->blocks_per_cell;
         empty = blocks >= 1.0 && blocks < FAR_AWAY ? (int64_t)blocks : 0;
     }
     if (empty < nearby->empty) nearby->empty = empty;
@@ -264,7 +272,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     int level = 0;
     Coming coming = {0, 0, 0.0, {0.0}, {0.0}};
     for (int64_t v = 0; v < scene->volumes; v++) {
-        work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
+        work->lines[v] = line_through(scene->media + v, ray);
     }
     work->blocks = work->looked_at = 0;
     work->before[0] = 0.0;
@@ -404,7 +412,8 @@ l: number of the sun. columns: (volumes), around a part of a lamp, or NULL for t
 static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
     int64_t room = work->stride, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
-    for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
+    int one = scene->groups == 1;
+    for (int64_t s = 0; s < steps && !one; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
     }
@@ -435,7 +444,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
             store_at_edges(work, e, used, sum, work->start + g * room, work->end + g * room);
             whole += sum;
         }
-        store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
+        if (!one) store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
     }
 }
 
@@ -856,8 +865,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(transmitted, float, steps)
     TAKE(start, float, groups * steps)
     TAKE(end, float, groups * steps)
-    TAKE(whole_start, float, steps)
-    TAKE(whole_end, float, steps)
+    TAKE(whole_start, float, groups == 1 ? 0 : steps)
+    TAKE(whole_end, float, groups == 1 ? 0 : steps)
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
@@ -878,6 +887,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(sample_inside, float, scene->depth_samples)
     TAKE(sample_light, float, scene->depth_samples)
 #undef TAKE
+    if (groups == 1) work->whole_start = work->start, work->whole_end = work->end;
     return used;
 }
 
