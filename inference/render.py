@@ -27,6 +27,7 @@ from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .occluders.seen_surfaces import vantage
+from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
@@ -202,6 +203,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
+    report.warnings += plan.linking_warnings()
     voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with report.stage("shadows"):
@@ -260,7 +262,8 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
         return scene
     scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
     with report.stage("surfaces"):
-        emitted, returned = surface_light(scene, surfaces, eye, cancel) if plan.reflects else (None, None)
+        others = without_lamps(surfaces, plan.lamps)
+        emitted, returned = surface_light(scene, others, eye, cancel) if plan.reflects else (None, None)
     found = [environment for environment in (emitted, returned) if environment is not None]
     return replace(scene, plan=plan.with_environments(found), thrown_back=returned)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scenes as artists build them, against Cycles: makes docs/scenes.md.
 
-    python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS] [--size 64] [--samples 64] [--table]
+    python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS ...] [--size 64] [--samples 64] [--table]
 
 One small scene for each feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run that
 was stopped continues where it was, until the code or the weights change; --table only rewrites the page.
@@ -48,7 +48,7 @@ def main(arguments=None) -> int:
             write_cloud(cloud)
         for name, builder in {**scene_features.NAMED, **scene_features.MEASURED}.items():
             measured_before = not options.only and results.get(name, {}).get("made_by") == source
-            if measured_before or options.only not in name:
+            if measured_before or options.only and not any(words in name for words in options.only):
                 continue
             stage = scene_features.make_stage(options.out, cloud, options.size)
             builder(stage)
@@ -222,7 +222,7 @@ def _single(found) -> str:
 def parse(arguments):
     parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "scenes")
-    parser.add_argument("--only", default="", help="part of a scene's name; measures it again")
+    parser.add_argument("--only", nargs="+", default=(), help="parts of scenes' names; measures these again")
     parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
     parser.add_argument("--samples", type=int, default=64, help="per pixel in each of two Cycles renders (64)")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")

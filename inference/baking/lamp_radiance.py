@@ -23,6 +23,7 @@ class LampRadiance:
         group, plan = scene.groups[g], scene.plan
         assert group is not None
         self._context, self._lamps = context, scene.lamps
+        self._lit = [plan.lights_group(lamp, g) for lamp in plan.lamps]
         members, media = plan.groups[g], scene.media(channels, [])
         self._media = [media[v] for v in members]
         march = prepare_lamp_march(context, scene, channels)
@@ -57,6 +58,8 @@ class LampRadiance:
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
         for k, (lamp, (predictor, albedos)) in enumerate(zip(self._lamps, self._predictors)):
+            if not self._lit[k]:
+                continue
             of_lamp = features.of(slice(None), 0, k)
 
             def task(span: slice, predictor=predictor, asked=albedos.values, of_lamp=of_lamp):

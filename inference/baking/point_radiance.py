@@ -31,6 +31,7 @@ class PointRadiance:
         assert group is not None
         self._context, self._predictor = context, group.predictor
         self.group, self.channels, self.suns = g, channels, plan.predicted_suns()
+        self._lit = [plan.lights_group(one.sun, g) for one in self.suns]
         self._medium, self._optimizations = group.medium, plan.optimizations
         self._albedos: dict[int, Albedos] = {}
         self._anisotropy = group.medium.anisotropy
@@ -70,6 +71,8 @@ class PointRadiance:
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
         for l, one in enumerate(self.suns):
+            if not self._lit[l]:
+                continue
             prepared, sun = self._prepared(l), one.sun
             of_sun = None if features is None else features.mean(slice(None), 0, one.parts, one.shares)
             with context.report.stage("network"), context.progress.stage("network"):

@@ -176,11 +176,13 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
+    suns = [scene.plan.suns[l] for l in channel_pass.suns]
+    linked = scene.plan.linking(suns)
     for c in indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
-        irradiance = np.array([scene.plan.suns[l].irradiance[c] for l in channel_pass.suns])
+        light = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns]
         single = marched.single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,v,l,r->r", single, albedo, irradiance, weight))
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,vl,r->r", single, light, weight))
     if not channel_pass.first:
         return
     if emission is not None:
@@ -203,11 +205,12 @@ def _add_lamps(
 
     pixel, share: (R,), as in _TileRays.
     """
+    linked = scene.plan.linking(scene.plan.lamps)
     for c in channel_pass.channels.indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
-        power = np.array([lamp.power[c] for lamp in scene.plan.lamps])
+        light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.plan.lamps]
         found = single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,v,k,r->r", found, albedo, power, share))
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", found, light, share))
 
 
 class _Shading:

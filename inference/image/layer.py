@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The result of a render."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Layer:
     uncertainty: float32 (H, W), standard error of `multiple` due to depth sampling and interpolation between pixels,
         mean over the channels. The network's own error is not included. With one depth sample it is at least as large
         as `multiple`.
+    groups: float32 (H, W, 3), shares of rgb by the name of each group of lights; empty where none are asked for.
     report: what was planned, skipped and measured; None for a tile.
     """
 
@@ -33,6 +34,7 @@ class Layer:
     uncertainty: np.ndarray
     emission: np.ndarray
     report: Report | None = None
+    groups: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:

@@ -78,6 +78,8 @@ def prepare_prediction(
             bounds = lattice_bounds(context, members, group.predictor, view)
             for one in plan.predicted_suns(channel_pass.suns):
                 sun = one.sun
+                if not plan.lights_group(sun, g):
+                    continue
                 with context.progress.stage("lattices", 1):
                     prepared = group.predictor.prepare(sigma_t, sun.direction, bounds, scene.occluders, context.tasks)
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
@@ -108,6 +110,8 @@ def prepare_prediction(
                 )
                 sources.append(source)
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
+                if not plan.lights_group(lamp.lamp, g):
+                    continue
                 with context.progress.stage("lattices", 1):
                     albedos = group.predictor.albedos(
                         medium, sigma_t, indices, lamp, scene.occluders, context.tasks, plan.optimizations

@@ -24,6 +24,7 @@ from ..marching.lamp_march import LampInMedia
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..occluders.seen_surfaces import HIDING, ROWS, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
+from ..plan.lights import linking
 from ..render_cache import ScatteringGroup
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun, Surface, Volume
@@ -84,21 +85,25 @@ def surface_light(
     inside, passed = _slabs(scene, seen)
     form = ball.form(seen) * np.where(inside, 0.5, 1.0)
     shading = [surface for surface in surfaces if surface.shades]
+    plan, names = scene.plan, [surface.name for surface in surfaces]
+    # Which lights light each surface, and any of the volumes.
+    sunlit, lamplit = (linking(lights, names)[seen.owner] for lights in (plan.suns, plan.lamps))
+    sunned, lamped = (plan.linking(lights).any(axis=0) for lights in (plan.suns, plan.lamps))
     for channels in scene.plan.channels:
         c, media = channels.indices, scene.media(channels, list(range(len(scene.plan.suns))))
         for number, sun in enumerate(scene.plan.suns):
             cancel.check()
-            light = _sun_light(sun, seen)
+            light = _sun_light(sun, seen) * sunlit[:, number]
             if shading:
                 light *= _sun_visibility(shading, sun.direction, seen, scene.corners, cancel)
             share = _passed_sun(media, number, seen.points, c)
             share[inside] = 0.5 * (share[inside] + passed[inside][:, c])
             irradiance[:, c] += light[:, None] * share * sun.irradiance[c]
-            power[c] += ball.area[c] * sun.irradiance[c]
-        for lamp in scene.lamps:
+            power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
+        for number, lamp in enumerate(scene.lamps):
             cancel.check()
-            irradiance[:, c] += _lamp_light(lamp, media, seen, c) * lamp.lamp.power[c]
-            power[c] += lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c]
+            irradiance[:, c] += _lamp_light(lamp, media, seen, c) * lamp.lamp.power[c] * lamplit[:, number, None]
+            power[c] += lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
     if scene.plan.sky:
         sky, fluence = _sky_light(scene.plan.sky, seen)
         # What volumes take from the sky in front of a surface, they take from its irradiance.

@@ -21,6 +21,7 @@ from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.lamps import Emitter, Lamp
+from ..scene.mesh_light import MeshLight
 from ..transport.scattered_fluence import ScatteredFluence
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_march import (
@@ -119,7 +120,7 @@ def place_lamp(
     emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
     # The shadows of many emitters blend: each of them may be coarser.
     coarser = max(round(len(emitters) ** 0.5), 1)
-    shading = [surface for surface in surfaces if surface.shades]
+    shading = _shading(lamp, surfaces)
     if shading:
         cells = CELLS // (1 << (coarser - 1).bit_length())
         maps = [LampShadowMap(shading, emitter.position, cells, cancel) for emitter in emitters]
@@ -144,10 +145,15 @@ def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()
     for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
         for value in vars(emitter).values():
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    for surface in surfaces:
-        if surface.shades:
-            digest.update(np.ascontiguousarray(surface.triangles).tobytes())
+    for surface in _shading(lamp, surfaces):
+        digest.update(np.ascontiguousarray(surface.triangles).tobytes())
     return digest.digest()
+
+
+def _shading(lamp: Lamp, surfaces: Sequence[Surface]) -> list[Surface]:
+    """Surfaces that shade volumes from a lamp: not those that are the lamp."""
+    own = lamp.surface if isinstance(lamp, MeshLight) else None
+    return [surface for surface in surfaces if surface.shades and surface is not own]
 
 
 def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:

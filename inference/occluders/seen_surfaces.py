@@ -27,7 +27,7 @@ class SeenSurfaces:
     """What of surfaces is seen around a point, in P directions.
 
     pixel: int (P,), of an environment's image of ROWS rows. points, normals: (P, 3), in the world; normals on the side
-    that is seen. reflectance, emission: (P, 3), as in Surface.
+    that is seen. reflectance, emission: (P, 3), as in Surface. owner: int (P,), number of the surface.
     """
 
     pixel: np.ndarray
@@ -35,6 +35,7 @@ class SeenSurfaces:
     normals: np.ndarray
     reflectance: np.ndarray
     emission: np.ndarray
+    owner: np.ndarray
 
     @property
     def solid_angles(self) -> np.ndarray:
@@ -59,9 +60,10 @@ def see_surfaces(surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelTok
     pixel, number, normal, distance, towards = (values[met] for values in (pixel, number, normal, distance, towards))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     normal *= np.where((towards * normal).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
-    reflectance = np.stack([surface.reflectance for surface in surfaces])[owner[number]]
-    emission = np.stack([surface.emission for surface in surfaces])[owner[number]]
-    return SeenSurfaces(pixel, eye + distance[:, None] * towards, normal, reflectance, emission)
+    owner = owner[number]
+    reflectance = np.stack([surface.reflectance for surface in surfaces])[owner]
+    emission = np.stack([surface.emission for surface in surfaces])[owner]
+    return SeenSurfaces(pixel, eye + distance[:, None] * towards, normal, reflectance, emission, owner)
 
 
 def _nearest_triangles(

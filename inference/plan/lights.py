@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..scene.description import Sun, Surface
-from ..scene.environment import Environment
-from ..scene.lamps import LAMPS, Lamp
+from ..scene.environment import Environment, pixel_solid_angles
+from ..scene.lamps import LAMPS, Lamp, solid_angles
+from ..scene.mesh_light import MeshLight
 from ..scene.settings import Settings
 from .directional_lights import directional_lights
 
 Light = Sun | Lamp | Environment
+AnyLight = TypeVar("AnyLight", bound=Light)
 
 #: Networks beside which there is one for light from everywhere.
 ENVIRONMENT_MODELS = frozenset({"mrpnn"})
@@ -20,6 +23,11 @@ ENVIRONMENT_MODELS = frozenset({"mrpnn"})
 LAMP_MODELS = frozenset({"mrpnn"})
 #: Why environments are computed as suns where a scene has surfaces.
 SURFACES_SHADOW = "surfaces shadow it"
+# Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
+# those larger than the volumes which fill more of its view than so many steradians.
+MESH_LIGHTS, AROUND = 8, 2.5
+# Share of the fluence in any volume that lamps may have together and be skipped.
+FAINT = 1e-4
 # Parallel lights that represent an environment where it is not computed as a whole.
 DIRECTIONS = 12
 
@@ -57,6 +65,25 @@ def split_lights(
     return suns, environments
 
 
+def lights_object(light: Light, name: str) -> bool:
+    """Whether a light lights the volume or surface of a name."""
+    receivers = None if isinstance(light, Environment) else light.receivers
+    return receivers is None or name in receivers
+
+
+def linking(lights: Sequence[Light], names: Sequence[str]) -> np.ndarray:
+    """Whether lights light objects of some names, 0 or 1: float64 (objects, lights)."""
+    found = [[lights_object(light, name) for light in lights] for name in names]
+    return np.array(found, np.float64).reshape(len(names), len(lights))
+
+
+def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: list[str]) -> list[AnyLight]:
+    """Lights that light any object of some names; adds sentences about the others to `left_out`."""
+    found = [any(lights_object(light, name) for name in names) for light in lights]
+    left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
+    return [light for light, lit in zip(lights, found) if lit]
+
+
 @dataclass(frozen=True)
 class PredictedSun:
     """A sun whose multiple scattering is predicted, and which of the suns that rays are marched for are its parts.
@@ -74,7 +101,11 @@ class PredictedSun:
         irradiance = np.array([suns[part].irradiance for part in parts])
         light = irradiance.sum(axis=1)
         shares = light / light.sum() if light.any() else np.full(len(parts), 1.0 / len(parts))
-        return cls(replace(whole, irradiance=irradiance.sum(axis=0)), parts, shares.astype(np.float32))
+        return cls(
+            replace(whole, irradiance=irradiance.sum(axis=0), receivers=suns[parts[0]].receivers),
+            parts,
+            shares.astype(np.float32),
+        )
 
 
 def predicted_suns(suns: Sequence[Sun]) -> list[PredictedSun]:
@@ -91,6 +122,62 @@ def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
     lamps = [light for light in lights if isinstance(light, LAMPS)]
     left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
     return [lamp for lamp in lamps if lamp.power.any()]
+
+
+def without_faint(
+    lamps: Sequence[Lamp], others: Sequence[Sun | Environment], boxes: Mapping[str, np.ndarray], left_out: list[str]
+) -> list[Lamp]:
+    """Lamps without those too weak or too far to matter beside all light; adds sentences about these to `left_out`.
+
+    others: all other lights. boxes: corners (8, 3) of each volume's box, by its name.
+    """
+    most, total = np.zeros((len(boxes), len(lamps))), np.zeros(len(boxes))
+    for v, (name, corners) in enumerate(boxes.items()):
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle = 0.5 * (low + high)[None]
+        total[v] = sum(_fluence(light) for light in others if lights_object(light, name))
+        for k, lamp in enumerate(lamps):
+            if lights_object(lamp, name):
+                nearest, power = np.clip(lamp.centre, low, high)[None], float(lamp.power.mean())
+                most[v, k] = power * sum(part.brightest(nearest)[0] for part in lamp.emitters(low, high, 1))
+                total[v] += power * sum(part.fluence(middle)[0] for part in lamp.emitters(low, high, 1))
+    shares = (most / np.maximum(total, 1e-300)[:, None]).max(axis=0, initial=0.0)
+    order = np.argsort(shares, kind="stable")
+    faint = set(order[np.cumsum(shares[order]) <= FAINT].tolist())
+    left_out += [f"{lamps[k].name}: too weak or too far to be seen beside other light" for k in sorted(faint)]
+    return [lamp for k, lamp in enumerate(lamps) if k not in faint]
+
+
+def _fluence(light: Sun | Environment) -> float:
+    """Mean of the channels of a light's fluence, W/m^2."""
+    if isinstance(light, Sun):
+        return float(light.irradiance.mean())
+    rows, columns, _ = light.radiance.shape
+    return float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+
+
+def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:
+    """Surfaces that emit light and are lamps; corners: (N, 3), of the volumes."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle, found = 0.5 * (low + high), []
+    for surface in surfaces:
+        if not surface.emission.any() or not len(surface.triangles):
+            continue
+        light = MeshLight(surface)
+        seen = solid_angles(surface.triangles - middle).sum() / (2.0 if light.closed else 1.0)
+        if light.power.any() and (seen < AROUND or light.extent < (high - low).max()):
+            square = max(float(((light.centre - middle) ** 2).sum()), float(((high - low) ** 2).sum()) / 4.0)
+            found.append((float(light.power.mean()) / square, light))
+    brightest = sorted(range(len(found)), key=lambda number: -found[number][0])[:MESH_LIGHTS]
+    return [found[number][1] for number in sorted(brightest)]
+
+
+def without_lamps(surfaces: Sequence[Surface], lamps: Sequence[Lamp]) -> list[Surface]:
+    """Surfaces, those that are lamps without their emission."""
+    shining = [lamp.surface for lamp in lamps if isinstance(lamp, MeshLight)]
+    return [
+        replace(surface, emission=0.0) if any(surface is one for one in shining) else surface for surface in surfaces
+    ]
 
 
 def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: list[str], left_out: list[str]) -> bool:

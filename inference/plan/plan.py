@@ -21,10 +21,15 @@ from .lights import (
     SURFACES_SHADOW,
     Light,
     PredictedSun,
+    linked_lights,
+    linking,
+    mesh_lights,
     needed_lamps,
     predicted_suns,
     reflects_light,
     split_lights,
+    without_faint,
+    without_lamps,
 )
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
 from .overlap import overlapping
@@ -95,6 +100,25 @@ class Plan:
         """Volume and Medium of each volume in a group."""
         return [self.volumes[v] for v in self.groups[group]]
 
+    def linking(self, lights: Sequence[Sun | Lamp]) -> np.ndarray:
+        """Whether lights light each volume, 0 or 1: float64 (V, L)."""
+        return linking(lights, [volume.name for volume, _ in self.volumes])
+
+    def lights_group(self, light: Sun | Lamp, group: int) -> bool:
+        """Whether a light lights any volume of a group."""
+        return bool(self.linking([light])[self.groups[group]].any())
+
+    def linking_warnings(self) -> list[str]:
+        """Names lights that are linked to a part of volumes that overlap."""
+        lights: list[Sun | Lamp] = [*self.suns, *self.lamps]
+        return [
+            f"{light.name}: it lights only some of {self.group_name(g)}, which overlap; their multiple scattering is "
+            "as if it lit all of them"
+            for light in lights
+            for g, members in enumerate(self.groups)
+            if len(set(self.linking([light])[members, 0])) > 1
+        ]
+
     def group_name(self, group: int) -> str:
         """Names of a group's volumes, for messages."""
         return " and ".join(volume.name for volume, _ in self.members(group))
@@ -149,11 +173,12 @@ def distinct_albedos(
 
 
 def merge_parallel(suns: list[Sun]) -> list[Sun]:
-    """Merge suns of equal direction, adding their irradiance; soft suns and others with an extent are left alone."""
+    """Merge suns of equal direction that light the same, adding their irradiance; those of an extent are left alone."""
     merged: list[Sun] = []
     for sun in suns:
         for other in merged:
             parallel = np.linalg.norm(sun.direction - other.direction) < PARALLEL_ANGLE
+            parallel &= sun.receivers == other.receivers
             whole = not any(one.spread or one.part_of for one in (sun, other))
             if parallel and whole:
                 other.irradiance = other.irradiance + sun.irradiance
@@ -307,6 +332,8 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+    names = [volume.name for volume, _ in rendered] + _reflecting(surfaces)
+    lights = linked_lights(lights, names, left_out)
     groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
@@ -321,6 +348,11 @@ def make_plan(
     if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
         suns = [replace(sun, part_of=None) for sun in suns]
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
+    shining = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    lamps += linked_lights(shining, names, left_out)
+    if "faint_lamps" in settings.leave_out:
+        boxes = {volume.name: _corners(volume) for volume, _ in rendered}
+        lamps = without_faint(lamps, [*merged, *environments], boxes, left_out)
     joined = predicted_suns(merged)
     left_out += [
         f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"
@@ -335,10 +367,12 @@ def make_plan(
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
-    reflects = reflects_light(surfaces, settings, planned, left_out)
+    reflects = reflects_light(without_lamps(surfaces, shining), settings, planned, left_out)
     from_everywhere = bool(environments) or reflects
     for group in groups:
-        members, lit = [rendered[v] for v in group], bool(merged or from_everywhere or (lamps and predicts_lamps))
+        members = [rendered[v] for v in group]
+        linked = linking([*merged, *(lamps if predicts_lamps else ())], [volume.name for volume, _ in members])
+        lit = from_everywhere or bool(linked.any())
         predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
         # The network for environments predicts their single scattering, too.
         predicted |= from_everywhere and _scatters(members, settings)
@@ -375,6 +409,11 @@ def make_plan(
         reflects,
         unhidden,
     )
+
+
+def _reflecting(surfaces: Sequence[Surface]) -> list[str]:
+    """Names of surfaces that reflect light into volumes."""
+    return [surface.name for surface in surfaces if surface.reflectance.any()]
 
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:

@@ -205,6 +205,7 @@ class Sun:
     spread: angular extent of the light, if it does not come from a single direction: unit vectors (K, 3) towards it and
         weights (K,) that sum to 1. The phase function is averaged over it; shadows are those of `direction`.
     part_of: the soft sun of which this is a part, or None. Multiple scattering is predicted once for all parts.
+    receivers: names of the volumes and surfaces that it lights; None for all.
 
     Raises SceneError for a zero direction and for irradiance out of range.
     """
@@ -214,6 +215,7 @@ class Sun:
     name: str = "sun"
     spread: tuple[np.ndarray, np.ndarray] | None = None
     part_of: "Sun | None" = None
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)
@@ -234,6 +236,7 @@ class Surface:
     shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter. reflectance:
     fraction of its irradiance that it scatters back diffusely, scalar or RGB, in [0, 1]; float64 (3,) once made.
     emission: radiance that it emits on both sides, W/(m^2 sr), scalar or RGB, in [0, 1e30]; float64 (3,) once made.
+    receivers: names of the volumes and surfaces that its emission lights; None for all.
 
     Raises SceneError for corners that are not finite, and for reflectance or emission out of range.
     """
@@ -245,6 +248,7 @@ class Surface:
     stops: bool = True
     reflectance: Any = (0.0, 0.0, 0.0)
     emission: Any = (0.0, 0.0, 0.0)
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)

@@ -9,6 +9,7 @@ of a lamp is linear in its power.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -164,15 +165,16 @@ Emitter = SphereEmitter | QuadEmitter
 
 
 def _solid_angle(corners: np.ndarray) -> np.ndarray:
-    """Solid angles (N,) of quadrilaterals seen from the origin; corners: (N, 4, 3). After Van Oosterom (1983)."""
-    total = np.zeros(len(corners))
-    length = np.linalg.norm(corners, axis=2)
-    for triangle in ((0, 1, 2), (0, 2, 3)):
-        (a, b, c), (x, y, z) = corners[:, triangle].swapaxes(0, 1), length[:, triangle].T
-        volume = np.abs((np.cross(a, b) * c).sum(axis=1))
-        dots = x * y * z + (a * b).sum(axis=1) * z + (a * c).sum(axis=1) * y + (b * c).sum(axis=1) * x
-        total += 2.0 * np.arctan2(volume, dots)
-    return total
+    """Solid angles (N,) of quadrilaterals seen from the origin; corners: (N, 4, 3)."""
+    return solid_angles(corners[:, :3]) + solid_angles(corners[:, [0, 2, 3]])
+
+
+def solid_angles(triangles: np.ndarray) -> np.ndarray:
+    """Solid angles (N,) of triangles (N, 3, 3) seen from the origin, after Van Oosterom (1983)."""
+    (a, b, c), (x, y, z) = triangles.swapaxes(0, 1), np.linalg.norm(triangles, axis=2).T
+    volume = np.abs((np.cross(a, b) * c).sum(axis=1))
+    dots = x * y * z + (a * b).sum(axis=1) * z + (a * c).sum(axis=1) * y + (b * c).sum(axis=1) * x
+    return 2.0 * np.arctan2(volume, dots)
 
 
 def _spread_factor(cosine: np.ndarray, spread: float) -> np.ndarray:
@@ -189,6 +191,7 @@ class PointLight:
     position: (3,) world. power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiant intensity is
     power / (4 pi), W/sr. radius: world units. name: for messages. soft_falloff: whether the light is, in place of the
     sphere, a disk of that radius that faces whatever it lights, whose light grows steadily within the radius, too.
+    receivers: as of Sun.
 
     Raises SceneError for values that are negative or not finite.
     """
@@ -198,6 +201,7 @@ class PointLight:
     radius: float = 0.0
     name: str = "point light"
     soft_falloff: bool = False
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.position = _vector(self.position, f"{self.name}: position")
@@ -222,8 +226,8 @@ class SpotLight:
     position: (3,) world. direction: (3,), the way the light travels; normalised here. power: W, scalar or RGB, in
     [0, 1e30]; float64 (3,) once made. The radiant intensity within the cone is power / (4 pi), W/sr, however wide it
     is. angle: full angle of the cone in radians, in (0, pi]. blend: part of the cone, in [0, 1], over which the light
-    fades towards its edge, as smoothstep of the cosine. radius: world units. name: for messages. soft_falloff: as in
-    PointLight.
+    fades towards its edge, as smoothstep of the cosine. radius: world units. name: for messages. soft_falloff,
+    receivers: as in PointLight.
 
     Raises SceneError outside these ranges and for values that are not finite.
     """
@@ -236,6 +240,7 @@ class SpotLight:
     radius: float = 0.0
     name: str = "spot light"
     soft_falloff: bool = False
+    receivers: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         self.position = _vector(self.position, f"{self.name}: position")
@@ -273,7 +278,7 @@ class AreaLight:
     world_matrix: (4, 4), from the lamp's frame. shape: one of SHAPES. size: full width before the matrix, one number or
     (x, y). power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiance is power / (pi area). spread: in
     [0, pi], angle beyond which no light leaves, focused by which the radiance at the angle a from the axis is larger by
-    (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages.
+    (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages. receivers: as of Sun.
 
     Raises SceneError outside these ranges, for values that are not finite and for a lamp without area.
     """
@@ -284,6 +289,7 @@ class AreaLight:
     power: np.ndarray
     spread: float = np.pi
     name: str = "area light"
+    receivers: frozenset[str] | None = None
     area: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -320,7 +326,7 @@ class AreaLight:
         half = 0.5 * np.array(self.size)
         axes = self.world_matrix[:3, :2] * half
         size = float(2.0 * np.linalg.norm(axes, axis=0).max())
-        apart = size / max(_distance(self.centre, low, high), 1e-6 * size)
+        apart = size / max(distance_from_box(self.centre, low, high), 1e-6 * size)
         count = 1 if apart < SMALL else 2 if apart < MEDIUM_SIZE else 4
         count = min(count, int(most**0.5))
         quads = _disk_quads(count) if self._round else _square_quads(count)
@@ -334,12 +340,26 @@ class AreaLight:
         return found
 
 
-Lamp = PointLight | SpotLight | AreaLight
+class Lamp(Protocol):
+    """A light that has a place. name, receivers: as of PointLight. power: float64 (3,), W."""
+
+    name: str
+    power: np.ndarray
+    receivers: frozenset[str] | None
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,)."""
+
+    def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
+        """As of PointLight."""
+
+
 LAMPS = (PointLight, SpotLight, AreaLight)
 
 
 def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:
-    if most < len(OCTAHEDRON) or whole.radius <= 0.5 * SMALL * _distance(whole.centre, low, high):
+    if most < len(OCTAHEDRON) or whole.radius <= 0.5 * SMALL * distance_from_box(whole.centre, low, high):
         return [whole]
     return [
         SphereEmitter(
@@ -388,7 +408,7 @@ def _disk_quads(count: int) -> list[np.ndarray]:
     return found
 
 
-def _distance(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+def distance_from_box(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Distance of a point (3,) from a box."""
     return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 

@@ -51,7 +51,7 @@ def soft_sun(direction, irradiance, angle: float, name: str = "sun") -> list[Sun
     for sector in [range(len(suns))] if angle <= SEVEN else SECTORS:
         weights = np.array([shares[n] for n in sector]) / sum(shares[n] for n in sector)
         towards = np.array([directions[n] for n in sector])
-        whole = Sun(weights @ towards, sum(suns[n].irradiance for n in sector), name, (towards, weights))
+        whole = Sun(weights @ towards, np.sum([suns[n].irradiance for n in sector], axis=0), name, (towards, weights))
         for n in sector:
             suns[n].part_of = whole
     return suns

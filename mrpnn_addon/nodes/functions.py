@@ -6,10 +6,10 @@ Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
 """
 
 import numpy as np
-from mathutils import Euler
 
+from .colour_operations import BLENDS, from_hsl, from_hsv, to_hsl, to_hsv
 from .emission import blackbody_colour
-from .math_operations import MATH, VECTOR_MATH, clamp, divide, smoothstep
+from .math_operations import MATH, VECTOR_MATH, about_axis, clamp, divide, euler_matrices, rotated, smoothstep
 from .sockets import unsupported
 from .texture_nodes import TEXTURES
 
@@ -29,9 +29,7 @@ def _math(values, node, output, groups):
 
 
 def _vector_math(values, node, output, groups):
-    operation = VECTOR_MATH.get(node.operation)
-    if operation is None:
-        raise unsupported(node, f"operation {node.operation}")
+    operation = VECTOR_MATH[node.operation]
     vectors = [values.colour(node, name, groups) for name in ("Vector", "Vector_001", "Vector_002")]
     return operation(*vectors, values.number(node, "Scale", groups))
 
@@ -80,12 +78,38 @@ def _color_ramp(values, node, output, groups):
 
 
 def _float_curve(values, node, output, groups):
-    mapping = node.mapping
-    mapping.update()
-    curve = mapping.curves[0]
-    low, high = curve.points[0].location[0], curve.points[-1].location[0]
-    table = np.array([[mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS)] for n in range(CURVE_CELLS + 1)])
     value, factor = values.number(node, "Value", groups), values.number(node, "Factor", groups)
+    (curve,), low, high = curve_tables(node.mapping, 1)
+    return value + factor * (_curved(curve, value, low, high, node.mapping) - value)
+
+
+def _colour_curves(values, node, output, groups):
+    name = "Color" if node.bl_idname == "ShaderNodeRGBCurve" else "Vector"
+    value, factor = values.colour(node, name, groups), values.number(node, "Fac", groups)
+    curves, low, high = curve_tables(node.mapping, 4 if name == "Color" else 3)
+    columns = [_curved(curve, value[:, [c]], low, high, node.mapping) for c, curve in enumerate(curves[:3])]
+    return value + factor * (np.concatenate(columns, axis=1) - value)
+
+
+def curve_tables(mapping, count: int):
+    """Tables (CURVE_CELLS + 1, 1) of the first `count` curves of a mapping, and the values of their ends.
+
+    A fourth curve is applied before each of the others.
+    """
+    if hasattr(mapping, "tables"):
+        return mapping.tables
+    mapping.update()
+    curves = [mapping.curves[number] for number in range(count)]
+    low = min(curve.points[0].location[0] for curve in curves)
+    high = max(curve.points[-1].location[0] for curve in curves)
+    places = [low + (high - low) * n / CURVE_CELLS for n in range(CURVE_CELLS + 1)]
+    if count == 4:
+        places = [mapping.evaluate(curves[3], place) for place in places]
+    return [np.array([[mapping.evaluate(curve, place)] for place in places]) for curve in curves[:3]], low, high
+
+
+def _curved(table, value, low, high, mapping):
+    """Values (n, 1) of a curve."""
     share = divide(value - low, np.float64(high - low))
     curved = _look_up(table, clamp(share, 0.0, 1.0))
     if mapping.extend == "EXTRAPOLATED":
@@ -93,7 +117,7 @@ def _float_curve(values, node, output, groups):
         curved = curved + CURVE_CELLS * (
             np.minimum(share, 0.0) * (table[1] - table[0]) + np.maximum(share - 1.0, 0.0) * (table[-1] - table[-2])
         )
-    return value + factor * (curved - value)
+    return curved
 
 
 def _look_up(table, place, stepped=False):
@@ -104,19 +128,6 @@ def _look_up(table, place, stepped=False):
         return table[first]
     second = np.minimum(first + 1, len(table) - 1)
     return table[first] + (position - first)[:, None] * (table[second] - table[first])
-
-
-BLENDS = {
-    "MIX": lambda f, a, b: a + f * (b - a),
-    "ADD": lambda f, a, b: a + f * b,
-    "MULTIPLY": lambda f, a, b: a * (1.0 - f + f * b),
-    "SUBTRACT": lambda f, a, b: a - f * b,
-    "SCREEN": lambda f, a, b: 1.0 - (1.0 - f + f * (1.0 - b)) * (1.0 - a),
-    "DIVIDE": lambda f, a, b: np.where(b != 0.0, (1.0 - f) * a + f * divide(a, b), a),
-    "DIFFERENCE": lambda f, a, b: a + f * (np.abs(a - b) - a),
-    "DARKEN": lambda f, a, b: a + f * (np.minimum(a, b) - a),
-    "LIGHTEN": lambda f, a, b: a + f * (np.maximum(a, b) - a),
-}
 
 
 def _mix(values, node, output, groups):
@@ -131,7 +142,6 @@ def _mix(values, node, output, groups):
     blend = node.blend_type if kind == "Color" else "MIX"
     factor = clamp(factor, 0.0, 1.0) if node.clamp_factor else factor
     return _blend(
-        node,
         blend,
         factor,
         read(node, f"A_{kind}", groups),
@@ -143,7 +153,6 @@ def _mix(values, node, output, groups):
 def _mix_rgb(values, node, output, groups):
     factor = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
     return _blend(
-        node,
         node.blend_type,
         factor,
         values.colour(node, "Color1", groups),
@@ -152,28 +161,36 @@ def _mix_rgb(values, node, output, groups):
     )
 
 
-def _blend(node, blend, factor, first, second, clamp_result):
-    if blend not in BLENDS:
-        raise unsupported(node, f"blending mode {blend}")
-    result = BLENDS[blend](factor, first, second)
+def _blend(blend, factor, first, second, clamp_result):
+    result = BLENDS[blend](factor, *np.broadcast_arrays(first, second))
     return clamp(result, 0.0, 1.0) if clamp_result else result
+
+
+SEPARATED = {"RGB": lambda rgb: rgb, "HSV": to_hsv, "HSL": to_hsl}
+COMBINED = {"RGB": lambda rgb: rgb, "HSV": from_hsv, "HSL": from_hsl}
 
 
 def _separate(values, node, output, groups):
     name = "Vector" if node.bl_idname == "ShaderNodeSeparateXYZ" else "Color"
-    _require_rgb(node)
-    return values.colour(node, name, groups)[:, [list(node.outputs).index(output)]]
+    parts = SEPARATED[getattr(node, "mode", "RGB")](values.colour(node, name, groups))
+    return parts[:, [list(node.outputs).index(output)]]
 
 
 def _combine(values, node, output, groups):
-    _require_rgb(node)
     parts = [values.number(node, socket.identifier, groups) for socket in node.inputs]
-    return np.concatenate(np.broadcast_arrays(*parts), axis=1)
+    parts = np.concatenate(np.broadcast_arrays(*parts), axis=1)
+    return COMBINED[getattr(node, "mode", "RGB")](parts)
 
 
-def _require_rgb(node):
-    if getattr(node, "mode", "RGB") != "RGB":
-        raise unsupported(node, f"mode {node.mode}")
+def _hue_saturation(values, node, output, groups):
+    colour = values.colour(node, "Color", groups)
+    hue, saturation, value, factor = (
+        values.number(node, name, groups) for name in ("Hue", "Saturation", "Value", "Fac")
+    )
+    h, s, v = np.split(to_hsv(colour), 3, axis=1)
+    parts = np.broadcast_arrays((h + hue + 0.5) % 1.0, np.clip(s * saturation, 0.0, 1.0), v * value)
+    changed = from_hsv(np.concatenate(parts, axis=1))
+    return np.maximum(colour + factor * (changed - colour), 0.0)
 
 
 def _rgb_to_bw(values, node, output, groups):
@@ -234,21 +251,42 @@ def _light_path(values, node, output, groups):
 
 
 def _mapping(values, node, output, groups):
-    vector = values.colour(node, "Vector", groups)
-    angles = values.colour(node, "Rotation", groups)
-    if len(angles) > 1:
-        raise unsupported(node, "a rotation that varies in space")
-    turn = np.array(Euler(angles[0]).to_matrix())
-    scale = values.colour(node, "Scale", groups)
+    vector, scale = values.colour(node, "Vector", groups), values.colour(node, "Scale", groups)
+    turn = euler_matrices(values.colour(node, "Rotation", groups))
     if node.vector_type == "VECTOR":
-        return (vector * scale) @ turn.T
+        return rotated(turn, vector * scale)
     if node.vector_type == "NORMAL":
-        turned = divide(vector, scale) @ turn.T
+        turned = rotated(turn, divide(vector, scale))
         return divide(turned, np.linalg.norm(turned, axis=1, keepdims=True))
     location = values.colour(node, "Location", groups)
     if node.vector_type == "TEXTURE":
-        return divide((vector - location) @ turn, scale)
-    return (vector * scale) @ turn.T + location
+        return divide(rotated(turn.swapaxes(1, 2), vector - location), scale)
+    return rotated(turn, vector * scale) + location
+
+
+AXES = {"X_AXIS": (1.0, 0.0, 0.0), "Y_AXIS": (0.0, 1.0, 0.0), "Z_AXIS": (0.0, 0.0, 1.0)}
+
+
+def _vector_rotate(values, node, output, groups):
+    vector, centre = (values.colour(node, name, groups) for name in ("Vector", "Center"))
+    if node.rotation_type == "EULER_XYZ":
+        turn = euler_matrices(values.colour(node, "Rotation", groups))
+        return rotated(turn.swapaxes(1, 2) if node.invert else turn, vector - centre) + centre
+    axis = AXES.get(node.rotation_type)
+    axis = values.colour(node, "Axis", groups) if axis is None else np.array([axis])
+    angle = values.number(node, "Angle", groups)
+    return about_axis(vector - centre, axis, -angle if node.invert else angle) + centre
+
+
+def _normal(values, node, output, groups):
+    # Its output's value is the direction that the node shows.
+    shown = next(socket for socket in node.outputs if socket.identifier == "Normal")
+    direction = np.array(shown.default_value, np.float64)[None, :3]
+    direction = divide(direction, np.linalg.norm(direction))
+    if output.identifier == "Normal":
+        return direction
+    vector = values.colour(node, "Normal", groups)
+    return (direction * divide(vector, np.linalg.norm(vector, axis=1, keepdims=True))).sum(axis=1, keepdims=True)
 
 
 FUNCTIONS = {
@@ -261,6 +299,11 @@ FUNCTIONS = {
     "ShaderNodeBlackbody": _blackbody,
     "ShaderNodeValToRGB": _color_ramp,
     "ShaderNodeFloatCurve": _float_curve,
+    "ShaderNodeRGBCurve": _colour_curves,
+    "ShaderNodeVectorCurve": _colour_curves,
+    "ShaderNodeHueSaturation": _hue_saturation,
+    "ShaderNodeNormal": _normal,
+    "ShaderNodeVectorRotate": _vector_rotate,
     "ShaderNodeMix": _mix,
     "ShaderNodeMixRGB": _mix_rgb,
     "ShaderNodeSeparateXYZ": _separate,

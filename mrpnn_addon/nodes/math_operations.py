@@ -98,6 +98,44 @@ def _length(a):
     return np.sqrt(_dot(a, a))
 
 
+def _normalized(a):
+    return divide(a, _length(a))
+
+
+def _refract(a, b, ratio):
+    normal = _normalized(b)
+    cosine = _dot(normal, a)
+    under = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
+    return np.where(under >= 0.0, ratio * a - (ratio * cosine + np.sqrt(np.maximum(under, 0.0))) * normal, 0.0)
+
+
+def euler_matrices(angles):
+    """Rotations (n, 3, 3) of XYZ Euler angles (n, 3)."""
+    found = np.eye(3)
+    for axis, angle in enumerate(angles.T):
+        turn = np.zeros((len(angles), 3, 3))
+        one, two = (axis + 1) % 3, (axis + 2) % 3
+        turn[:, axis, axis] = 1.0
+        turn[:, one, one] = turn[:, two, two] = np.cos(angle)
+        turn[:, two, one] = np.sin(angle)
+        turn[:, one, two] = -turn[:, two, one]
+        found = turn @ found
+    return found
+
+
+def rotated(matrices, vectors):
+    """Vectors (n, 3) turned by matrices (n, 3, 3); one of either serves all of the other."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
+
+
+def about_axis(vectors, axis, angle):
+    """Vectors (n, 3) turned about axes (n, 3) by angles (n, 1); unchanged where an axis is 0."""
+    unit = _normalized(axis)
+    cosine = np.cos(angle)
+    turned = vectors * cosine + np.cross(unit, vectors) * np.sin(angle) + unit * _dot(unit, vectors) * (1.0 - cosine)
+    return np.where(_dot(axis, axis) > 0.0, turned, vectors)
+
+
 # Operations on vectors a, b, c (n, 3) and a number s (n, 1).
 VECTOR_MATH = {
     "ADD": lambda a, b, c, s: a + b,
@@ -106,11 +144,15 @@ VECTOR_MATH = {
     "DIVIDE": lambda a, b, c, s: divide(a, b),
     "MULTIPLY_ADD": lambda a, b, c, s: a * b + c,
     "CROSS_PRODUCT": lambda a, b, c, s: np.cross(a, b),
+    "PROJECT": lambda a, b, c, s: divide(_dot(a, b), _dot(b, b)) * b,
+    "REFLECT": lambda a, b, c, s: a - 2.0 * _dot(a, _normalized(b)) * _normalized(b),
+    "REFRACT": lambda a, b, c, s: _refract(a, b, s),
+    "FACEFORWARD": lambda a, b, c, s: np.where(_dot(c, b) < 0.0, a, -a),
     "DOT_PRODUCT": lambda a, b, c, s: _dot(a, b),
     "DISTANCE": lambda a, b, c, s: _length(a - b),
     "LENGTH": lambda a, b, c, s: _length(a),
     "SCALE": lambda a, b, c, s: a * s,
-    "NORMALIZE": lambda a, b, c, s: divide(a, _length(a)),
+    "NORMALIZE": lambda a, b, c, s: _normalized(a),
     "ABSOLUTE": lambda a, b, c, s: np.abs(a),
     "SIGN": lambda a, b, c, s: np.sign(a),
     "MINIMUM": lambda a, b, c, s: np.minimum(a, b),
@@ -119,6 +161,8 @@ VECTOR_MATH = {
     "CEIL": lambda a, b, c, s: np.ceil(a),
     "FRACTION": lambda a, b, c, s: a - np.floor(a),
     "MODULO": lambda a, b, c, s: _truncated_modulo(a, b),
+    "POWER": lambda a, b, c, s: _power(a, b),
+    "WRAP": lambda a, b, c, s: _wrap(a, b, c),
     "SNAP": lambda a, b, c, s: np.floor(divide(a, b)) * b,
     "SINE": lambda a, b, c, s: np.sin(a),
     "COSINE": lambda a, b, c, s: np.cos(a),

@@ -10,9 +10,11 @@ import types
 import bpy
 import numpy as np
 
-from .functions import CURVE_CELLS, RAMP_CELLS
+from .functions import RAMP_CELLS, curve_tables
 
 PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
+# Curves of nodes that have some.
+CURVES = {"ShaderNodeFloatCurve": 1, "ShaderNodeRGBCurve": 4, "ShaderNodeVectorCurve": 3}
 # Sockets with a value.
 VALUED = {"VALUE", "INT", "BOOLEAN", "VECTOR", "RGBA", "ROTATION", "STRING"}
 
@@ -32,17 +34,6 @@ class Ramp(Copy):
 
     def evaluate(self, place):
         return self.table[round(place * (RAMP_CELLS - 1))]
-
-
-class Curve(Copy):
-    """A float curve's mapping, tabulated."""
-
-    def update(self):
-        pass
-
-    def evaluate(self, curve, place):
-        low, high = (curve.points[end].location[0] for end in (0, -1))
-        return self.table[round((place - low) / (high - low) * CURVE_CELLS)]
 
 
 def snapshot(tree, node) -> Copy:
@@ -104,8 +95,8 @@ def _copy_references(copy, node, groups):
             interpolation=ramp.interpolation,
             table=[tuple(ramp.evaluate(n / (RAMP_CELLS - 1))) for n in range(RAMP_CELLS)],
         )
-    if node.bl_idname == "ShaderNodeFloatCurve":
-        copy.mapping = _curve(node.mapping)
+    if node.bl_idname in CURVES:
+        copy.mapping = Copy(extend=node.mapping.extend, tables=curve_tables(node.mapping, CURVES[node.bl_idname]))
     if hasattr(node, "object"):
         copy.object = node.object and Copy(matrix_world=np.array(node.object.matrix_world))
     if hasattr(node, "node_tree"):
@@ -113,15 +104,3 @@ def _copy_references(copy, node, groups):
         if key and key not in groups:
             groups[key] = _tree(node.node_tree, groups)
         copy.node_tree = Copy(nodes=list(groups[key].values())) if key else None
-
-
-def _curve(mapping) -> Curve:
-    mapping.update()
-    curve = mapping.curves[0]
-    points = [Copy(location=tuple(point.location)) for point in curve.points]
-    low, high = points[0].location[0], points[-1].location[0]
-    return Curve(
-        extend=mapping.extend,
-        curves=[Copy(points=points)],
-        table=[mapping.evaluate(curve, low + (high - low) * n / CURVE_CELLS) for n in range(CURVE_CELLS + 1)],
-    )

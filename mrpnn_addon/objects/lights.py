@@ -101,9 +101,9 @@ def _strength(lamp) -> np.ndarray:
 
 
 def _warnings(shown: VisibleObject, name: str) -> list[str]:
-    lamp, linking, warnings = shown.object.data, shown.object.light_linking, []
-    if linking.receiver_collection is not None or linking.blocker_collection is not None:
-        warnings.append(f"{name} is linked to some objects only; it is rendered as lighting all volumes")
+    lamp, warnings = shown.object.data, []
+    if shown.object.light_linking.blocker_collection is not None:
+        warnings.append(f"{name} is shadowed by some objects only; it is rendered as shadowed by all")
     # A property of Cycles, absent while Cycles is disabled.
     settings = getattr(lamp, "cycles", None)
     if not getattr(settings, "cast_shadow", lamp.use_shadow):

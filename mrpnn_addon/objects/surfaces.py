@@ -21,7 +21,8 @@ SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBs
 class OpaqueMesh:
     """A `Surface` whose triangles are not made yet.
 
-    name, covers, shades, stops: see `Surface`. matrix: (4, 4), object to world. colour: mean of its materials.
+    name, covers, shades, stops, receivers: see `Surface`. matrix: (4, 4), object to world. colour: mean of its
+    materials.
     """
 
     mesh: Mesh
@@ -31,11 +32,21 @@ class OpaqueMesh:
     shades: bool
     stops: bool
     colour: SurfaceColour
+    receivers: frozenset[str] | None = None
 
     def surface(self) -> Surface:
         """The `Surface`; any thread may call this. Raises SceneError where its vertices are not finite."""
         triangles, colour = self.mesh.triangles(self.matrix), self.colour
-        return Surface(triangles, self.name, self.covers, self.shades, self.stops, colour.reflectance, colour.emission)
+        return Surface(
+            triangles,
+            self.name,
+            self.covers,
+            self.shades,
+            self.stops,
+            colour.reflectance,
+            colour.emission,
+            self.receivers,
+        )
 
 
 def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> tuple[OpaqueMesh | None, list[str]]:

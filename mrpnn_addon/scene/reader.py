@@ -15,6 +15,7 @@ from ...inference.scene import (
 )
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
+from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
 from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
@@ -22,6 +23,7 @@ from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import read_world
+from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
 
 NO_LIGHT = "the scene shows no sun and no lamp, and its World gives no light; add a sun (Add > Light > Sun)"
@@ -42,6 +44,7 @@ class SceneDescription:
         such volumes has a description without volumes.
     refused: user errors of objects or the World, which are left out, naming each.
     boxes: around the volumes, each with the number of colour channels that differ; for `workload`.
+    groups: which light group lights, volumes and meshes are in.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -60,6 +63,7 @@ class SceneDescription:
     empty: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     boxes: list[tuple[Box, int]] = field(default_factory=list)
+    groups: LightGroups = field(default_factory=LightGroups)
 
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
@@ -127,19 +131,24 @@ def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescrip
         frame=scene.frame_current,
         warnings=_view_layer_warnings(depsgraph.view_layer),
     )
-    reader = reader or VolumeReader()
+    if space is None:
+        description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
+    reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):
         check()
         try:
-            _add(description, shown, reader, depsgraph.view_layer)
+            _add(description, shown, reader, depsgraph.view_layer, links)
         except SceneError as problem:
             _refuse(description, shown, problem)
+    _link(description, links)
     description.warnings += overlap_warnings(description.volumes)
     try:
         discs, description.environments, warnings = read_world(depsgraph, check)
     except SceneError as problem:
         discs, warnings = [], _refused(description, problem)
     description.environment = bool(discs or description.environments)
+    if scene.world is not None:
+        description.groups.add([*discs, *description.environments], scene.world.lightgroup)
     description.suns += discs
     description.warnings += warnings
     return description
@@ -181,35 +190,54 @@ def require_all(description: SceneDescription) -> None:
         raise SceneError("; ".join(description.refused))
 
 
-def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
+def _link(description: SceneDescription, links: LightLinks) -> None:
+    """Leave out lights that light nothing which is rendered, by linking or by Cycles' ray visibility."""
+    needless = links.link()
+    for lights in (description.suns, description.lamps):
+        lights[:] = [light for light in lights if not any(light is other for other in needless)]
+    names = dict.fromkeys(light.name for light in needless)
+    description.warnings += [f"{name} lights nothing that is rendered and is left out" for name in names]
+
+
+def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer, links: LightLinks) -> None:
     kind = shown.object.type
     if shows_volume(shown.object):
-        _add_volume(description, shown, reader, view_layer)
-    elif kind == "LIGHT" and not shown.object.visible_volume_scatter:
-        # Cycles' ray visibility of a lamp: it lights surfaces only.
-        lamp = shown.object.data.type.lower()
-        light = "sun" if lamp == "sun" else f"{lamp} light"
-        description.warnings.append(f'{light} "{shown.name}" is hidden from volume scattering and left out')
-    elif kind == "LIGHT" and shown.object.data.type == "SUN":
-        suns, warnings = read_suns(shown)
-        description.suns += suns
-        description.warnings += warnings
+        _add_volume(description, shown, reader, view_layer, links)
     elif kind == "LIGHT":
-        light, warnings = read_lamp(shown)
-        description.lamps += [light] if light else []
+        if shown.object.data.type == "SUN":
+            lights, warnings = read_suns(shown)
+            description.suns += lights
+        else:
+            light, warnings = read_lamp(shown)
+            lights = [light] if light else []
+            description.lamps += lights
+        links.add_light(shown, lights)
+        description.groups.add(lights, *_light_groups(shown))
         description.warnings += warnings
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
-        description.opaque += [surface] if surface else []
+        if surface:
+            description.opaque.append(surface)
+            links.add_surface(shown, surface.name)
+            links.add_light(shown, [surface] if surface.colour.emission.any() else [])
+            description.groups.add([surface], *_light_groups(shown))
         description.warnings += warnings
 
 
-def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer) -> None:
+def _light_groups(shown) -> tuple[str, str]:
+    """The light group of an object, and of what instances it."""
+    return shown.object.lightgroup, shown.source.lightgroup
+
+
+def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer, links: LightLinks) -> None:
     where, unseen = f'volume "{shown.name}"', hidden_from_camera(shown, view_layer)
     if not unseen:
         try:
             pairs, warnings = reader.read(shown)
             description.volumes += pairs
+            description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
+            for volume, _ in pairs:
+                links.add_volume(shown, volume.name)
             remember_density(shown, *max(pairs, key=lambda pair: pair[0].density.max()))
             box, channels = box_around(shown)
             description.boxes.append((box, max(channels, len(pairs))))

@@ -131,7 +131,12 @@ class FileSource(VolumeSource):
         return shaded, object_from_index, warnings
 
     def _frames(self, object_from_index):
-        return {"object": object_from_index, "world": self.matrix @ object_from_index}
+        # Generated coordinates of a Volume object are those of the object.
+        return {
+            "object": object_from_index,
+            "generated": object_from_index,
+            "world": self.matrix @ object_from_index,
+        }
 
     def _shade_blocks(self, read, offsets, shape, frames, check) -> ShadedGrid:
         """As `shade`, for grids by name in a mostly empty box."""

@@ -42,7 +42,7 @@ class Probe:
         return np.concatenate([self._read(part) for part in parts], axis=1)
 
     def coordinates(self, kind: str, node) -> np.ndarray:
-        """(n, 3) positions; `kind` is "world", "object" or "generated". Raises Unsupported for others."""
+        """(n, 3) positions; `kind` is "world", "object" or "generated"."""
         self.placed = True
         return self._place(kind, node)
 
@@ -95,10 +95,5 @@ class VoxelPoints(Probe):
         return self.grids[name].reshape(-1)[self.voxels].astype(np.float64)[:, None]
 
     def _place(self, kind, node):
-        if kind not in self.domain.frames:
-            raise Unsupported(
-                f'node "{node.name}" uses {kind} coordinates, which are not supported in a Volume '
-                "object; link Object coordinates"
-            )
         frame = self.domain.frames[kind]
         return self.domain.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]

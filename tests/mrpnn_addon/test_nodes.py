@@ -44,13 +44,13 @@ def test_every_math_operation(addon, scene, plane, tmp_path):
 
 def test_vector_math(addon, scene, plane, tmp_path):
     tree, emission, coordinates = plane
-    table = importlib.import_module("mrpnn.mrpnn_addon.nodes.math_operations").VECTOR_MATH
-    for name in table:
+    for item in bpy.types.ShaderNodeVectorMath.bl_rna.properties["operation"].enum_items:
+        name = item.identifier
         node = add(tree, "VectorMath", operation=name)
         tree.links.new(coordinates, node.inputs[0])
-        node.inputs[1].default_value, node.inputs[3].default_value = (0.7, -0.4, 0.9), 1.7
-        if name == "MULTIPLY_ADD":
-            node.inputs[2].default_value = (0.1, 0.2, 0.3)
+        values = (0.7, -0.4, 0.9), (0.1, 0.2, 0.3), 1.7
+        for identifier, value in zip(("Vector_001", "Vector_002", "Scale"), values):
+            next(socket for socket in node.inputs if socket.identifier == identifier).default_value = value
         output = node.outputs[1] if name in ("DOT_PRODUCT", "DISTANCE", "LENGTH") else node.outputs[0]
         lift = add(tree, "VectorMath")
         lift.inputs[1].default_value = (20.0,) * 3
@@ -106,11 +106,15 @@ def test_float_curve_clamp_gamma_and_mix(addon, scene, plane, tmp_path):
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 
-@pytest.mark.parametrize(
-    "blend", ["ADD", "MULTIPLY", "SUBTRACT", "SCREEN", "DIVIDE", "DIFFERENCE", "DARKEN", "LIGHTEN"]
-)
+BLENDS = [item.identifier for item in bpy.types.ShaderNodeMix.bl_rna.properties["blend_type"].enum_items]
+
+
+@pytest.mark.parametrize("blend", BLENDS)
 def test_colour_blends_and_conversions(addon, scene, plane, tmp_path, blend):
     tree, emission, coordinates = plane
+    absolute = add(tree, "VectorMath", operation="ABSOLUTE")
+    tree.links.new(coordinates, absolute.inputs[0])
+    coordinates = absolute.outputs[0]
     mix = add(tree, "Mix", data_type="RGBA", blend_type=blend)
     colours = [socket for socket in mix.inputs if socket.type == "RGBA"]
     colours[0].default_value = (0.8, 0.3, 0.5, 1.0)
@@ -165,6 +169,62 @@ def test_noise_texture(addon, scene, plane, tmp_path, settings):
         node.inputs[name].default_value = value
     tree.links.new(coordinates, node.inputs["Vector"])
     combined(tree, emission, [node.outputs[0]])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("mode", ["HSV", "HSL"])
+def test_colour_models(addon, scene, plane, tmp_path, mode):
+    tree, emission, coordinates = plane
+    bent = add(tree, "VectorMath", operation="FRACTION")
+    tree.links.new(coordinates, bent.inputs[0])
+    bent_too = add(tree, "VectorMath", operation="ADD")
+    bent_too.inputs[1].default_value = 0.1, 0.0, 0.35
+    tree.links.new(bent.outputs[0], bent_too.inputs[0])
+    apart, together = add(tree, "SeparateColor", mode=mode), add(tree, "CombineColor", mode=mode)
+    tree.links.new(bent_too.outputs[0], apart.inputs[0])
+    for output, socket in zip((apart.outputs[1], apart.outputs[0], apart.outputs[2]), together.inputs):
+        tree.links.new(output, socket)
+    hue = add(tree, "HueSaturation")
+    for name, value in (("Hue", 0.7), ("Saturation", 1.3), ("Value", 0.8), ("Fac", 0.6)):
+        hue.inputs[name].default_value = value
+    tree.links.new(together.outputs[0], hue.inputs["Color"])
+    tree.links.new(hue.outputs[0], emission.inputs["Color"])
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("kind", ["RGBCurve", "VectorCurve"])
+def test_curves_of_colours_and_vectors(addon, scene, plane, tmp_path, kind):
+    tree, emission, coordinates = plane
+    node = add(tree, kind)
+    node.inputs["Fac"].default_value = 0.8
+    for number, curve in enumerate(node.mapping.curves):
+        curve.points.new(0.2 + 0.1 * number, 0.7 - 0.1 * number)
+    node.mapping.update()
+    tree.links.new(coordinates, node.inputs[1])
+    combined(tree, emission, axes(tree, node.outputs[0]))
+    assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+@pytest.mark.parametrize("kind", ["AXIS_ANGLE", "X_AXIS", "Y_AXIS", "Z_AXIS", "EULER_XYZ"])
+def test_vector_rotate(addon, scene, plane, tmp_path, kind):
+    """By an angle that varies in space."""
+    tree, emission, coordinates = plane
+    for invert in (False, True):
+        node = add(tree, "VectorRotate", rotation_type=kind, invert=invert)
+        inputs = {socket.identifier: socket for socket in node.inputs}
+        inputs["Center"].default_value, inputs["Axis"].default_value = (0.3, -0.2, 0.5), (0.4, 1.0, -0.3)
+        for name, output in (("Vector", coordinates), ("Angle", axes(tree, coordinates)[0]), ("Rotation", coordinates)):
+            tree.links.new(output, inputs[name])
+        combined(tree, emission, axes(tree, node.outputs[0]))
+        assert_equal_to_cycles(scene, tmp_path, emission)
+
+
+def test_normal(addon, scene, plane, tmp_path):
+    tree, emission, coordinates = plane
+    node = add(tree, "Normal")
+    node.outputs["Normal"].default_value = 0.6, -0.3, 0.8
+    tree.links.new(coordinates, node.inputs[0])
+    combined(tree, emission, [*axes(tree, node.outputs["Normal"])[:2], node.outputs["Dot"]])
     assert_equal_to_cycles(scene, tmp_path, emission)
 
 

@@ -76,6 +76,28 @@ def fire(stage, anisotropy):
     stage.shader.inputs["Anisotropy"].default_value = anisotropy
 
 
+def tinted(stage, anisotropy):
+    """Volume Scatter with a Color that varies: its extinction is what it scatters."""
+    ramp, shader = _ramp(stage, (0.2, 1.0, 0.35, 0.2), (0.7, 0.25, 0.5, 1.0)), stage.node("VolumeScatter")
+    product = stage.node("Math", operation="MULTIPLY")
+    product.inputs[1].default_value, shader.inputs["Anisotropy"].default_value = DENSITY, anisotropy
+    stage.connect(stage.grid(), ramp.inputs[0])
+    stage.connect(stage.grid(), product.inputs[0])
+    stage.connect(ramp.outputs[0], shader.inputs["Color"])
+    stage.connect(product.outputs[0], shader.inputs["Density"])
+    stage.replace_shader(shader)
+
+
+def voronoi(stage, anisotropy):
+    """Colour and density by cells, in the coordinates that an unlinked texture has."""
+    texture, product = stage.node("TexVoronoi", normalize=True), stage.node("Math", operation="MULTIPLY")
+    texture.inputs["Scale"].default_value, product.inputs[1].default_value = 2.0, 2.0 * DENSITY
+    stage.connect(texture.outputs["Distance"], product.inputs[0])
+    stage.connect(texture.outputs["Color"], stage.shader.inputs["Color"])
+    stage.connect(product.outputs[0], stage.shader.inputs["Density"])
+    stage.shader.inputs["Anisotropy"].default_value = anisotropy
+
+
 MEASURED = {
     f"{name}, {kind}": functools.partial(builder, anisotropy=anisotropy)
     for name, builder in (
@@ -83,6 +105,8 @@ MEASURED = {
         ("Two dyes that meet", dyes),
         ("Soot in white steam", soot),
         ("Fire's colour ramp", fire),
+        ("Extinction whose colour varies", tinted),
+        ("Voronoi Texture in density and colour", voronoi),
     )
     for kind, anisotropy in (("isotropic", 0.0), (f"G {FORWARD:g}", FORWARD))
 }

@@ -51,16 +51,6 @@ def environment_image(stage):
     tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
 
-def forward(world):
-    """The same in a medium that scatters forward, as clouds do."""
-
-    def narrow(stage):
-        world(stage)
-        stage.shader.inputs["Anisotropy"].default_value = 0.857
-
-    return narrow
-
-
 def sky(stage, strength=0.05):
     bpy.data.objects.remove(stage.sun)
     tree = stage.scene.world.node_tree
@@ -86,7 +76,26 @@ def voronoi_world(stage):
     tree.nodes["Background"].inputs["Strength"].default_value = 1.0
 
 
-OUTSIDE, EDGE, INSIDE = (1.5, -1.3, 0.9), (0.75, -0.35, 0.45), (0.15, -0.1, 0.1)
+# Where lamps stand, and shares of their power there.
+PLACES = {
+    "outside": ((1.5, -1.3, 0.9), 1.0),
+    "at the edge": ((0.75, -0.35, 0.45), 0.2),
+    "inside": ((0.15, -0.1, 0.1), 0.15),
+}
+OUTSIDE = PLACES["outside"][0]
+CONE = {"spot_size": 0.7, "spot_blend": 0.3, "shadow_soft_size": 0.1}
+# Power and properties, of lamps of which every place is measured.
+LAMPS = {
+    "Point light": ("POINT", 150.0, {"shadow_soft_size": 0.1}),
+    "Spot light": ("SPOT", 150.0, CONE),
+    "Area light": ("AREA", 60.0, {"size": 0.4}),
+}
+SHAPES = {
+    "Rectangular area light": ("AREA", 150.0, {"shape": "RECTANGLE", "size": 1.5, "size_y": 0.3}),
+    "Disk area light": ("AREA", 150.0, {"shape": "DISK", "size": 1.0}),
+    "Elliptic area light": ("AREA", 150.0, {"shape": "ELLIPSE", "size": 1.5, "size_y": 0.5}),
+    "Area light of a spread of 60 degrees": ("AREA", 150.0, {"size": 1.0, "spread": math.radians(60.0)}),
+}
 
 
 def add_lamp(stage, kind, location, power=150.0, **values):
@@ -100,10 +109,12 @@ def add_lamp(stage, kind, location, power=150.0, **values):
     shown.rotation_euler = shown.location.to_track_quat("Z", "Y").to_euler()
 
 
-def lamp_alone(kind, location=OUTSIDE, power=150.0, **values):
+def lamp_alone(kind, power, values, place="outside"):
+    location, share = PLACES[place]
+
     def alone(stage):
         bpy.data.objects.remove(stage.sun)
-        add_lamp(stage, kind, location, power, **values)
+        add_lamp(stage, kind, location, share * power, **values)
 
     return alone
 
@@ -115,28 +126,40 @@ def three_lamps(stage):
     add_lamp(stage, "AREA", (0.0, 0.4, 2.0), 60.0, size=1.0)
 
 
+def scattering(builder, anisotropy):
+    """The same in a medium of that mean cosine."""
+
+    def built(stage):
+        builder(stage)
+        stage.shader.inputs["Anisotropy"].default_value = anisotropy
+
+    return built
+
+
+def isotropic_and_forward(cases):
+    """Cases by name, at both ends of the anisotropy."""
+    kinds = {"isotropic": 0.0, "G 0.857": 0.857}
+    return {f"{name}, {kind}": scattering(builder, kinds[kind]) for name, builder in cases.items() for kind in kinds}
+
+
+def lamps():
+    """Cases of lamps, by name: each in every place."""
+    cases = {f"{name} {place}": lamp_alone(*lamp, place) for name, lamp in LAMPS.items() for place in PLACES}
+    cases |= {name: lamp_alone(*lamp) for name, lamp in SHAPES.items()} | {"Point, spot and area light": three_lamps}
+    return isotropic_and_forward(cases)
+
+
 MEASURED = {
-    "Point light": lamp_alone("POINT", shadow_soft_size=0.1),
-    "Point light, G 0.857": forward(lamp_alone("POINT", shadow_soft_size=0.1)),
-    "Point light at the edge": lamp_alone("POINT", EDGE, 30.0, shadow_soft_size=0.1),
-    "Point light at the edge, G 0.857": forward(lamp_alone("POINT", EDGE, 30.0, shadow_soft_size=0.1)),
-    "Point light inside": lamp_alone("POINT", INSIDE, 20.0, shadow_soft_size=0.1),
-    "Point light inside, G 0.857": forward(lamp_alone("POINT", INSIDE, 20.0, shadow_soft_size=0.1)),
-    "Spot light": lamp_alone("SPOT", spot_size=0.7, spot_blend=0.3, shadow_soft_size=0.1),
-    "Spot light, G 0.857": forward(lamp_alone("SPOT", spot_size=0.7, spot_blend=0.3, shadow_soft_size=0.1)),
-    "Area light": lamp_alone("AREA", size=1.0),
-    "Area light, G 0.857": forward(lamp_alone("AREA", size=1.0)),
-    "Area light of a spread of 60 degrees": lamp_alone("AREA", size=1.0, spread=math.radians(60.0)),
-    "Point, spot and area light": three_lamps,
+    **lamps(),
     "Two suns": two_suns,
     "Sun of a temperature and an exposure": warm_sun,
     "Sun of 10 degrees": sun_of(10.0),
     "Sun of 40 degrees": sun_of(40.0),
     "Sun and a grey-blue World": grey_world,
     "Even World alone": even_world,
-    "Even World alone, G 0.857": forward(even_world),
+    "Even World alone, G 0.857": scattering(even_world, 0.857),
     "Environment image alone": environment_image,
-    "Environment image alone, G 0.857": forward(environment_image),
+    "Environment image alone, G 0.857": scattering(environment_image, 0.857),
     "Sky Texture": sky,
     "Sky Texture at dusk, without its disc": low_sky_without_disc,
     "Voronoi Texture in the World": voronoi_world,

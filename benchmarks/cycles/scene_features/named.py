@@ -14,7 +14,7 @@ def world_fog(stage):
 
 
 def linked_sun(stage):
-    stage.sun.light_linking.receiver_collection = bpy.data.collections.new("Some")
+    stage.sun.light_linking.blocker_collection = bpy.data.collections.new("Some")
 
 
 def surface(stage):
@@ -42,18 +42,12 @@ def panorama(stage):
     stage.camera.data.type = "PANO"
 
 
-def voronoi(stage):
-    stage.connect(stage.node("TexVoronoi").outputs[0], stage.shader.inputs["Density"])
+def layer_weight(stage):
+    stage.connect(stage.node("LayerWeight").outputs["Facing"], stage.shader.inputs["Density"])
 
 
-def varying_extinction(stage):
-    """What Volume Scatter scatters is its extinction."""
-    ramp, shader = stage.node("ValToRGB"), stage.node("VolumeScatter")
-    ramp.color_ramp.elements[0].color = (1.0, 0.2, 0.1, 1.0)
-    stage.connect(stage.grid(), ramp.inputs[0])
-    stage.connect(ramp.outputs[0], shader.inputs["Color"])
-    stage.connect(stage.grid(), shader.inputs["Density"])
-    stage.replace_shader(shader)
+def varying_phase(stage):
+    stage.connect(stage.grid(), stage.shader.inputs["Anisotropy"])
 
 
 def missing_frame(stage):
@@ -63,13 +57,13 @@ def missing_frame(stage):
 
 NAMED = {
     "World volume": world_fog,
-    "Light linking": linked_sun,
+    "Shadow linking": linked_sun,
     "Opaque mesh": surface,
     "Glass": glass,
     "Depth of field, motion blur": blur,
     "Panoramic camera": panorama,
     "Clip range that begins inside a volume": clipped,
-    "Voronoi Texture in the density": voronoi,
-    "Extinction whose colour varies with the density": varying_extinction,
+    "Anisotropy that varies with the density": varying_phase,
+    "Layer Weight in the density": layer_weight,
     "Missing frame of a sequence": missing_frame,
 }

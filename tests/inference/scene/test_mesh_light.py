@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that shine, as lamps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import AreaLight, Camera, Medium, PointLight, Settings, Surface, render
+from inference.plan.lights import mesh_lights
+from inference.scene.mesh_light import MeshLight
+from tests.support.surfaces import rectangle
+from tests.support.volumes import box
+
+LOW, HIGH = np.full(3, -0.5), np.full(3, 0.5)
+CORNERS = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
+POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (200, 3))
+
+
+def fluence(light, points=POINTS):
+    return sum(part.fluence(points) for part in light.emitters(LOW, HIGH)) * light.power[0]
+
+
+def panel(z=1.0, half=0.3, **values):
+    return Surface(rectangle(-half, half, -half / 3.0, half / 3.0, z).triangles, "panel", **{"emission": 2.0, **values})
+
+
+def ball(centre, radius):
+    """An octahedron, divided, on a sphere."""
+    ends = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array([[ends[i], ends[1 + j], ends[2 + k]] for i in (0, 3) for j in (0, 3) for k in (0, 3)])
+    for _ in range(4):
+        a, b, c = faces.swapaxes(0, 1)
+        u, v, w = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        faces = np.concatenate([np.stack(one, axis=1) for one in ((a, u, w), (u, b, v), (w, v, c), (u, v, w))])
+    faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
+    # Corners in order around each, seen from outside.
+    turned = (np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]) * faces[:, 0]).sum(axis=1) < 0.0
+    faces[turned] = faces[turned][:, ::-1]
+    return Surface(radius * faces + centre, "ball", emission=2.0)
+
+
+def area_light(z, sign=1.0, half=0.3):
+    """The side of a panel that looks along -z, or z."""
+    matrix = np.diag([1.0, sign, sign, 1.0])
+    matrix[2, 3] = z
+    return AreaLight(matrix, "rectangle", (2.0 * half, 2.0 / 3.0 * half), np.pi * 4.0 / 3.0 * half**2 * 2.0)
+
+
+def test_a_panel_is_an_area_light():
+    assert fluence(MeshLight(panel())) == pytest.approx(fluence(area_light(1.0)), rel=1e-6)
+
+
+def test_a_panel_inside_shines_to_both_sides():
+    above, below = (fluence(area_light(0.1, sign)) for sign in (1.0, -1.0))
+    found = fluence(MeshLight(panel(0.1)))
+    far = np.abs(POINTS[:, 2] - 0.1) > 0.1
+    assert above[POINTS[:, 2] > 0.1].max() == 0.0
+    assert found[far] == pytest.approx((above + below)[far], rel=0.05)
+
+
+@pytest.mark.parametrize("centre, radius", [((1.0, 0.2, 0.3), 0.3), ((3.0, 0.2, 0.3), 0.05), ((0.0, 0.0, 0.0), 0.1)])
+def test_a_ball_is_a_spherical_light(centre, radius):
+    light = MeshLight(ball(np.array(centre), radius))
+    assert light.closed and light.power[0] == pytest.approx(4.0 * np.pi**2 * radius**2 * 2.0, rel=0.01)
+    far = np.linalg.norm(POINTS - centre, axis=1) > 2.0 * radius
+    sphere = fluence(PointLight(centre, light.power, radius))
+    assert fluence(light)[far] == pytest.approx(sphere[far], rel=0.15)
+    assert fluence(light)[far].mean() == pytest.approx(sphere[far].mean(), rel=0.06)
+
+
+def test_surfaces_that_surround_volumes_are_no_lamps():
+    floor, small = (Surface(rectangle(-s, s, -s, s, -0.6).triangles, emission=1.0) for s in (9.0, 0.2))
+    assert not mesh_lights([floor], CORNERS)
+    assert [light.surface for light in mesh_lights([floor, small], CORNERS)] == [small]
+
+
+def test_the_picture_of_a_panel_is_that_of_an_area_light():
+    view = Camera(np.eye(4), "orthographic", (12, 12), ortho_scale=1.1)
+    view.world_matrix[2, 3] = 3.0
+    volumes, settings = [(box(voxels=16), Medium(4.0, 0.9, 0.3))], Settings(depth_samples=4)
+    by_mesh, by_lamp, linked = (
+        render(volumes, lights, view, settings, surfaces=surfaces)
+        for lights, surfaces in (
+            ([], [panel(-0.8, covers=False)]),
+            ([area_light(-0.8, -1.0)], []),
+            ([], [panel(-0.8, covers=False, receivers=frozenset())]),
+        )
+    )
+    assert by_mesh.report.counts["lamps"] == 1
+    assert by_mesh.rgb == pytest.approx(by_lamp.rgb, rel=0.01)
+    assert not linked.rgb.any()
+    brighter = render(volumes, [], view, settings, surfaces=[replace(panel(-0.8, covers=False), emission=6.0)])
+    assert brighter.rgb == pytest.approx(3.0 * by_mesh.rgb, rel=1e-4)
