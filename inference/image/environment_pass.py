@@ -19,6 +19,7 @@ from .multiple_scattering import (
     sample_batches,
     scattered_shares,
 )
+from .predicted_error import environment_deviation
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,10 @@ def add_environment_light(
             else:
                 evaluate_adaptively(estimate, inside, tile.camera.window, np.zeros((1, len(estimate.error))))
             count = len(source.indices)
+            both = estimate.radiance.reshape(2, count, -1).sum(axis=0)
+            # Of varying albedos the mean over the volumes tells what share of the light is left.
+            relative = environment_deviation(source.last_albedo.mean(axis=0))
+            tile.framebuffer.deviation += (relative @ both / 3.0).astype(np.float32)
             tile.framebuffer.single[:, source.indices] += estimate.radiance[:count].T
             if context.settings.multiple:
                 tile.framebuffer.multiple[:, source.indices] += estimate.radiance[count:].T

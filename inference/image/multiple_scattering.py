@@ -18,6 +18,7 @@ from ..network.predictor import (
     PreparedPredictor,
     VolumePredictor,
 )
+from ..network.uncertainty import UncertaintyNetwork
 from ..plan.plan import Channels, last_albedo
 from ..runtime.report import Report
 from ..scene.camera import Camera
@@ -26,6 +27,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .predicted_error import MODELS, SparseDeviation
 
 
 def solve_transport(
@@ -107,6 +109,7 @@ def prepare_prediction(
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
                     directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                    uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
@@ -134,6 +137,7 @@ def prepare_prediction(
                     suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
+                    uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)
     return sources
@@ -157,6 +161,7 @@ def add_multiple_scattering(
                 evaluate_adaptively(estimate, inside, tile.camera.window, single)
             tile.framebuffer.multiple[:, source.indices] += estimate.radiance.T
             tile.framebuffer.uncertainty += estimate.error
+            tile.framebuffer.deviation += estimate.network_error()
 
 
 def lattice_bounds(
@@ -187,7 +192,8 @@ class Source:
     3), as of `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or
     times a lamp's power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes
     does, or they differ. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's
-    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp.
+    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp. uncertainty: what tells
+    the error of predictions, or None.
     """
 
     group: int
@@ -204,6 +210,7 @@ class Source:
     voxel: float
     prepared: PreparedPredictor | PreparedLampPredictor
     directions: EquivalentDirections | None = None
+    uncertainty: UncertaintyNetwork | None = None
 
 
 class Estimate(Protocol):
@@ -257,6 +264,7 @@ class _Estimate:
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
+        self.deviation = SparseDeviation(tile.camera)
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
@@ -275,10 +283,39 @@ class _Estimate:
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
                 parts[done] += part / 3.0
+            if source.uncertainty is not None:
+                known = np.flatnonzero(self.deviation.known[pixel])
+                self._add_deviation(done[known], radiance[:, known], weight[known])
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
+
+    def _add_deviation(self, points: np.ndarray, radiance: np.ndarray, weight: np.ndarray) -> None:
+        """Tell the error of what was predicted at some samples: radiance (A, N), seen with weight (N, C)."""
+        if not len(points):
+            return
+        samples, source = self.samples, self.source
+        assert source.uncertainty is not None
+        relative = source.prepared.deviation(
+            source.uncertainty,
+            samples.positions(points),
+            self.directions[samples.ray[points]],
+            dict(zip(source.albedos.values, radiance)),
+            samples.jitter(points),
+            self._features(points),
+        )
+        deviations = np.zeros(len(points))
+        for c, row in source.albedos.by_channel(relative * radiance, samples.positions(points)):
+            deviations += weight[:, c] * row / 3.0
+        self.deviation.add(self.pixel[points], deviations)
+
+    def network_error(self) -> np.ndarray:
+        """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
+        light, network = self.radiance.sum(axis=0) / 3.0, self.source.uncertainty
+        if network is not None:
+            return self.deviation.everywhere(light, network.typical)
+        return (MODELS.get(self.context.settings.model, 0.0) * light).astype(np.float32)
 
     def _features(self, points: np.ndarray | slice) -> np.ndarray | None:
         """Ray features of some samples, if the network needs them."""
