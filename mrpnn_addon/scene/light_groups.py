@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...inference.image.layer import Layer
+from ...inference.image.predicted_error import expected_error
 from ...inference.scene import Medium, Surface, Volume
 
 
@@ -52,7 +53,10 @@ def sum_of_groups(layers: dict[str, Layer]) -> Layer:
             for name, value in more.items():
                 mine[name] = mine.get(name, 0) + value
         report.warnings += [text for text in other.report.warnings if text not in report.warnings]
+    stated = any(layer.report.expected_error for layer in layers.values())
     added = ("rgb", "single", "multiple", "emission", "uncertainty")
     sums = {name: np.sum([getattr(layer, name) for layer in layers.values()], axis=0) for name in added}
     groups = {name: layer.rgb for name, layer in layers.items() if name}
-    return replace(whole, **sums, groups=groups)
+    layer = replace(whole, **sums, groups=groups, sampling_error=None)
+    report.expected_error = expected_error(layer) if stated else None
+    return layer
