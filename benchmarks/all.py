@@ -48,6 +48,7 @@ COMMANDS = (
     "benchmarks.cycles.baked_film",
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
     "benchmarks.cycles.baked_light",
+    "benchmarks.cycles.baked_eevee",
     f"benchmarks.fidelity --out build/fidelity --views independent {SYSTEMS}",
     "benchmarks.fidelity.calibration --docs",
     "training.data.targets --out data/uncertainty --volumes 2000-2023 --points 192 --paths 1024",
