@@ -91,7 +91,7 @@ def add_environment_light(
     """Add single and multiple scattering of the plan's environments to the tile. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
-            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            inside = np.flatnonzero(samples.share(source.members))
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
@@ -120,7 +120,7 @@ class _EnvironmentEstimate:
     def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: EnvironmentSource):
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
-        self.fraction = samples.fraction[:, source.members]
+        self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((2 * len(source.indices), len(tile.framebuffer.alpha)))
         self.error = np.zeros(self.radiance.shape[1], np.float32)
@@ -153,7 +153,7 @@ class _EnvironmentEstimate:
 
     def opacity(self) -> tuple[np.ndarray, None]:
         """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
-        weight = self.samples.weight * self.fraction.sum(axis=1)
+        weight = self.samples.weight * self.share
         return np.bincount(self.pixel, weight, len(self.error)).astype(np.float32), None
 
     def pixels_per_voxel(self) -> np.ndarray:

@@ -149,7 +149,7 @@ def add_multiple_scattering(
     """Add the predicted multiple scattering of every source to the tile, and its uncertainty. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
-            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            inside = np.flatnonzero(samples.share(source.members))
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
@@ -170,7 +170,7 @@ def lattice_bounds(
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
     if "unread_fields" not in context.settings.leave_out:
         return np.full(3, -0.5), np.full(3, 0.5)
-    inside = [(samples, np.flatnonzero(samples.fraction[:, members].any(axis=1))) for samples in view]
+    inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
     bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
     if not bounds:
         return predictor.extent()
@@ -217,14 +217,14 @@ class Estimate(Protocol):
     """What `evaluate_adaptively` evaluates, over P pixels.
 
     radiance: float64 (C, P), of C quantities. error: float32 (P,), standard error of their sum, over 3. pixel: int
-    (M,), of each sample. fraction: (M, V), share of the members in the extinction there.
+    (M,), of each sample. share: (M,), of the members in the extinction there.
     """
 
     context: RenderContext
     samples: DepthSamples
     report: Report
     camera: Camera
-    fraction: np.ndarray
+    share: np.ndarray
     pixel: np.ndarray
     radiance: np.ndarray
     error: np.ndarray
@@ -257,7 +257,7 @@ class _Estimate:
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
-        self.fraction = samples.fraction[:, source.members]
+        self.share = samples.share(source.members)
         self.directions = samples.directions
         if source.directions is not None:
             self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
@@ -330,7 +330,7 @@ class _Estimate:
 
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
-        weight = self.samples.weight * self.fraction.sum(axis=1)
+        weight = self.samples.weight * self.share
         opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
         features = self._features(slice(None))
         if features is None:
@@ -368,7 +368,7 @@ def scattered_shares(
 def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
     """Width (P,) of voxels of an edge in pixels, where the light of each pixel is scattered; 0 if none is."""
     samples = estimate.samples
-    weight = samples.weight * estimate.fraction.sum(axis=1)
+    weight = samples.weight * estimate.share
     opacity, moment = (
         np.bincount(estimate.pixel, values, len(estimate.error)) for values in (weight, weight * samples.distance)
     )
