@@ -36,7 +36,7 @@ COMMANDS = (
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
     "benchmarks.cost.environments --rounds 2",
-    "benchmarks.cost.lamps",
+    "benchmarks.cost.lamps --rounds 2",
     "benchmarks.cost.sparse",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
