@@ -271,7 +271,7 @@ class _Estimate:
             )
             weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            for c, row in source.albedos.by_channel(radiance, samples.positions(done)):
+            for c, row in source.albedos.by_channel(radiance, samples.positions(done), directions):
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
                 parts[done] += part / 3.0
