@@ -15,6 +15,7 @@ from .image.framebuffer import Framebuffer
 from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
+from .image.predicted_error import error_is_known, expected_error
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
@@ -103,7 +104,10 @@ def render_tiles(
     report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
-    yield camera.window, compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
+    layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
+    if error_is_known(report.model):
+        report.expected_error = expected_error(layer)
+    yield camera.window, layer
 
 
 def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer):
@@ -252,8 +256,22 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     if (plan.environments or plan.reflects) and any(group is not None for group in groups):
         with report.stage("network loading"):
             environment = cache.environment_network(settings.model, settings.provider, cancel)
+    uncertainty = None
+    if network is not None:
+        with report.stage("network loading"):
+            uncertainty = cache.uncertainty_network(network.name, cancel)
     scene = PreparedScene(
-        plan, grids, sun_depths, occluders, depth_buffer, extended_lights, groups, network, environment, lamps
+        plan,
+        grids,
+        sun_depths,
+        occluders,
+        depth_buffer,
+        extended_lights,
+        groups,
+        network,
+        environment,
+        uncertainty,
+        lamps,
     )
     if not plan.reflects and not plan.sky:
         return scene

@@ -14,6 +14,7 @@ from .network.environment_network import EnvironmentNetwork, load_environment_ne
 from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
+from .network.uncertainty import UncertaintyNetwork, has_uncertainty, load_uncertainty_network
 from .runtime.cancellation import NEVER, CancelToken
 from .scene.description import Medium, Surface, Volume
 from .scene.lamps import Lamp
@@ -46,6 +47,7 @@ class RenderCache:
         self._lock = threading.Lock()
         self._networks: dict[tuple[str, str], System] = {}
         self._environment_networks: dict[tuple[str, str], EnvironmentNetwork] = {}
+        self._uncertainty_networks: dict[str, UncertaintyNetwork] = {}
         self._grids: list[tuple[Volume, Grid]] = []
         self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
@@ -65,6 +67,15 @@ class RenderCache:
             if (model, provider) not in self._environment_networks:
                 self._environment_networks[model, provider] = load_environment_network(model, provider)
             return self._environment_networks[model, provider]
+
+    def uncertainty_network(self, model: str, cancel: CancelToken = NEVER) -> UncertaintyNetwork | None:
+        """As `load_uncertainty_network`, once; None where none stands beside a network."""
+        if not has_uncertainty(model):
+            return None
+        with cancel.locked(self._lock):
+            if model not in self._uncertainty_networks:
+                self._uncertainty_networks[model] = load_uncertainty_network(model)
+            return self._uncertainty_networks[model]
 
     def grids(self, volumes: Sequence[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
         """Grid of each volume."""

@@ -59,8 +59,10 @@ def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dic
     for warning in finished.warnings:
         console.event("warning", warning, frame=frame, message=warning)
     facts = {"frame": frame, "file": path, "seconds": finished.seconds, "warnings": finished.warnings}
+    expected = finished.layer.report.expected_error
+    error = f", expected error {expected}" if expected else ""
     # Render farms parse Blender's message.
-    console.event("frame", f"wrote {path} in {finished.seconds:.1f} s\nSaved: '{path}'", **facts)
+    console.event("frame", f"wrote {path} in {finished.seconds:.1f} s{error}\nSaved: '{path}'", **facts)
     return {**facts, "report": finished.layer.report.to_dict()}
 
 

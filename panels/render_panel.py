@@ -59,6 +59,8 @@ def _draw_last(context, layout, last):
         return
     saved = f" ({last.saved:.0f} s saved)" if last.saved >= 1.0 else ""
     draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", "TIME")
+    if last.expected_error:
+        draw_text(context, layout, f"Expected error {last.expected_error}", "DOT")
     _, missing = _expected(context)
     for warning in last.warnings:
         if not missing.names(warning):

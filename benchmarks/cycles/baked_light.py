@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cycles with baked light against independent references, and beside the baked camera against layers.
+"""Cycles with baked light against independent references.
 
     python -m benchmarks.cycles.baked_light [VIEW ...]
 
@@ -24,16 +24,13 @@ from ..support.provenance import commit, weights_checksum
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "baked-light.csv"
 SOURCE = "`python -m benchmarks.cycles.baked_light`, weights and commit in each row."
-SAMPLES, ORBIT = 64, 40.0
+SAMPLES = 64
 COLUMNS = (
     "view",
     "layer",
     "layer_bias",
     "baked",
     "baked_bias",
-    "difference",
-    "orbit",
-    "orbit_bias",
     "bake_cpu",
     "cycles_cpu",
     "weights",
@@ -95,18 +92,12 @@ def measure(view: View) -> dict:
         mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
         a, b = halves[..., :3] * mask[..., None]
         shown, own = (pixels * mask[..., None] for pixels in (image, layer.rgb))
-        scene.camera.matrix_world = _matrix(look_at(_turned(view), view.up))
-        beside = _layer(read_scene(scenes.depsgraph()), exact)
-        orbit, bias = _difference(_cycles(scene, Path(folder)), beside)
         return {
             "view": view.name,
             "layer": relative_rmse(own, a, b, mask).value,
             "layer_bias": relative_bias(own, a, b, mask).value,
             "baked": relative_rmse(shown, a, b, mask).value,
             "baked_bias": relative_bias(shown, a, b, mask).value,
-            "difference": _difference(image, layer)[0],
-            "orbit": orbit,
-            "orbit_bias": bias,
             "bake_cpu": baked - start,
             "cycles_cpu": done - baked,
             "weights": weights_checksum("mrpnn"),
@@ -126,20 +117,6 @@ def _cycles(scene, folder: Path) -> np.ndarray:
     # The value at pixel centres, as layers and references have it.
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     return scenes.rendered(scene, folder)[..., :3]
-
-
-def _difference(image: np.ndarray, layer) -> tuple[float, float]:
-    """Relative root mean square and mean of the difference, where the layer shows the volume."""
-    shown = layer.alpha > MASK_ALPHA
-    change = (image - layer.rgb)[shown]
-    return float(np.sqrt(np.mean(change**2)) / layer.rgb[shown].mean()), float(change.mean() / layer.rgb[shown].mean())
-
-
-def _turned(view: View) -> np.ndarray:
-    """The camera's position, turned about the vertical axis through the volume."""
-    angle, axis = np.radians(ORBIT), np.asarray(view.up, float)
-    p = np.asarray(view.position, float)
-    return p * np.cos(angle) + np.cross(axis, p) * np.sin(angle) + axis * (axis @ p) * (1.0 - np.cos(angle))
 
 
 def _matrix(values: np.ndarray):

@@ -4,9 +4,9 @@
     python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--compare 3]
 
 Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
-OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures by how much a frame
-changes where nothing in the scene does. Figures go to OUT/film.json. Without --files it takes the plume that
-benchmarks/data/README.md names, which the repository may not contain.
+OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures how much the film
+flickers, and by how much a frame changes where nothing in the scene does. Figures go to OUT/film.json. Without --files
+it takes the plume that benchmarks/data/README.md names, which the repository may not contain.
 """
 
 import argparse
@@ -31,6 +31,8 @@ PLUME = EXTRA_VOLUMES / "plume"
 PAGE = ROOT / "docs" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
 FRAMES_PER_SECOND = 12
+#: Depth samples of a converged layer.
+CONVERGED = 64
 
 
 def make_film(files, options) -> dict:
@@ -77,7 +79,42 @@ def make_film(files, options) -> dict:
     )
     if strip:
         pictures.row(strip, STRIP_HEIGHT).save(STRIP)
-    return {"frames": results, "steadiness": steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)}
+    still = steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)
+    return {"frames": results, "flicker": flicker(scene, read_scene, options), "steadiness": still}
+
+
+def flicker(scene, read_scene, options) -> dict:
+    """How much more a pixel changes from frame to frame than in a converged layer: root mean square over the mean.
+
+    The difference between the film's layer and one of CONVERGED depth samples without approximations, from each frame
+    to the next, where either shows the volume. "the film itself": how much the converged layer changes.
+    """
+    from mrpnn import inference
+    from mrpnn.inference.scene.optimizations import ALL
+
+    usual = inference.Settings(depth_samples=options.depth_samples)
+    exact = inference.Settings(depth_samples=CONVERGED, leave_out=ALL - {"shared_pixels"})
+    scene.render.resolution_percentage = options.scale
+    beyond, itself, mean, pixels, last = 0.0, 0.0, 0.0, 0, None
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        described = read_scene(bpy.context.evaluated_depsgraph_get())
+        layer, converged = (
+            inference.render(described.volumes, described.lights, described.camera, settings)
+            for settings in (usual, exact)
+        )
+        if last:
+            shown = (last[2] > 0.02) | (converged.alpha > 0.02)
+            error, change = layer.rgb - converged.rgb - last[0], converged.rgb - last[1]
+            beyond, itself = beyond + (error[shown] ** 2).sum(), itself + (change[shown] ** 2).sum()
+            mean, pixels = mean + converged.rgb[shown].sum(), pixels + 3 * shown.sum()
+        last = layer.rgb - converged.rgb, converged.rgb, converged.alpha
+        print(f"flicker: frame {frame}", file=sys.stderr, flush=True)
+    scene.render.resolution_percentage = 100
+    return {
+        name: float(np.sqrt(squares / pixels) / (mean / pixels))
+        for name, squares in (("beyond a converged layer", beyond), ("the film itself", itself))
+    }
 
 
 def steadiness(described, options) -> dict:
@@ -149,6 +186,13 @@ def page(found, options) -> str:
     lines += [
         f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
         for frame in compared
+    ]
+    lines += [
+        "",
+        f"How much more a pixel changes from frame to frame than in a layer of {CONVERGED} depth samples without any",
+        f"approximation, root mean square over the mean, at {options.scale} % of the size: "
+        f"**{found['flicker']['beyond a converged layer']:.2%}**, where",
+        f"the film itself changes by {found['flicker']['the film itself']:.1%}.",
     ]
     lines += [
         "",

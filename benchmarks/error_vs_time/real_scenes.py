@@ -45,7 +45,7 @@ class RealScene:
     """A volume in the sun, of irradiance 1, and under a sky or none.
 
     spec: what is seen; its size is the width in pixels, its samples the paths per pixel in each half.
-    rows: pixels down. fov: degrees across.
+    rows: pixels down. fov: degrees across. folder: where references and images are kept.
     """
 
     name: str
@@ -53,6 +53,7 @@ class RealScene:
     rows: int
     fov: float = FOV
     sky: bool = False
+    folder: Path = FOLDER
 
     def view(self) -> View:
         """The scene as `benchmarks.cycles` and `benchmarks.fidelity` take it."""
@@ -88,7 +89,7 @@ def sky(directions: np.ndarray) -> np.ndarray:
 
 
 def _file(scene: RealScene) -> Path:
-    return FOLDER / f"{scene.name.replace(', ', '-').replace(' ', '_')}.npz"
+    return scene.folder / f"{scene.name.replace(', ', '-').replace(' ', '_')}.npz"
 
 
 def halves(scene: RealScene) -> np.ndarray:
@@ -113,7 +114,7 @@ def trace(scene: RealScene, paths: int, told: Callable[[str], None] = print) -> 
     grid = prepare(view.density())
     shape = (2, scene.rows, scene.spec.size, 4)
     sums = halves(scene) * done if done else np.zeros(shape)
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    scene.folder.mkdir(parents=True, exist_ok=True)
     while done < paths:
         for half in (0, 1):
             sums[half] += BATCH * _batch(scene, view, grid, 1 + 2 * (done // BATCH) + half)

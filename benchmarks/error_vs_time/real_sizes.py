@@ -4,22 +4,25 @@
     python -m benchmarks.error_vs_time.real_sizes [--only WORDS] [--most SAMPLES] [--references] [--table]
 
 The scenes are those of `real_scenes`. References and Cycles' images, each with its processor seconds, are kept in
-data/real_sizes, so that a run that was stopped continues where it was; the layer is rendered again. Run it with bpy 4.5
-and with 5.2, which has two ways through volumes. Everything runs on one thread.
+data/real_sizes, so that a run that was stopped continues where it was; the layer is rendered again for other code or
+weights. Run it with bpy 4.5 and with 5.2, which has two ways through volumes. Everything runs on one thread.
 """
 
 import argparse
 import functools
+import re
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from inference import Settings
 from inference.evaluation.error import RESAMPLES, Estimate, relative_bias, tile_sums
 from inference.evaluation.error_vs_time import AT_LEAST, AT_MOST, Rung, cost, seconds_on_ladder
+from mrpnn_addon.comparison.perceptual import flip
 
 from ..fidelity.tables import table
 from ..fidelity.views import MASK_ALPHA
@@ -27,18 +30,24 @@ from ..support.extension import ROOT
 from ..support.pages import csv_text, with_table
 from ..support.pages import replace as replace_file
 from ..support.provenance import made_by
-from .real_scenes import FOLDER, SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScene, halves, trace, traced
+from .real_scenes import SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScene, halves, trace, traced
 
 PROGRAM = "benchmarks.error_vs_time.real_sizes"
 DOCS = ROOT / "docs"
 LADDER, NOISY, ALL_BOUNCES = (1, 4, 16, 64), 4, 1024
+SMALL_ROWS = 512
+SMALL = [scene for scene in SCENES if scene.rows == SMALL_ROWS]
+#: Names of the rows of whichever method is quickest in a scene: without denoising, and denoised.
+QUICKEST = ("the quickest of these", "the quickest of these, denoised")
+#: Rows of the largest images of which FLIP is computed.
+FLIP_ROWS, MOST_FLIP_NOISE = 512, 0.1
 FIRST, NEXT = "MRPNN layer, first frame", "MRPNN layer, next frame"
 COLUMNS = ("scene", "method", "samples", "rmse", "rmse_low", "rmse_high", "bias", "cpu_seconds", "flip", "flip_noise")
 
 
 def file_of(scene: RealScene, method: str, samples: int) -> Path:
     """Where an image is kept."""
-    return FOLDER / "images" / scene.name / f"{method}, {samples}.npz"
+    return scene.folder / "images" / scene.name / f"{method}, {samples}.npz"
 
 
 def keep(path: Path, image: np.ndarray, seconds: float, source: str) -> None:
@@ -48,6 +57,14 @@ def keep(path: Path, image: np.ndarray, seconds: float, source: str) -> None:
     with open(partial, "wb") as file:
         np.savez(file, image=np.asarray(image, np.float32), seconds=seconds, made_by=source)
     partial.replace(path)
+
+
+def source_of(path: Path) -> str:
+    """The sentence on what made a stored image, "" where there is none."""
+    if not path.exists():
+        return ""
+    with np.load(path) as data:
+        return str(data["made_by"])
 
 
 def stage(scene: RealScene, folder: Path):
@@ -84,8 +101,9 @@ def render_images(scene: RealScene, most: int, source: str) -> None:
     version = f"Cycles {bpy.app.version_string.removesuffix(' LTS')}"
     with tempfile.TemporaryDirectory() as folder:
         made = stage(scene, Path(folder))
-        for name, image, seconds in layers(Settings(threads=1)):
-            keep(file_of(scene, name, Settings.depth_samples), image, seconds, source)
+        if source_of(file_of(scene, NEXT, Settings.depth_samples)) != source:
+            for name, image, seconds in layers(Settings(threads=1)):
+                keep(file_of(scene, name, Settings.depth_samples), image, seconds, source)
         for null in (False, True) if hasattr(made.cycles, "volume_biased") else (False,):
             way = f"{version}, null scattering" if null else version
             wanted = [(f"{way}, denoised", samples, True) for samples in LADDER] + [(way, NOISY, False)]
@@ -94,7 +112,24 @@ def render_images(scene: RealScene, most: int, source: str) -> None:
                 if samples <= most and not path.exists():
                     choice = Choice(ALL_BOUNCES, samples, denoised, 0.0, null=null)
                     keep(path, *picture(made, Path(folder), choice), source)
-                    print(path.relative_to(FOLDER), flush=True)
+                    print(f"{scene.name}: {method}, {samples}", flush=True)
+
+
+class Image(NamedTuple):
+    """One image of a scene: what made it, samples, linear radiance (H, W, 3), processor seconds."""
+
+    method: str
+    samples: int
+    pixels: np.ndarray
+    seconds: float
+
+
+def images(scene: RealScene) -> Iterator[Image]:
+    """Those that are kept."""
+    for path in sorted((scene.folder / "images" / scene.name).glob("*.npz")):
+        method, samples = path.stem.rsplit(", ", 1)
+        with np.load(path) as data:
+            yield Image(method, int(samples), data["image"].astype(np.float64), float(data["seconds"]))
 
 
 class Measured:
@@ -102,15 +137,15 @@ class Measured:
 
     rungs: by method, by ascending samples. draws: of each image, by method and samples, its relative RMSE
     (1 + RESAMPLES,): as it is, then with the reference's tiles resampled, the same for all images of the scene.
+    flip_noise: FLIP of the reference's own noise, by that of one half beside the mean, where it is small. All FLIP is
+    within the rectangle around the pixels that show the volume.
     """
 
-    def __init__(self, scene: RealScene):
-        pair = halves(scene)
+    def __init__(self, scene: RealScene, pair: np.ndarray, found: Iterable[Image], flips: bool = True):
+        """pair: (2, H, W, 4), independent references of radiance and alpha."""
         mask = pair[..., 3].mean(axis=0) > MASK_ALPHA
         self.scene, (a, b) = scene, pair[..., :3] * mask[..., None]
-        mean = (a + b) / 2
-        counts = tile_sums(mask.astype(float))
-        shown = counts > 0
+        mean, shown = (a + b) / 2, tile_sums(mask.astype(float)) > 0
         drawn = np.random.default_rng(0).integers(0, shown.sum(), size=(RESAMPLES, shown.sum()))
 
         def sums(values):
@@ -118,23 +153,32 @@ class Measured:
             return np.concatenate([[tiles.sum()], tiles[drawn].sum(axis=1)])
 
         count, brightness = sums(mask.astype(float)), sums(mean.mean(axis=-1))
-        self.flip_noise = _flip(a, mean) if scene.rows <= FLIP_ROWS else None
-        self.rungs, self.draws, self.sources = {}, {}, []
-        for path in sorted((FOLDER / "images" / scene.name).glob("*.npz")):
-            method, samples = path.stem.rsplit(", ", 1)
-            with np.load(path) as data:
-                image, seconds = data["image"] * mask[..., None], float(data["seconds"])
-                self.sources.append(str(data["made_by"]))
+        # FLIP takes seconds, and tells nothing where the reference is noisy.
+        box = tuple(slice(where.min(), where.max() + 1) for where in np.nonzero(mask))
+        noise = flip(a[box], mean[box]) if flips else None
+        self.flip_noise = None if noise is None or noise > MOST_FLIP_NOISE else noise
+        self.rungs: dict[str, list[Rung]] = {}
+        self.draws: dict[tuple[str, int], np.ndarray] = {}
+        for method, samples, pixels, seconds in found:
+            image = pixels * mask[..., None]
             squares = sums(((image - a) * (image - b)).mean(axis=-1))
             errors = np.sqrt(np.maximum(squares / count, 0.0)) / (brightness / count)
-            self.draws[method, int(samples)] = errors
+            self.draws[method, samples] = errors
             rmse = Estimate(errors[0], *np.percentile(errors[1:], [2.5, 97.5]))
-            flip = None if self.flip_noise is None else _flip(image, mean)
+            perceived = None if self.flip_noise is None else flip(image[box], mean[box])
             bias = relative_bias(image, a, b, mask)
-            rung = Rung(method, int(samples), float("nan"), seconds, 0.0, 0.0, rmse, bias, flip)
+            rung = Rung(method, samples, float("nan"), seconds, 0.0, 0.0, rmse, bias, perceived)
             self.rungs.setdefault(method, []).append(rung)
         for rungs in self.rungs.values():
             rungs.sort(key=lambda rung: rung.samples)
+
+    def ratio_methods(self) -> list[str]:
+        """The methods that `ratios` can be told of."""
+        return [method for method in self.rungs if method.startswith("Cycles") and self._denoised(method) in self.rungs]
+
+    @staticmethod
+    def _denoised(method: str) -> str:
+        return f"{method.removesuffix(', denoised')}, denoised"
 
     def ratios(self, method: str, of: str) -> tuple[np.ndarray, str]:
         """How many times as long as the layer a method takes to its error, (1 + RESAMPLES,), and how that is known."""
@@ -143,11 +187,12 @@ class Measured:
         if method.endswith("denoised"):
             rungs = self.rungs[method]
             draws = np.stack([self.draws[method, rung.samples] for rung in rungs], axis=1)
-            reached = [_on_ladder(rungs, row, error) for row, error in zip(draws, errors)]
+            with np.errstate(divide="ignore"):
+                reached = [_on_ladder(rungs, row, error) for row, error in zip(draws, errors)]
             return np.array([one.value for one in reached]) / layer.cpu_seconds, reached[0].how
         # Noise alone; a sample's seconds are those of the denoised ladder, where more of them were rendered.
         [noisy] = self.rungs[method]
-        ladder = self.rungs[f"{method}, denoised"]
+        ladder = self.rungs[self._denoised(method)]
         _, each = cost([rung.samples for rung in ladder], [rung.cpu_seconds for rung in ladder])
         with np.errstate(divide="ignore"):
             samples = noisy.samples * (self.draws[method, noisy.samples] / errors) ** 2
@@ -163,67 +208,63 @@ def _on_ladder(rungs: Sequence[Rung], errors: Sequence[float], error: float):
     return seconds_on_ladder(other, error, "cpu_seconds")
 
 
-FLIP_ROWS = 512
-
-
-def _flip(image: np.ndarray, reference: np.ndarray) -> float | None:
-    from mrpnn_addon.comparison.perceptual import flip
-
-    return flip(image, reference)
+def number(value: float) -> str:
+    """Three digits."""
+    if not np.isfinite(value):
+        return "beyond telling"
+    return f"{float(f'{value:.3g}'):,.0f}".replace(",", " ") if value >= 100.0 else f"{value:.3g}"
 
 
 def span(values: np.ndarray, how: str = "") -> str:
     """A ratio and its interval."""
-    low, high = np.percentile(values[1:], [2.5, 97.5])
-    sign = {AT_LEAST: "≥ ", AT_MOST: "≤ "}.get(how, "")
-    upper = f"{high:.3g}" if np.isfinite(high) else "beyond telling"
-    return f"{sign}{values[0]:.3g} ({low:.3g}–{upper})"
+    low, high = np.quantile(values[1:], [0.025, 0.975], method="nearest")
+    sign = {AT_LEAST: "≥ ", AT_MOST: "≤ "}.get(how, "") if np.isfinite(values[0]) else ""
+    return f"{sign}{number(values[0])} ({number(low)}–{number(high)})"
 
 
 def section(measured: list[Measured]) -> str:
     """The tables: geometric means, then every scene."""
-    methods = sorted({method for one in measured for method in one.rungs if method not in (FIRST, NEXT)})
-    methods.sort(key=lambda method: method.endswith("denoised"))
-    rows, means = [], []
-    for method in methods:
-        for of in (FIRST, NEXT):
-            known = [
-                one
-                for one in measured
-                if method in one.rungs and f"{method.removesuffix(', denoised')}, denoised" in one.rungs
-            ]
-            found = [one.ratios(method, of) for one in known]
-            square = [ratios for one, (ratios, _) in zip(known, found) if one.scene.rows == 512]
-            if square:
-                with np.errstate(divide="ignore"):
-                    mean = np.exp(np.mean(np.log(square), axis=0))
-                means.append([method, of.rpartition(", ")[2], span(mean), f"{len(square)} of 5"])
-            for one, (ratios, how) in zip(known, found):
-                rows.append((one, method, of, span(ratios, how)))
-    lines = []
-    for one in measured:
-        size = f"{one.scene.spec.size} × {one.scene.rows}"
-        for method, rungs in sorted(one.rungs.items(), key=lambda item: (item[0] not in (FIRST, NEXT), item[0])):
-            ratio = {of: text for other, name, of, text in rows if (other, name) == (one, method)}
-            for rung in rungs:
-                last = rung is rungs[-1]
-                lines.append(
-                    [
-                        one.scene.name,
-                        size,
-                        method,
-                        str(rung.samples),
-                        f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})",
-                        f"{100 * rung.bias.value:+.1f} %",
-                        f"{rung.cpu_seconds:.3g}",
-                        _shown_flip(rung, one.flip_noise),
-                        f"{ratio[FIRST]} / {ratio[NEXT]}" if last and ratio else "",
-                    ]
-                )
+    small = [one for one in measured if one.scene.rows == SMALL_ROWS]
+    methods = sorted({method for one in measured for method in one.ratio_methods()})
+    means = []
+    for denoised in (False, True):
+        own = [method for method in methods if method.endswith("denoised") == denoised]
+        for name, several in [(method, [method]) for method in own] + [(QUICKEST[denoised], own)]:
+            for of in (FIRST, NEXT):
+                # Of several methods the quickest one of each scene, resample by resample.
+                found = [
+                    [one.ratios(method, of) for method in several if method in one.ratio_methods()] for one in small
+                ]
+                ratios = [np.min([values for values, _ in each], axis=0) for each in found if each]
+                if ratios:
+                    mean = np.exp(np.mean(np.log(ratios), axis=0))
+                    how = AT_LEAST if any(how == AT_LEAST for each in found for _, how in each) else ""
+                    means.append([name, of.rpartition(", ")[2], span(mean, how), f"{len(ratios)} of {len(SMALL)}"])
+    summary = table(["against", "the layer's", "geometric mean of times as long", "scenes of 512²"], means)
     head = ["scene", "pixels", "method", "samples", "error", "bias", "processor seconds", "FLIP",
             "times as long to the layer's error, first / next frame"]  # fmt: skip
-    summary = table(["against", "frame of the layer", "geometric mean of times as long", "scenes of 512²"], means)
-    return f"{summary}\n{table(head, lines)}".rstrip()
+    return f"{summary}\n{table(head, [row for one in measured for row in image_rows(one)])}".rstrip()
+
+
+def image_rows(one: Measured) -> Iterator[list[str]]:
+    """A row of the page for each image of a scene; ratios are in the last one of a method."""
+    size = f"{one.scene.spec.size} × {one.scene.rows}"
+    for method, rungs in sorted(one.rungs.items(), key=lambda item: (item[0] not in (FIRST, NEXT), item[0])):
+        for rung in rungs:
+            known = rung is rungs[-1] and method in one.ratio_methods()
+            yield [
+                one.scene.name,
+                size,
+                method,
+                str(rung.samples),
+                f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})"
+                if rung.rmse.high
+                else "below the reference's noise",
+                f"{100 * rung.bias.value:+.1f} %",
+                f"{rung.cpu_seconds:.3g}",
+                _shown_flip(rung, one.flip_noise),
+                " / ".join(span(*one.ratios(method, of)) for of in (FIRST, NEXT)) if known else "",
+            ]
 
 
 def _shown_flip(rung: Rung, noise: float | None) -> str:
@@ -261,16 +302,35 @@ def main(arguments: list[str] | None = None) -> int:
         extension()
         for scene in wanted:
             render_images(scene, options.most, made_by(PROGRAM, arguments))
-    write_page([Measured(scene) for scene in SCENES if (FOLDER / "images" / scene.name).is_dir() and traced(scene)])
+    write_page()
     return 0
 
 
-def write_page(measured: list[Measured]) -> None:
-    """The section between its marks, and the CSV."""
-    sources = sorted({source for one in measured for source in one.sources})
+def folded(sources: set[str]) -> list[str]:
+    """Sentences on what made images, those that differ in the commit as one."""
+    found: dict[tuple[str, str], set[str]] = {}
+    for source in sources:
+        before, commit, after = re.fullmatch(r"(.*), commit ([^,]*), (.*)", source).groups()
+        found.setdefault((before, after), set()).add(commit)
+    sentences = []
+    for (before, after), commits in sorted(found.items()):
+        plain = ", ".join(sorted({commit.split()[0] for commit in commits}))
+        changed = ", some with local changes" if any(" " in commit for commit in commits) else ""
+        sentences.append(f"{before}, commit{'s' if ', ' in plain else ''} {plain}{changed}, {after}")
+    return sentences
+
+
+def write_page() -> None:
+    """The section between its marks, and the CSV, of the scenes that are measured."""
+    known = [scene for scene in SCENES if traced(scene) and any(images(scene))]
+    measured = [Measured(scene, halves(scene), images(scene), scene.rows <= FLIP_ROWS) for scene in known]
+    files = [file_of(scene, image.method, image.samples) for scene in known for image in images(scene)]
+    sources = folded(set(map(source_of, files)))
     replace_file(DOCS / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
     page = DOCS / "error-vs-time.md"
-    replace_file(page, with_table(page.read_text(), "real sizes", section(measured), "\n".join(sources)))
+    paths = "; ".join(f"{scene.name}: {traced(scene)}" for scene in known)
+    text = f"{section(measured)}\n\nPaths per pixel in each half of the references: {paths}."
+    replace_file(page, with_table(page.read_text(), "real sizes", text, "\n".join(f"- {one}" for one in sources)))
 
 
 if __name__ == "__main__":

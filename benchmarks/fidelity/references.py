@@ -28,17 +28,24 @@ def traced_halves(view, folder: pathlib.Path) -> np.ndarray:
 
     Read from `folder` where they were traced before.
     """
+    return traced_parts(view, folder, 2)
+
+
+def traced_parts(view, folder: pathlib.Path, parts: int) -> np.ndarray:
+    """As `traced_halves`, of any number of independent parts."""
     density, spec = view.density(), view.spec
     facts = (spec.sigma_hat, spec.anisotropy, spec.albedo, view.sun.tolist(), view.position.tolist(), view.fov)
     digest = hashlib.sha256(density.tobytes() + repr(facts).encode()).hexdigest()[:12]
     path = folder / f"{view.name}-{spec.size}px-{spec.samples}spp-{digest}.npy"
+    if parts != 2:
+        path = path.with_stem(f"{path.stem}-{parts}")
     if not path.exists():
         grid = prepare(density)
-        halves = np.stack([_trace(view, grid, spec.samples, seed) for seed in (1, 2)])
+        traced = np.stack([_trace(view, grid, spec.samples, seed) for seed in range(1, parts + 1)])
         folder.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".partial")
         with open(partial, "wb") as file:
-            np.save(file, halves)
+            np.save(file, traced)
         os.replace(partial, path)
     return np.load(path).astype(np.float64)
 

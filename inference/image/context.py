@@ -16,6 +16,7 @@ from ..marching.lamp_march import LampInMedia
 from ..marching.marcher import Marcher
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
+from ..network.uncertainty import UncertaintyNetwork
 from ..occluders.depth_buffer import DepthBuffer
 from ..occluders.occluders import Occluders
 from ..plan.plan import Channels, Plan
@@ -57,8 +58,9 @@ class PreparedScene:
     grids: of V volumes. sun_depths: (V, L), of each volume towards each sun of the plan. depth_buffer: of surfaces that
     cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
     None where nothing is predicted. network: None if nothing is predicted at all. environment_network: that predicts
-    the light of environments, or None. lamps: of the plan, with what lies between them and the volumes.
-    open_groups: as groups, without what surfaces hide from the middle of the volumes; empty where they hide nothing.
+    the light of environments, or None. uncertainty_network: that tells the network's error, or None. lamps: of the
+    plan, with what lies between them and the volumes. open_groups: as groups, without what surfaces hide from the
+    middle of the volumes; empty where they hide nothing.
     thrown_back: the one of the plan's environments that is the light that surfaces throw back, or None.
     """
 
@@ -71,6 +73,7 @@ class PreparedScene:
     groups: list[ScatteringGroup | None]
     network: System | None = None
     environment_network: EnvironmentNetwork | None = None
+    uncertainty_network: UncertaintyNetwork | None = None
     lamps: list[LampInMedia] = field(default_factory=list)
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None

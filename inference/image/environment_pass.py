@@ -19,6 +19,7 @@ from .multiple_scattering import (
     sample_batches,
     scattered_shares,
 )
+from .predicted_error import environment_deviation
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def add_environment_light(
     """Add single and multiple scattering of the plan's environments to the tile. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
-            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            inside = np.flatnonzero(samples.share(source.members))
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
@@ -100,6 +101,10 @@ def add_environment_light(
             else:
                 evaluate_adaptively(estimate, inside, tile.camera.window, np.zeros((1, len(estimate.error))))
             count = len(source.indices)
+            both = estimate.radiance.reshape(2, count, -1).sum(axis=0)
+            # Of varying albedos the mean over the volumes tells what share of the light is left.
+            relative = environment_deviation(source.last_albedo.mean(axis=0))
+            tile.framebuffer.deviation += (relative @ both / 3.0).astype(np.float32)
             tile.framebuffer.single[:, source.indices] += estimate.radiance[:count].T
             if context.settings.multiple:
                 tile.framebuffer.multiple[:, source.indices] += estimate.radiance[count:].T
@@ -115,7 +120,7 @@ class _EnvironmentEstimate:
     def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: EnvironmentSource):
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
-        self.fraction = samples.fraction[:, source.members]
+        self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((2 * len(source.indices), len(tile.framebuffer.alpha)))
         self.error = np.zeros(self.radiance.shape[1], np.float32)
@@ -148,7 +153,7 @@ class _EnvironmentEstimate:
 
     def opacity(self) -> tuple[np.ndarray, None]:
         """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
-        weight = self.samples.weight * self.fraction.sum(axis=1)
+        weight = self.samples.weight * self.share
         return np.bincount(self.pixel, weight, len(self.error)).astype(np.float32), None
 
     def pixels_per_voxel(self) -> np.ndarray:

@@ -13,8 +13,9 @@ Window = tuple[int, int, int, int]
 class Framebuffer:
     """Images of P pixels, row by row.
 
-    single, multiple, emission: float32 (P, 3). alpha, depth, uncertainty: float32 (P,). As in `layer.Layer`, except
-    that depth is the sum of distance times opacity.
+    single, multiple, emission: float32 (P, 3). alpha, depth: float32 (P,). As in `layer.Layer`, except that depth is
+    the sum of distance times opacity. uncertainty, deviation: float32 (P,), standard errors of `multiple`, mean over
+    the channels, due to depth sampling and interpolation, and of what predicts it.
     """
 
     single: np.ndarray
@@ -23,11 +24,12 @@ class Framebuffer:
     alpha: np.ndarray
     depth: np.ndarray
     uncertainty: np.ndarray
+    deviation: np.ndarray
 
     @classmethod
     def black(cls, pixels: int) -> "Framebuffer":
         """A framebuffer of zeros."""
-        return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((3, pixels), np.float32))
+        return cls(*np.zeros((3, pixels, 3), np.float32), *np.zeros((4, pixels), np.float32))
 
     def part(self, window: Window, part: Window) -> "Framebuffer":
         """A copy of the pixels in a part of this one's window."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The result of a render."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,10 +19,13 @@ class Layer:
     depth: float32 (H, W), mean distance along the ray at which light scatters, world units; infinity where alpha is 0.
     single, multiple, emission: float32 (H, W, 3), single scattering, multiple scattering, and emission that is not
         scattered; rgb is their sum.
-    uncertainty: float32 (H, W), standard error of `multiple` due to depth sampling and interpolation between pixels,
-        mean over the channels. The network's own error is not included. With one depth sample it is at least as large
-        as `multiple`.
+    uncertainty: float32 (H, W), standard deviation of the error, mean over the channels: of what predicts `multiple`
+        and the light of environments, and of depth sampling and interpolation between pixels. With one depth sample it
+        is at least as large as `multiple`. The error of systems that `predicted_error` knows none of is left out.
+    groups: float32 (H, W, 3), shares of rgb by the name of each group of lights; empty where none are asked for.
     report: what was planned, skipped and measured; None for a tile.
+    sampling_error: float32 (H, W), the part of the uncertainty due to depth sampling and interpolation, which more
+        depth samples lower; None where it is not kept.
     """
 
     rgb: np.ndarray
@@ -33,6 +36,8 @@ class Layer:
     uncertainty: np.ndarray
     emission: np.ndarray
     report: Report | None = None
+    sampling_error: np.ndarray | None = None
+    groups: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:
@@ -48,9 +53,10 @@ def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Repo
         depth=depth.reshape(shape),
         single=single,
         multiple=multiple,
-        uncertainty=framebuffer.uncertainty.reshape(shape),
+        uncertainty=np.hypot(framebuffer.uncertainty, framebuffer.deviation).reshape(shape),
         emission=emission,
         report=report,
+        sampling_error=framebuffer.uncertainty.reshape(shape),
     )
 
 

@@ -18,6 +18,7 @@ from ..network.predictor import (
     PreparedPredictor,
     VolumePredictor,
 )
+from ..network.uncertainty import UncertaintyNetwork
 from ..plan.plan import Channels, last_albedo
 from ..runtime.report import Report
 from ..scene.camera import Camera
@@ -26,6 +27,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .predicted_error import MODELS, SparseDeviation
 
 
 def solve_transport(
@@ -107,6 +109,7 @@ def prepare_prediction(
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
                     directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                    uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)
             for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
@@ -134,6 +137,7 @@ def prepare_prediction(
                     suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
+                    uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)
     return sources
@@ -145,7 +149,7 @@ def add_multiple_scattering(
     """Add the predicted multiple scattering of every source to the tile, and its uncertainty. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
-            inside = np.flatnonzero(samples.fraction[:, source.members].any(axis=1))
+            inside = np.flatnonzero(samples.share(source.members))
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
@@ -157,6 +161,7 @@ def add_multiple_scattering(
                 evaluate_adaptively(estimate, inside, tile.camera.window, single)
             tile.framebuffer.multiple[:, source.indices] += estimate.radiance.T
             tile.framebuffer.uncertainty += estimate.error
+            tile.framebuffer.deviation += estimate.network_error()
 
 
 def lattice_bounds(
@@ -165,7 +170,7 @@ def lattice_bounds(
     """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
     if "unread_fields" not in context.settings.leave_out:
         return np.full(3, -0.5), np.full(3, 0.5)
-    inside = [(samples, np.flatnonzero(samples.fraction[:, members].any(axis=1))) for samples in view]
+    inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
     bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
     if not bounds:
         return predictor.extent()
@@ -187,7 +192,8 @@ class Source:
     3), as of `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or
     times a lamp's power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes
     does, or they differ. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's
-    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp.
+    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp. uncertainty: what tells
+    the error of predictions, or None.
     """
 
     group: int
@@ -204,20 +210,21 @@ class Source:
     voxel: float
     prepared: PreparedPredictor | PreparedLampPredictor
     directions: EquivalentDirections | None = None
+    uncertainty: UncertaintyNetwork | None = None
 
 
 class Estimate(Protocol):
     """What `evaluate_adaptively` evaluates, over P pixels.
 
     radiance: float64 (C, P), of C quantities. error: float32 (P,), standard error of their sum, over 3. pixel: int
-    (M,), of each sample. fraction: (M, V), share of the members in the extinction there.
+    (M,), of each sample. share: (M,), of the members in the extinction there.
     """
 
     context: RenderContext
     samples: DepthSamples
     report: Report
     camera: Camera
-    fraction: np.ndarray
+    share: np.ndarray
     pixel: np.ndarray
     radiance: np.ndarray
     error: np.ndarray
@@ -250,13 +257,14 @@ class _Estimate:
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
-        self.fraction = samples.fraction[:, source.members]
+        self.share = samples.share(source.members)
         self.directions = samples.directions
         if source.directions is not None:
             self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
+        self.deviation = SparseDeviation(tile.camera)
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
@@ -275,10 +283,39 @@ class _Estimate:
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
                 parts[done] += part / 3.0
+            if source.uncertainty is not None:
+                known = np.flatnonzero(self.deviation.known[pixel])
+                self._add_deviation(done[known], radiance[:, known], weight[known])
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
+
+    def _add_deviation(self, points: np.ndarray, radiance: np.ndarray, weight: np.ndarray) -> None:
+        """Tell the error of what was predicted at some samples: radiance (A, N), seen with weight (N, C)."""
+        if not len(points):
+            return
+        samples, source = self.samples, self.source
+        assert source.uncertainty is not None
+        relative = source.prepared.deviation(
+            source.uncertainty,
+            samples.positions(points),
+            self.directions[samples.ray[points]],
+            dict(zip(source.albedos.values, radiance)),
+            samples.jitter(points),
+            self._features(points),
+        )
+        deviations = np.zeros(len(points))
+        for c, row in source.albedos.by_channel(relative * radiance, samples.positions(points)):
+            deviations += weight[:, c] * row / 3.0
+        self.deviation.add(self.pixel[points], deviations)
+
+    def network_error(self) -> np.ndarray:
+        """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
+        light, network = self.radiance.sum(axis=0) / 3.0, self.source.uncertainty
+        if network is not None:
+            return self.deviation.everywhere(light, network.typical)
+        return (MODELS.get(self.context.settings.model, 0.0) * light).astype(np.float32)
 
     def _features(self, points: np.ndarray | slice) -> np.ndarray | None:
         """Ray features of some samples, if the network needs them."""
@@ -293,7 +330,7 @@ class _Estimate:
 
     def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
-        weight = self.samples.weight * self.fraction.sum(axis=1)
+        weight = self.samples.weight * self.share
         opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
         features = self._features(slice(None))
         if features is None:
@@ -331,7 +368,7 @@ def scattered_shares(
 def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
     """Width (P,) of voxels of an edge in pixels, where the light of each pixel is scattered; 0 if none is."""
     samples = estimate.samples
-    weight = samples.weight * estimate.fraction.sum(axis=1)
+    weight = samples.weight * estimate.share
     opacity, moment = (
         np.bincount(estimate.pixel, values, len(estimate.error)) for values in (weight, weight * samples.distance)
     )

@@ -10,6 +10,7 @@ from ..plan.plan import last_albedo
 from ..transport.scattered_emission import ScatteredEmission
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .predicted_error import SCATTERED_EMISSION
 
 # Depth samples that are evaluated at a time.
 POINTS_PER_BATCH = 1 << 16
@@ -56,4 +57,6 @@ def add_scattered_emission(
                         place = channel_pass.scattering_place(c)
                         weight = samples.weight[points] * samples.scattering[points, v, place]
                     light = emission.scattered(c, positions, directions, medium.anisotropy) * last[c]
-                    add_at(tile.framebuffer.multiple[:, c], samples.pixel[samples.ray[points]], weight * light)
+                    pixel = samples.pixel[samples.ray[points]]
+                    add_at(tile.framebuffer.multiple[:, c], pixel, weight * light)
+                    add_at(tile.framebuffer.deviation, pixel, weight * light * (SCATTERED_EMISSION / 3.0))

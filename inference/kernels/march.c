@@ -23,9 +23,17 @@ a ray are arrays over its steps. Places on a ray are counted in its coarse steps
 #define LEVELS 7
 #define MOST_PARTS 8
 
+/* Coarse blocks that are sampled together, before it is known whether the ray ends in front of them: processors compute
+side by side what does not depend on each other. An even number. */
+#define AHEAD 8
+
+/* One number per step of a block. */
+typedef float Steps __attribute__((vector_size(4 * STEPS)));
+
 /* A ray as continuous indices into some frame: first + place * slope. */
 typedef struct {
     double first[3], slope[3];
+    double blocks_per_cell;  /* coarse blocks, by the axis along which cells of density follow each other fastest */
 } Line;
 
 /* One ray between two distances. */
@@ -36,9 +44,10 @@ typedef struct {
     double dt;
 } Ray;
 
-/* Scratch memory for one ray of up to `room` blocks. */
+/* Scratch memory for one ray of up to `room` blocks; those of coarse blocks that are looked at ahead follow them. */
 typedef struct {
     int64_t room;
+    int64_t stride;              /* steps of all of these */
     int64_t blocks;
     int64_t looked_at;           /* blocks, also those that are not kept */
     double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
@@ -50,7 +59,7 @@ typedef struct {
     float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
     float *start, *end;          /* (groups, steps) each, optical depth of a group towards a light at the ends of steps */
-    float *whole_start, *whole_end;  /* (steps), of all volumes */
+    float *whole_start, *whole_end;  /* (steps), of all volumes; those of the group if there is one alone */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
@@ -62,6 +71,7 @@ typedef struct {
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
+    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
     float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
@@ -78,11 +88,29 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
         line.first[i] = start + offset[i];
         line.slope[i] = slope * ray->dt;
     }
+    line.blocks_per_cell = 0.0;
+    return line;
+}
+
+/* The line through a volume, whose cells it passes. */
+static inline Line line_through(const Medium *medium, const Ray *ray) {
+    Line line = line_in(medium->linear, medium->offset, ray);
+    double x = fabs(line.slope[0]), y = fabs(line.slope[1]), z = fabs(line.slope[2]);
+    line.blocks_per_cell = 1.0 / ((x > y ? (x > z ? x : z) : (y > z ? y : z)) * medium->occupancy.scale * STEPS);
     return line;
 }
 
 static inline void position_at(const Line *line, double place, float *position) {
     for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
+}
+
+/* As position_at, of several places. */
+static inline void positions_at(const Line *line, const double *places, Floats *position) {
+    Pairs place;
+    memcpy(&place, places, sizeof place);
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] = __builtin_convertvector(place * line->slope[axis] + line->first[axis], Floats);
+    }
 }
 
 /* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
@@ -97,11 +125,12 @@ static inline Floats sample_block(const Grid *grid, const Line *line, double pla
 
 /* What is known of the neighbourhood of a block before it is sampled. */
 typedef struct {
+    int near;        /* whether any volume may hold something, */
     double peak;     /* the largest extinction that there may be */
-    int64_t empty;   /* blocks behind this one that are known to be empty */
+    int64_t empty;   /* coarse blocks behind this one that are known to be empty */
 } Nearby;
 
-/* Whether a volume may hold something in a block. nearby: its peak is raised, its empty blocks become fewer. */
+/* Whether a volume may hold something in a block. nearby: what is known of other volumes, to which this one is added. */
 static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
                              Nearby *nearby) {
     const Occupancy *cells = &medium->occupancy;
@@ -109,16 +138,24 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     position_at(line, place + 0.5 * STEPS * size, position);
     int64_t cell = cell_around(cells, position), clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
     if (clearance > 1) {
-        double x = fabs(line->slope[0]), y = fabs(line->slope[1]), z = fabs(line->slope[2]);
-        double advance = (x > y ? (x > z ? x : z) : (y > z ? y : z)) * cells->scale * STEPS * size;
         /* Blocks are judged by the cells of their middles, which are rounded. */
-        double blocks = ((double)clearance - 1.01) / advance;
+        double blocks = ((double)clearance - 1.01) * line->blocks_per_cell;
         empty = blocks >= 1.0 && blocks < FAR_AWAY ? (int64_t)blocks : 0;
     }
     if (empty < nearby->empty) nearby->empty = empty;
     if (clearance > 0) return 0;
+    nearby->near = 1;
     nearby->peak += (double)cells->peaks[cell] * medium->sigma_t;
     return 1;
+}
+
+/* What is known of all volumes around a block; near: (volumes), whether each may hold something there. */
+static inline Nearby look_around(const Scene *scene, const Work *work, double place, double size, uint8_t *near) {
+    Nearby nearby = {0, 0.0, INT64_MAX};
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        near[v] = (uint8_t)block_near(scene, scene->media + v, work->lines + v, place, size, &nearby);
+    }
+    return nearby;
 }
 
 static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
@@ -130,49 +167,102 @@ static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
     ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
 }
 
-/* Extinction and optical thickness of the steps of a block, which are left behind the last block that is kept; returns
-whether density may be near. */
-static int sample_media(const Scene *scene, const Ray *ray, double place, double size, Work *work, Nearby *nearby) {
-    int64_t steps = STEPS * work->room, at = STEPS * work->blocks;
-    float *total = work->total + at, *tau = work->tau + at, *sums = work->within + at, dt = (float)(ray->dt * size);
-    int near = 0;
-    *nearby = (Nearby){0.0, INT64_MAX};
-    for (int k = 0; k < STEPS; k++) total[k] = 0.0f;
+/* Means over the steps of a block, of samples; 0 where steps begin behind the ray's end. */
+static inline Steps step_means(Floats samples, const Ray *ray, double place, double size) {
+    Steps first = __builtin_shufflevector(samples, samples, 0, 2, 4, 6);
+    Steps second = __builtin_shufflevector(samples, samples, 1, 3, 5, 7);
+    Steps means = 0.5f * first + 0.5f * second;
+    for (int k = 0; k < STEPS && !(place + (STEPS - 1) * size < (double)ray->count); k++) {
+        if (!(place + k * size < (double)ray->count)) means[k] = 0.0f;
+    }
+    return means;
+}
+
+/* Extinction and optical thickness of the steps of a block, which are left as those from `at` on.
+
+near: (volumes), which of them may hold something there. */
+static inline void sample_media(const Scene *scene, const Ray *ray, double place, double size, const uint8_t *near,
+                                int64_t at, Work *work) {
+    float *sums = work->within + at;
+    Steps total = {0.0f}, tau;
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
-        float *sigma = work->sigma + v * steps + at;
-        for (int k = 0; k < STEPS; k++) sigma[k] = 0.0f;
-        if (!block_near(scene, medium, work->lines + v, place, size, nearby)) continue;
-        near = 1;
-        if (!(medium->sigma_t > 0.0)) continue;
-        Floats value = sample_block(&medium->density, work->lines + v, place, size);
-        for (int k = 0; k < STEPS; k++) {
-            int inside = place + k * size < (double)ray->count;
-            float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
-            sigma[k] = (inside ? mean : 0.0f) * (float)medium->sigma_t;
-            total[k] += sigma[k];
+        Steps sigma = {0.0f};
+        if (near[v] && medium->sigma_t > 0.0) {
+            Floats samples = sample_block(&medium->density, work->lines + v, place, size);
+            sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
         }
+        memcpy(work->sigma + v * work->stride + at, &sigma, sizeof sigma);
+        total += sigma;
     }
-    for (int k = 0; k < STEPS; k++) tau[k] = total[k] * dt;
+    tau = total * (float)(ray->dt * size);
+    memcpy(work->total + at, &total, sizeof total);
+    memcpy(work->tau + at, &tau, sizeof tau);
     sums[0] = tau[0];
     for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
-    return near;
 }
 
 /* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
 static int parts_of(const Scene *scene, const float *tau, double reached, double size, double peak) {
     double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
     for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
-    /* What is allowed only grows with depth. */
-    if (!(thickest > scene->step_thickness) && !(peak > scene->peak_thickness)) return 1;
-    double allowed = scene->step_thickness * exp(depth / scene->step_growth);
-    double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
     int parts = 1;
-    while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    /* What is allowed only grows with depth. */
+    if (thickest > scene->step_thickness) {
+        double allowed = scene->step_thickness * exp(depth / scene->step_growth);
+        while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    }
     /* Coarse steps need not be cut where none can be thick. */
-    if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness)) return parts;
+    if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness) || !(peak > scene->peak_thickness)) return parts;
+    if (!(size > parts * scene->finest)) return parts;
+    double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
     while (parts < MOST_PARTS && peak > parts * allowed_peak && size > parts * scene->finest) parts *= 2;
     return parts;
+}
+
+/* Coarse blocks that may hold something, one after another. */
+typedef struct {
+    int64_t count, used;
+    double from;          /* place from which on the next ones are looked for */
+    double place[AHEAD], peak[AHEAD];
+} Coming;
+
+/* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
+static int look_ahead(const Scene *scene, const Ray *ray, double whole, Work *work, Coming *coming) {
+    coming->count = coming->used = 0;
+    while (coming->count < AHEAD && coming->from < whole) {
+        int64_t n = coming->count;
+        Nearby nearby = look_around(scene, work, coming->from, 1.0, work->near + n * scene->volumes);
+        coming->place[n] = coming->from;
+        coming->peak[n] = nearby.peak;
+        coming->count += nearby.near;
+        coming->from += STEPS;
+        if (nearby.empty > 0 && nearby.empty < INT64_MAX) coming->from += (double)(STEPS * nearby.empty);
+    }
+    for (int64_t n = 0; n < coming->count; n++) {
+        const uint8_t *near = work->near + n * scene->volumes;
+        sample_media(scene, ray, coming->place[n], 1.0, near, STEPS * (work->room + n), work);
+    }
+    return coming->count > 0;
+}
+
+/* Keep a block whose steps were left as those from `at` on. */
+static void keep_block(const Scene *scene, const Ray *ray, double place, double size, int64_t at, Work *work) {
+    int64_t kept = STEPS * work->blocks;
+    if (at != kept) {
+        memcpy(work->total + kept, work->total + at, sizeof(Steps));
+        memcpy(work->tau + kept, work->tau + at, sizeof(Steps));
+        memcpy(work->within + kept, work->within + at, sizeof(Steps));
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            float *sigma = work->sigma + v * work->stride;
+            memcpy(sigma + kept, sigma + at, sizeof(Steps));
+        }
+    }
+    for (int k = 0; k < STEPS; k++) work->dt[kept + k] = (float)(ray->dt * size);
+    work->place[work->blocks] = place;
+    work->size[work->blocks] = size;
+    work->before[work->blocks + 1] = work->before[work->blocks] + (double)work->within[kept + STEPS - 1];
+    work->blocks++;
 }
 
 /* Fill the blocks of a ray up to the optical depth `behind`. */
@@ -180,22 +270,34 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
     double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
     int level = 0;
+    Coming coming = {0, 0, 0.0, {0.0}, {0.0}};
     for (int64_t v = 0; v < scene->volumes; v++) {
-        work->lines[v] = line_in(scene->media[v].linear, scene->media[v].offset, ray);
+        work->lines[v] = line_through(scene->media + v, ray);
     }
     work->blocks = work->looked_at = 0;
     work->before[0] = 0.0;
     while (place < whole && reached < behind) {
         while (level > 0 && !(place < end[level])) level--;
-        double step = size[level];
+        double step = size[level], peak;
         int64_t at = STEPS * work->blocks;
-        Nearby nearby;
-        int near = sample_media(scene, ray, place, step, work, &nearby);
+        int near = 1;
+        if (level == 0) {
+            if (coming.used == coming.count && !look_ahead(scene, ray, whole, work, &coming)) break;
+            /* Blocks in between are empty. */
+            if (coming.place[coming.used] > place) gap = step;
+            place = coming.place[coming.used], peak = coming.peak[coming.used];
+            at = STEPS * (work->room + coming.used++);
+        } else {
+            uint8_t *around = work->near + AHEAD * scene->volumes;
+            Nearby nearby = look_around(scene, work, place, step, around);
+            near = nearby.near, peak = nearby.peak;
+            sample_media(scene, ray, place, step, around, at, work);
+        }
         work->looked_at += near;
         const float *tau = work->tau + at;
         /* What the blocks to come may need at most, if each is kept. */
         int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
-        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, nearby.peak * (ray->dt * step)) : 1;
+        int parts = level < LEVELS && needed < work->room ? parts_of(scene, tau, reached, step, peak * (ray->dt * step)) : 1;
         if (parts > 1) {
             double from = place;
             /* Density that begins here may begin in the step in front, behind its samples. */
@@ -216,21 +318,14 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         float gained = work->within[at + STEPS - 1];
         reached += (double)gained;
         gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
-        if (near && (keep_empty || gained > 0.0f)) {
-            for (int k = 0; k < STEPS; k++) work->dt[at + k] = (float)(ray->dt * step);
-            work->place[work->blocks] = place;
-            work->size[work->blocks] = step;
-            work->before[work->blocks + 1] = work->before[work->blocks] + (double)gained;
-            work->blocks++;
-        }
+        if (near && (keep_empty || gained > 0.0f)) keep_block(scene, ray, place, step, at, work);
         place += STEPS * step;
-        if (level == 0 && nearby.empty > 0 && nearby.empty < INT64_MAX) place += (double)(STEPS * nearby.empty);
     }
 }
 
 /* Scattering coefficients of the steps of all blocks, where albedos vary. */
 static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
-    int64_t room = STEPS * work->room;
+    int64_t room = work->stride;
     for (int64_t v = 0; v < scene->volumes && scene->varying; v++) {
         const Medium *medium = scene->media + v;
         const float *sigma = work->sigma + v * room;
@@ -244,14 +339,10 @@ static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
                 int filled = 0;
                 for (int k = 0; k < STEPS; k++) found[k] = 0.0f, filled |= here[k] > 0.0f;
                 if (!filled) continue;
-                Floats value = sample_block(medium->scattering + c, work->lines + v, place, size);
-                for (int k = 0; k < STEPS; k++) {
-                    int inside = place + k * size < (double)ray->count;
-                    float mean = 0.5f * value[SAMPLES * k] + 0.5f * value[SAMPLES * k + 1];
-                    float scattered = (inside ? mean : 0.0f) * (float)medium->sigma_t;
-                    /* Interpolation in single precision may leave a little where there is no density. */
-                    found[k] = scattered < here[k] ? scattered : here[k];
-                }
+                Floats samples = sample_block(medium->scattering + c, work->lines + v, place, size);
+                Steps scattered = step_means(samples, ray, place, size) * (float)medium->sigma_t;
+                /* Interpolation in single precision may leave a little where there is no density. */
+                for (int k = 0; k < STEPS; k++) found[k] = scattered[k] < here[k] ? scattered[k] : here[k];
             }
         }
     }
@@ -260,7 +351,7 @@ static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
 /* Scattering coefficients of a volume in a colour channel at steps: its extinction, for albedo 1, where the albedo does
 not vary. */
 static inline const float *scattering_of(const Scene *scene, const Work *work, int64_t v, int64_t c) {
-    int64_t room = STEPS * work->room;
+    int64_t room = work->stride;
     return scene->media[v].varies ? work->scattering + (c * scene->volumes + v) * room : work->sigma + v * room;
 }
 
@@ -319,9 +410,10 @@ static inline void store_at_edges(const Work *work, int64_t edge, int used, Floa
 
 l: number of the sun. columns: (volumes), around a part of a lamp, or NULL for the sun. */
 static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    int64_t room = work->stride, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
-    for (int64_t s = 0; s < steps; s++) work->whole_start[s] = work->whole_end[s] = dark;
+    int one = scene->groups == 1;
+    for (int64_t s = 0; s < steps && !one; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
     }
@@ -341,9 +433,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                 const Medium *medium = scene->media + v;
                 const Line *line = work->lines + v;
                 Floats position[3];
-                for (int axis = 0; axis < 3; axis++) {
-                    FOR_LANES(n) position[axis][n] = (float)(place[n] * line->slope[axis] + line->first[axis]);
-                }
+                positions_at(line, place, position);
                 if (columns) {
                     if (medium->sigma_t > 0.0) sum += lamp_depth(columns[v], position, (float)medium->sigma_t);
                     continue;
@@ -354,7 +444,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
             store_at_edges(work, e, used, sum, work->start + g * room, work->end + g * room);
             whole += sum;
         }
-        store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
+        if (!one) store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
     }
 }
 
@@ -379,6 +469,17 @@ static void transmit(Work *work) {
     }
 }
 
+/* Sum of the products of two numbers of each step, (steps) each. */
+static inline double sum_of(const float *a, const float *b, const Work *work) {
+    double whole = 0.0;
+    for (int64_t s = 0; s < STEPS * work->blocks; s += STEPS) {
+        float sum = 0.0f;
+        for (int k = 0; k < STEPS; k++) sum += a[s + k] * b[s + k];
+        whole += (double)sum;
+    }
+    return whole;
+}
+
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
 static void add_single(const Scene *scene, int64_t l, Work *work, double *single) {
     int64_t steps = STEPS * work->blocks;
@@ -390,20 +491,17 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
     }
     for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
         int64_t v = n / scene->scattering, c = n % scene->scattering;
-        const float *sigma = scattering_of(scene, work, v, c);
-        for (int64_t b = 0; b < work->blocks; b++) {
-            float sum = 0.0f;
-            for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += sigma[s] * light[s];
-            single[(v * scene->suns + l) * scene->scattering + c] += (double)sum;
-        }
+        single[(v * scene->suns + l) * scene->scattering + c] += sum_of(scattering_of(scene, work, v, c), light, work);
     }
 }
 
-/* 4 pi times the scattered light of one light that scatters towards the camera, in the middle of each filled step.
+/* 4 pi times the scattered light of one light that scatters towards the camera, in the middle of each filled step from
+the first sample on.
 
 fluence: of group g. l: number of the light. */
 static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g, int64_t l, const Ray *ray, Work *work) {
-    const float *tau = work->group_tau + g * STEPS * work->room;
+    int64_t from = work->sample_step[0];
+    const float *tau = work->group_tau + g * work->stride;
     int64_t steps = STEPS * work->blocks;
     if (!fluence->lights) {
         memset(work->source, 0, (size_t)steps * sizeof *work->source);
@@ -418,23 +516,32 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
         weight[i] = (float)sum;
         jitter[i] = (float)scene->jitter[i];
     }
-    for (int64_t s = 0; s < steps; s++) {
-        /* Number of the step on a ray that consists of such steps alone. */
-        float number = (float)(place_in(work, s, 0.0) / work->size[s / STEPS]), position[3];
-        int64_t cell = 0;
-        work->source[s] = 0.0f;
-        if (!(tau[s] > 0.0f)) continue;
-        position_at(&line, place_in(work, s, 0.5), position);
+    for (int64_t s = from / LANES * LANES; s < steps; s += LANES) {
+        double middle[LANES];
+        Floats number, found;
+        Ints cell = {0};
+        FOR_LANES(n) {
+            int64_t block = least_int((s + n) / STEPS, work->blocks - 1);
+            double size = work->size[block];
+            middle[n] = work->place[block] + (n % STEPS + 0.5) * size;
+            /* Of the step on a ray that consists of such steps alone; sizes are powers of two. */
+            number[n] = (float)(work->place[block] / size + n % STEPS);
+        }
+        Floats position[3];
+        positions_at(&line, middle, position);
         for (int axis = 0; axis < 3; axis++) {
             /* Jittered from step to step, so that neighbouring rays do not enter a cell at the same step. */
-            float shift = number * jitter[axis];
-            shift = clamped(shift, 0.0f, FAR_AWAY);
-            shift = shift - (float)floor_of(shift) - 0.5f;
-            cell = cell * fluence->cells + (int32_t)clamped(position[axis] + shift, 0.0f, most);
+            Floats shift = clamped_to(number * jitter[axis], in_all(0.0f), in_all(FAR_AWAY));
+            shift = shift - to_floats(floors(shift)) - 0.5f;
+            Ints along = to_ints(clamped_to(position[axis] + shift, in_all(0.0f), in_all(most)));
+            cell = cell * (int32_t)fluence->cells + along;
         }
-        const float *at = light + 4 * cell;
-        float found = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
-        work->source[s] = found > 0.0f ? found * scale : 0.0f;
+        FOR_LANES(n) {
+            const float *at = light + 4 * (int64_t)cell[n];
+            found[n] = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
+        }
+        Ints filled = (load(tau + s) > 0.0f) & (found > 0.0f);
+        store(work->source + s, choose(filled, found * scale, in_all(0.0f)));
     }
 }
 
@@ -450,7 +557,7 @@ static int64_t sample_count(const Scene *scene, double alpha) {
 
 /* Depth samples at the Gauss-Legendre nodes of the ray's opacity; returns their number. */
 static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, Work *work, Gathered *out) {
-    int64_t count = work->blocks ? sample_count(scene, alpha) : 0, steps = STEPS * work->room, block = 0;
+    int64_t count = work->blocks ? sample_count(scene, alpha) : 0, steps = work->stride, block = 0;
     const double *nodes = scene->nodes + count * scene->depth_samples;
     const double *weights = scene->node_weights + count * scene->depth_samples;
     for (int64_t n = 0; n < count; n++) {
@@ -488,7 +595,7 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, W
 
 /* Optical thickness of steps in each group. */
 static void sum_groups(const Scene *scene, Work *work) {
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    int64_t room = work->stride, steps = STEPS * work->blocks;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s += LANES) {
             Floats sigma = in_all(0.0f);
@@ -514,7 +621,7 @@ typedef struct {
 
 The lanes are the integrals: those of the light itself with each scale, and those of scattered light. */
 static void gather_features(const Scene *scene, int64_t g, const Gathering *of, int64_t count, const Work *work) {
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks, from = work->sample_step[0];
+    int64_t room = work->stride, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
     const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
     const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)of->fluence->reduced_fraction};
@@ -603,7 +710,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
                 light *= emitter_fluence(emitter, point) * weight;
                 double distance = sqrt(passing + behind * behind);
                 for (int64_t v = 0; v < scene->volumes; v++) {
-                    float sigma = work->sigma[v * STEPS * work->room + s];
+                    float sigma = work->sigma[v * work->stride + s];
                     if (!(sigma > 0.0f)) continue;
                     double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
                     for (int64_t c = 0; c < channels; c++) {
@@ -642,7 +749,7 @@ static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray
 
 /* Add the transmittance towards a part of a lamp to its mean over all parts, and what surfaces let through of it. */
 static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray, int alone, Work *work) {
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    int64_t room = work->stride, steps = STEPS * work->blocks;
     for (int64_t s = 0; s < steps; s++) {
         if (!(work->total[s] > 0.0f)) continue;
         double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
@@ -666,7 +773,7 @@ static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray,
 static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edges, int64_t count, Work *work, int64_t r,
                      Gathered *out) {
     const Lamp *lamp = scene->lamp_list + k;
-    int64_t room = STEPS * work->room, steps = STEPS * work->blocks;
+    int64_t room = work->stride, steps = STEPS * work->blocks;
     int64_t stride = scene->lamps * scene->scattering;
     double *single = out->lamp_scattering + r * scene->volumes * stride + k * scene->scattering;
     for (int64_t v = 0; v < scene->volumes; v++) {
@@ -716,7 +823,7 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
         }
         for (int64_t v = 0; v < scene->volumes; v++) {
             const Medium *medium = scene->media + v;
-            Nearby nearby = {0.0, 0};
+            Nearby nearby = {0, 0.0, 0};
             if (!(medium->emission_factor > 0.0)) continue;
             if (!block_near(scene, medium, work->lines + v, place, size, &nearby)) continue;
             for (int64_t c = 0; c < scene->channels; c++) {
@@ -738,9 +845,10 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     /* Coarse blocks, and what cutting adds: at each level at most some 30 blocks are cut before the steps that are
     allowed grow past any optical depth. An even number, whose steps are whole lanes. */
     int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
-    int64_t steps = STEPS * blocks;
+    int64_t steps = STEPS * (blocks + AHEAD);
     int64_t volumes = scene->volumes, groups = scene->groups;
     work->room = blocks;
+    work->stride = steps;
 #define TAKE(field, type, amount)                       \
     work->field = memory ? (type *)(memory + used) : 0; \
     used += ((int64_t)sizeof(type) * (amount) + 63) / 64 * 64;
@@ -757,8 +865,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(transmitted, float, steps)
     TAKE(start, float, groups * steps)
     TAKE(end, float, groups * steps)
-    TAKE(whole_start, float, steps)
-    TAKE(whole_end, float, steps)
+    TAKE(whole_start, float, groups == 1 ? 0 : steps)
+    TAKE(whole_end, float, groups == 1 ? 0 : steps)
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
@@ -774,16 +882,18 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
+    TAKE(near, uint8_t, (AHEAD + 1) * volumes)
     TAKE(sample_step, int64_t, scene->depth_samples)
     TAKE(sample_inside, float, scene->depth_samples)
     TAKE(sample_light, float, scene->depth_samples)
 #undef TAKE
+    if (groups == 1) work->whole_start = work->start, work->whole_end = work->end;
     return used;
 }
 
 static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
     Ray ray;
-    int64_t steps = STEPS * work->room;
+    int64_t steps = work->stride;
     start_ray(rays, r, &ray);
     if (out->emission) {
         double *emission = out->emission + r * scene->channels;
@@ -807,24 +917,11 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->alpha[r] = alpha;
     out->depth[r] = ray.near + reached * ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
     for (int64_t v = 0; v < scene->volumes; v++) {
-        double depth = 0.0;
-        for (int64_t b = 0; b < work->blocks; b++) {
-            const float *sigma = work->sigma + v * steps + STEPS * b;
-            float sum = 0.0f;
-            for (int k = 0; k < STEPS; k++) sum += sigma[k] * work->dt[STEPS * b + k];
-            depth += (double)sum;
-        }
-        out->optical_depth[r * scene->volumes + v] = depth;
+        out->optical_depth[r * scene->volumes + v] = sum_of(work->sigma + v * steps, work->dt, work);
     }
     for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
         const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
-        double depth = 0.0;
-        for (int64_t b = 0; b < work->blocks; b++) {
-            float sum = 0.0f;
-            for (int64_t s = STEPS * b; s < STEPS * b + STEPS; s++) sum += scattering[s] * work->dt[s];
-            depth += (double)sum;
-        }
-        out->scattering_depth[r * scene->volumes * scene->scattering + i] = depth;
+        out->scattering_depth[r * scene->volumes * scene->scattering + i] = sum_of(scattering, work->dt, work);
     }
     double *single = out->single_scattering + r * scene->volumes * scene->suns * scene->scattering;
     for (int64_t n = 0; n < scene->volumes * scene->suns * scene->scattering; n++) single[n] = 0.0;

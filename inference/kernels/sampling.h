@@ -22,6 +22,8 @@ static inline float clamped(float x, float low, float high) {
 
 static inline float least(float a, float b) { return a < b ? a : b; }
 
+static inline int64_t least_int(int64_t a, int64_t b) { return a < b ? a : b; }
+
 static inline int64_t within(int64_t n, int64_t last) {
     return n < 0 ? 0 : n > last ? last : n;
 }
@@ -131,11 +133,11 @@ place: in the padded grid. ahead: slices from there to the slice. number: of the
 static inline void columns_around(const SunColumns *sun, const Floats *place, Floats ahead, Ints number,
                                   Pairs *corners, Floats *part) {
     Ints slice = ints_within(number + (int32_t)sun->first, (int32_t)(sun->slices - 1)), cell[2];
+    Pairs offsets;
+    FOR_LANES(n) offsets[n] = pair_at(sun->offsets + 2 * (int64_t)slice[n]);
     for (int k = 0; k < 2; k++) {
         int64_t axis = sun->others[k];
-        Floats offset;
-        FOR_LANES(n) offset[n] = sun->offsets[2 * (int64_t)slice[n] + k];
-        Floats at = ahead * (float)sun->move[axis] + place[axis] + offset;
+        Floats at = ahead * (float)sun->move[axis] + place[axis] + (k ? second_of(offsets) : first_of(offsets));
         at = clamped_to(at, in_all(0.0f), in_all((float)(sun->size[k] - 1)));
         cell[k] = ints_within(to_ints(at), (int32_t)(sun->size[k] - 2));
         part[k] = at - to_floats(cell[k]);

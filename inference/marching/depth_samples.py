@@ -106,6 +106,11 @@ class DepthSamples:
         ray = self.ray[samples]
         return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
 
+    def share(self, members: Sequence[int]) -> np.ndarray:
+        """Share float32 (M,) of some volumes in the extinction at each sample."""
+        # numpy is slow to sum along an axis of one.
+        return self.fraction[:, members[0]] if len(members) == 1 else self.fraction[:, members].sum(axis=1)
+
     def scattered(
         self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, places: Sequence[int]
     ) -> np.ndarray:

@@ -2,7 +2,7 @@
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,12 +36,18 @@ from .interfaces import PreparedPrediction, System
 from .lamp_nearby import LampNearby, transport_share
 from .network import load_network
 from .stencil_predictor import PreparedLampRays
+from .uncertainty import UncertaintyNetwork
 
 # Points per network call.
 POINTS_PER_TASK = 2048
 # Fluence of a beam of irradiance 1 that meets a conservative half-space head-on, deep inside: sqrt(3) H(1), with
 # Chandrasekhar's H-function. No cloud holds more of one sun's light.
 MAX_FLUENCE = 5.04
+# Relative errors beyond the trained range, standard deviations: for each factor by which the optical thickness exceeds
+# it, and by which 1 - |G| falls short of it (natural logarithms); measured by benchmarks.fidelity.calibration.
+BEYOND_THICKNESS, BEYOND_ANISOTROPY = 0.6, 2.0
+# Of the coarse transport, which takes the network's place around a lamp near a volume or inside it; docs/method.md.
+NEARBY_DEVIATION = 0.08
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
@@ -107,6 +113,13 @@ class VolumePredictor:
         """Optical thickness of the working cube at the largest density."""
         return sigma_t * self.cube.edge * float(self.volume.density.max())
 
+    def outside(self, sigma_t: float) -> float:
+        """Standard deviation of the relative error that comes of a medium outside the trained range."""
+        asked, known = (1.0 - abs(g) for g in (self.requested_anisotropy, self.anisotropy))
+        # Below the range, what a thin medium scatters is proportional to its density.
+        thickness = BEYOND_THICKNESS * np.log(max(1.0 / self._used(sigma_t), 1.0))
+        return float(np.hypot(thickness, BEYOND_ANISOTROPY * np.log(known / max(asked, 1e-3))))
+
     def bounds(self, positions: np.ndarray) -> Bounds:
         """Lowest and highest coordinates (3,), in the cube's frame, of world positions (N, 3)."""
         points = self.cube.positions(positions)
@@ -152,7 +165,12 @@ class VolumePredictor:
             prepared = self._predictor.prepare(self._conditions(sigma_t, direction, bounds, occluders), tasks)
             peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
             found = PreparedPredictor(
-                prepared, self.cube, self.network.albedo_range, self._used(sigma_t), np.float32(MAX_FLUENCE * peak)
+                prepared,
+                self.cube,
+                self.network.albedo_range,
+                self._used(sigma_t),
+                np.float32(MAX_FLUENCE * peak),
+                self.outside(sigma_t),
             )
             self._last = key, found
             return found
@@ -255,6 +273,7 @@ class VolumePredictor:
             lamp,
             light.radius,
             nearby,
+            self.outside(sigma_t),
         )
 
     def lamp_fluence(
@@ -301,6 +320,7 @@ class PreparedPredictor:
     """A VolumePredictor for one extinction and sun. Immutable.
 
     used: ratio of the optical thickness within the network's range to the true one. most: upper bound of the radiance.
+    outside: as of `VolumePredictor.outside`.
     """
 
     prediction: PreparedPrediction
@@ -308,6 +328,7 @@ class PreparedPredictor:
     albedo_range: tuple[float, float]
     used: float
     most: np.float32
+    outside: float = 0.0
 
     @property
     def lattice_cells(self) -> int:
@@ -332,6 +353,24 @@ class PreparedPredictor:
         scale = np.float32(min(1.0 / self.used, 1.0))
         radiance = self.prediction.predict(x, omega, np.clip(albedos, *self.albedo_range), jitter, ray_features)
         return np.minimum(radiance, self.most) * scale
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
+
+        radiance: (N,), of each of A albedos, as `predict` gives it; the other arguments as there.
+        """
+        x, omega = self.cube.positions(positions), self.cube.directions(directions)
+        prediction: Any = self.prediction
+        found = prediction.deviation(network, x, omega, radiance, jitter, _in_range(ray_features, self.used))
+        return np.hypot(found, np.float32(self.outside))
 
 
 def _in_range(ray_features: np.ndarray | None, used: float) -> np.ndarray | None:
@@ -361,7 +400,7 @@ class PreparedLampPredictor:
     """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
 
     used, most: as in PreparedPredictor, `most` for an irradiance of 1. radius: by which the lamp's light is softened.
-    nearby: what replaces the network in part or altogether, or None.
+    nearby: what replaces the network in part or altogether, or None. outside: as of `VolumePredictor.outside`.
     """
 
     prediction: PreparedLampRays
@@ -372,6 +411,7 @@ class PreparedLampPredictor:
     lamp: LampInMedia
     radius: float
     nearby: LampNearby | None = None
+    outside: float = 0.0
 
     @property
     def lattice_cells(self) -> int:
@@ -387,10 +427,7 @@ class PreparedLampPredictor:
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPredictor; the ray features are those of `march_lamps`."""
-        away = self.lamp.centre - positions
-        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
-        irradiance = softened(self.lamp.reference(positions), self.radius)
-        x, omega, towards = self.cube.positions(positions), self.cube.directions(directions), self.cube.directions(away)
+        x, omega, towards, irradiance = self._lit(positions, directions)
         if self.nearby is None:
             return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
         assert ray_features is not None
@@ -402,6 +439,40 @@ class PreparedLampPredictor:
             found *= share
             found += (1.0 - share) * self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
         return found
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedPredictor."""
+        share = self.nearby.share if self.nearby else 0.0
+        found = np.full((len(radiance), len(positions)), share * NEARBY_DEVIATION, np.float32)
+        if share < 1.0:
+            x, omega, towards, irradiance = self._lit(positions, directions)
+            of_sun = {
+                albedo: predicted / np.maximum(irradiance, 1e-30).astype(np.float32)
+                for albedo, predicted in radiance.items()
+            }
+            features = _in_range(ray_features, self.used)
+            found += np.float32(1.0 - share) * self.prediction.deviation(
+                network, x, omega, towards, irradiance, of_sun, jitter, features
+            )
+        return np.hypot(found, np.float32(self.outside))
+
+    def _lit(
+        self, positions: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, camera rays and directions towards the lamp (N, 3) in the cube's frame, and irradiance (N,)."""
+        away = self.lamp.centre - positions
+        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
+        irradiance = softened(self.lamp.reference(positions), self.radius)
+        x, omega = self.cube.positions(positions), self.cube.directions(directions)
+        return x, omega, self.cube.directions(away), irradiance
 
     def _of_network(
         self,

@@ -2,7 +2,7 @@
 """How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .lamp_nearby import MIN_ALBEDO, MIN_FLUENCE, LampNearby
+from .uncertainty import UncertaintyNetwork, deviations
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -368,6 +369,27 @@ class PreparedRays:
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPrediction. Raises ValueError without ray features."""
+        return self.network.run(**self._inputs(positions, omega, jitter, ray_features), albedo=albedos)
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
+
+        radiance: (N,), of each albedo, as `predict` gives it; the other arguments as there.
+        """
+        return deviations(network, self._inputs(positions, omega, jitter, ray_features), radiance)
+
+    def _inputs(
+        self, positions: np.ndarray, omega: np.ndarray, jitter: np.ndarray | None, ray_features: np.ndarray | None
+    ) -> dict[str, np.ndarray]:
+        """What the network reads, by name, but for the albedos. Raises ValueError without ray features."""
         first, view = distinct_rows(omega)
         stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
         sun = self.lookup.sun
@@ -377,7 +399,7 @@ class PreparedRays:
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
         ray = np.concatenate([ray_features, around], axis=1)
-        return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+        return {"stencil": stencil, "ray": ray, "view": view, "anisotropy": anisotropy, "gamma": gamma}
 
     @property
     def lattice_cells(self) -> int:
@@ -413,6 +435,34 @@ class PreparedLampRays:
         positions, omega: (N, 3) in the cube's frame. towards: (N, 3), unit vectors towards the lamp. irradiance: (N,),
         of the lamp of power 1, over which the ray features are given. Raises ValueError without them.
         """
+        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        return self.network.run(**inputs, albedo=albedos)
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedRays; the other arguments as for `predict`."""
+        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        return deviations(network, inputs, radiance)
+
+    def _inputs(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        jitter: np.ndarray | None,
+        ray_features: np.ndarray | None,
+    ) -> dict[str, np.ndarray]:
+        """As PreparedRays."""
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
         view = np.arange(len(positions), dtype=np.int32)
@@ -422,7 +472,7 @@ class PreparedLampRays:
         around = self.light.read(positions, omega, towards, self.anisotropy)
         around[:, : PROBES + 1] += np.log(self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)[:, None]
         ray = np.concatenate([ray_features, around], axis=1)
-        return self.network.run(stencil=stencil, ray=ray, view=view, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
+        return {"stencil": stencil, "ray": ray, "view": view, "anisotropy": anisotropy, "gamma": gamma}
 
     @property
     def lattice_cells(self) -> int:

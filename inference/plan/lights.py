@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which lights a render computes as suns, which as lamps, and which as light from everywhere."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from ..scene.description import Sun, Surface
-from ..scene.environment import Environment
+from ..scene.environment import Environment, pixel_solid_angles
 from ..scene.lamps import LAMPS, Lamp, solid_angles
 from ..scene.mesh_light import MeshLight
 from ..scene.settings import Settings
@@ -26,6 +26,8 @@ SURFACES_SHADOW = "surfaces shadow it"
 # Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
 # those larger than the volumes which fill more of its view than so many steradians.
 MESH_LIGHTS, AROUND = 8, 2.5
+# Share of the fluence in any volume that lamps may have together and be skipped.
+FAINT = 1e-4
 # Parallel lights that represent an environment where it is not computed as a whole.
 DIRECTIONS = 12
 
@@ -120,6 +122,38 @@ def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
     lamps = [light for light in lights if isinstance(light, LAMPS)]
     left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
     return [lamp for lamp in lamps if lamp.power.any()]
+
+
+def without_faint(
+    lamps: Sequence[Lamp], others: Sequence[Sun | Environment], boxes: Mapping[str, np.ndarray], left_out: list[str]
+) -> list[Lamp]:
+    """Lamps without those too weak or too far to matter beside all light; adds sentences about these to `left_out`.
+
+    others: all other lights. boxes: corners (8, 3) of each volume's box, by its name.
+    """
+    most, total = np.zeros((len(boxes), len(lamps))), np.zeros(len(boxes))
+    for v, (name, corners) in enumerate(boxes.items()):
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle = 0.5 * (low + high)[None]
+        total[v] = sum(_fluence(light) for light in others if lights_object(light, name))
+        for k, lamp in enumerate(lamps):
+            if lights_object(lamp, name):
+                nearest, power = np.clip(lamp.centre, low, high)[None], float(lamp.power.mean())
+                most[v, k] = power * sum(part.brightest(nearest)[0] for part in lamp.emitters(low, high, 1))
+                total[v] += power * sum(part.fluence(middle)[0] for part in lamp.emitters(low, high, 1))
+    shares = (most / np.maximum(total, 1e-300)[:, None]).max(axis=0, initial=0.0)
+    order = np.argsort(shares, kind="stable")
+    faint = set(order[np.cumsum(shares[order]) <= FAINT].tolist())
+    left_out += [f"{lamps[k].name}: too weak or too far to be seen beside other light" for k in sorted(faint)]
+    return [lamp for k, lamp in enumerate(lamps) if k not in faint]
+
+
+def _fluence(light: Sun | Environment) -> float:
+    """Mean of the channels of a light's fluence, W/m^2."""
+    if isinstance(light, Sun):
+        return float(light.irradiance.mean())
+    rows, columns, _ = light.radiance.shape
+    return float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
 
 
 def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:

@@ -28,6 +28,7 @@ from .lights import (
     predicted_suns,
     reflects_light,
     split_lights,
+    without_faint,
     without_lamps,
 )
 from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
@@ -349,6 +350,9 @@ def make_plan(
     merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
     shining = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
     lamps += linked_lights(shining, names, left_out)
+    if "faint_lamps" in settings.leave_out:
+        boxes = {volume.name: _corners(volume) for volume, _ in rendered}
+        lamps = without_faint(lamps, [*merged, *environments], boxes, left_out)
     joined = predicted_suns(merged)
     left_out += [
         f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"

@@ -5,8 +5,36 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
+
+
+@dataclass(frozen=True)
+class ExpectedError:
+    """What is expected of a picture's error, relative to its mean.
+
+    error: root mean square over the pixels. low, high: between which it lies in 95 of 100 pictures. bias: the mean
+    error lies between -bias and bias in as many. where: it is largest, in words.
+    """
+
+    error: float
+    low: float
+    high: float
+    bias: float
+    where: str = ""
+
+    def __str__(self) -> str:
+        """For example: 6 % (95 %: 3-11 %), bias within 4 %, largest in the upper left, at the rim."""
+        place = f", largest in the {self.where}" if self.where else ""
+        return (
+            f"{_percent(self.error)} % (95 %: {_percent(self.low)}\u2013{_percent(self.high)} %), "
+            f"bias within {_percent(self.bias)} %{place}"
+        )
+
+
+def _percent(value: float) -> str:
+    """Of a fraction, with two significant digits below 10 %."""
+    return f"{100.0 * value:.1f}" if value < 0.0995 else f"{100.0 * value:.0f}"
 
 
 @dataclass
@@ -19,6 +47,7 @@ class Report:
     warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
     saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
     of stages that several threads do side by side, the mean over the threads. "total" is measured separately.
+    expected_error: of the picture; None where nothing is predicted, and where the error of what predicts is not known.
     cpu_seconds: processor time of all threads of the process per stage. peak_memory: bytes of the whole process, None
     where the platform does not tell.
     """
@@ -36,6 +65,7 @@ class Report:
     seconds: dict[str, float] = field(default_factory=dict)
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     peak_memory: int | None = None
+    expected_error: ExpectedError | None = None
 
     def __post_init__(self) -> None:
         self._running: dict[str, float] = {}
@@ -86,7 +116,10 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, for JSON and image metadata."""
-        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        found = {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        if self.expected_error is not None:
+            found["expected_error"] = asdict(self.expected_error)
+        return found
 
 
 def process_peak_memory() -> int | None:

@@ -29,6 +29,9 @@ OPTIMIZATIONS = {
     "needless_suns": Optimization(
         "Merge and Cull Suns", "Suns without light, or shadowed by meshes, are skipped, and parallel ones merged", 5e-3
     ),
+    "faint_lamps": Optimization(
+        "Skip Faint Lamps", "Lamps too weak or too far to be seen beside other light are skipped", 5e-3
+    ),
     "soft_suns": Optimization(
         "Join Soft Suns", "Multiple scattering of the directions of a soft sun is predicted once for all of them", 0.02
     ),

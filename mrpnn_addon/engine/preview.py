@@ -14,6 +14,8 @@ from ..output.layer_frame import rgba
 
 # Pixels of the pictures before the last, which has the region's resolution.
 ROUGH_PIXELS, FINER_PIXELS = 4_000, 16_000
+# Regions up to which the last picture follows so soon upon the first that one in between would only delay it.
+SMALL_REGION = 150_000
 
 
 @dataclass
@@ -44,7 +46,8 @@ def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -
     every = description.lights
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]
     if prepared.fields is description:
-        return [Step(rough, every, coarse), *last]
+        small = np.prod(camera.resolution) <= SMALL_REGION
+        return [Step(rough, every, coarse), *(last[1:] if small else last)]
     single = replace(coarse, multiple=False)
     if prepared.shadows is description:
         return [Step(rough, every, single), *last]

@@ -14,6 +14,7 @@ from ..output.layer_exr import write_layer
 from ..output.layer_frame import in_frame
 from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
+from ..scene.light_groups import sum_of_groups
 from ..scene.reader import SceneDescription
 
 # Pixels of the first picture, which appears within about a second.
@@ -76,6 +77,13 @@ def _render(scene: SceneDescription, settings: Settings, progress, cancelled, pa
             inference.render(
                 scene.volumes, scene.lights, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces
             )
+        )
+    if scene.groups.names:
+        return sum_of_groups(
+            {
+                name: inference.render(volumes, lights, scene.camera, settings, progress, cancelled, cache, surfaces)
+                for name, volumes, lights, surfaces in scene.groups.parts(scene)
+            }
         )
     for window, layer in inference.render_tiles(
         scene.volumes, scene.lights, scene.camera, settings, progress, cancelled, cache, scene.surfaces

@@ -9,7 +9,7 @@ from .layer_frame import finite_depth
 def write_layer(
     path: str, layer: Layer, view_layer: str, metadata: dict[str, str | int | float], check=lambda: None
 ) -> None:
-    """Write Combined, Alpha, Depth, Single, Multiple, Emission and Uncertainty as layers of one file.
+    """Write Combined, Alpha, Depth, Single, Multiple, Emission, Uncertainty and light groups as layers of one file.
 
     Channels have Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each layer as an output of an
     Image node. Colours are scene-linear and premultiplied. check: as of `write_exr`.
@@ -27,6 +27,7 @@ def write_layer(
         ("Single", layer.single),
         ("Multiple", layer.multiple),
         ("Emission", layer.emission),
+        *((f"Combined_{name}", rgb) for name, rgb in layer.groups.items()),
     ):
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]

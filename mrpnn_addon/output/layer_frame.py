@@ -33,6 +33,8 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
         multiple=placed(layer.multiple, 0.0),
         uncertainty=placed(layer.uncertainty, 0.0),
         emission=placed(layer.emission, 0.0),
+        sampling_error=None,
+        groups={name: placed(rgb, 0.0) for name, rgb in layer.groups.items()},
     )
 
 

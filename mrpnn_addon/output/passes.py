@@ -40,4 +40,12 @@ def extra_passes(view_layer) -> list[RenderPass]:
         (switches.use_pass_emission, RenderPass(EMISSION, "RGB", "COLOR", lambda layer: layer.emission)),
         (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", "VALUE", lambda layer: layer.uncertainty)),
     ]
-    return [wanted for on, wanted in passes if on]
+    groups = [
+        RenderPass(f"Combined_{group.name}", "RGB", "COLOR", lambda layer, name=group.name: _of_group(layer, name))
+        for group in view_layer.lightgroups
+    ]
+    return [wanted for on, wanted in passes if on] + groups
+
+
+def _of_group(layer: Layer, name: str) -> np.ndarray:
+    return layer.groups.get(name, np.zeros_like(layer.rgb))

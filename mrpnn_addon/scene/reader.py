@@ -23,6 +23,7 @@ from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import read_world
+from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
 
 NO_LIGHT = "the scene shows no sun and no lamp, and its World gives no light; add a sun (Add > Light > Sun)"
@@ -43,6 +44,7 @@ class SceneDescription:
         such volumes has a description without volumes.
     refused: user errors of objects or the World, which are left out, naming each.
     boxes: around the volumes, each with the number of colour channels that differ; for `workload`.
+    groups: which light group lights, volumes and meshes are in.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -61,6 +63,7 @@ class SceneDescription:
     empty: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     boxes: list[tuple[Box, int]] = field(default_factory=list)
+    groups: LightGroups = field(default_factory=LightGroups)
 
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
@@ -128,6 +131,8 @@ def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescrip
         frame=scene.frame_current,
         warnings=_view_layer_warnings(depsgraph.view_layer),
     )
+    if space is None:
+        description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
     reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):
         check()
@@ -142,6 +147,8 @@ def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescrip
     except SceneError as problem:
         discs, warnings = [], _refused(description, problem)
     description.environment = bool(discs or description.environments)
+    if scene.world is not None:
+        description.groups.add([*discs, *description.environments], scene.world.lightgroup)
     description.suns += discs
     description.warnings += warnings
     return description
@@ -205,6 +212,7 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer,
             lights = [light] if light else []
             description.lamps += lights
         links.add_light(shown, lights)
+        description.groups.add(lights, *_light_groups(shown))
         description.warnings += warnings
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
@@ -212,7 +220,13 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer,
             description.opaque.append(surface)
             links.add_surface(shown, surface.name)
             links.add_light(shown, [surface] if surface.colour.emission.any() else [])
+            description.groups.add([surface], *_light_groups(shown))
         description.warnings += warnings
+
+
+def _light_groups(shown) -> tuple[str, str]:
+    """The light group of an object, and of what instances it."""
+    return shown.object.lightgroup, shown.source.lightgroup
 
 
 def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer, links: LightLinks) -> None:
@@ -221,6 +235,7 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
         try:
             pairs, warnings = reader.read(shown)
             description.volumes += pairs
+            description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
             for volume, _ in pairs:
                 links.add_volume(shown, volume.name)
             remember_density(shown, *max(pairs, key=lambda pair: pair[0].density.max()))

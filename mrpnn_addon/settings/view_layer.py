@@ -18,8 +18,8 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     )
     use_pass_uncertainty: BoolProperty(
         name="Uncertainty",
-        description="Standard error of Volume Indirect from the choice of depths along each ray; "
-        "more depth samples lower it. It does not include the network's own error",
+        description="Standard deviation of the error that is expected of Combined, mean over its channels: of what is "
+        "predicted, and of the choice of depths along each ray, which more depth samples lower",
     )
 
 

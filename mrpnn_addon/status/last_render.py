@@ -9,7 +9,8 @@ from .calibration import calibrate_by
 @dataclass
 class LastRender:
     """seconds: of the render. warnings: its warnings. error: why it failed, or "". points: predictions of the network.
-    network_seconds: time they took. saved: seconds that optimizations saved, roughly.
+    network_seconds: time they took. saved: seconds that optimizations saved, roughly. expected_error: in words, ""
+    where it is not known.
     """
 
     seconds: float = 0.0
@@ -18,6 +19,7 @@ class LastRender:
     points: int = 0
     network_seconds: float = 0.0
     saved: float = 0.0
+    expected_error: str = ""
 
 
 _last = None
@@ -39,6 +41,7 @@ def remember_finished(finished) -> None:
             points=report.counts.get("network points", 0),
             network_seconds=report.seconds.get("network", 0.0),
             saved=sum(report.saved.values()),
+            expected_error=str(report.expected_error or ""),
         )
     )
     calibrate_by(finished.workload, finished.layer)

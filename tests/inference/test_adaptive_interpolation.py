@@ -111,7 +111,7 @@ def test_interpolation_saves_predictions_and_keeps_the_picture(close):
         return np.sqrt(np.mean((a - b)[shown] ** 2)) / many.rgb[shown].mean()
 
     assert error(shared.rgb, many.rgb) < 1.1 * error(every.rgb, many.rgb)
-    assert error(shared.rgb, many.rgb) < error(shared.uncertainty, 0.0)
+    assert error(shared.rgb, many.rgb) < error(shared.sampling_error, 0.0)
     assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
 
 

@@ -23,8 +23,10 @@ from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_march import place_lamp
 from inference.scene.camera_rays import camera_rays
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import box, camera, cloud
 
+FAINT = {"faint_lamps"}
 CLOUD, CACHE = cloud(voxels=32), RenderCache()
 TOWARDS = np.array([0.4, 0.3, 0.8]) / np.linalg.norm([0.4, 0.3, 0.8])
 #: Everything exact, so that only the light differs.
@@ -306,6 +308,37 @@ def test_a_lamp_without_power_is_left_out():
     layer = picture([PointLight((0.9, 0.6, 0.5), 1.0), PointLight((0.0, 0.9, 0.0), 0.0, name="bulb")])
     assert "bulb: its power is 0" in layer.report.left_out
     assert layer.report.counts["lamps"] == 1
+
+
+@pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
+def test_faint_lamps_are_left_out_by_name(light):
+    key = {
+        "sun": Sun(TOWARDS, 1.0),
+        "lamp": LAMPS["point"](),
+        "environment": Environment(np.full((2, 4, 3), 0.1, np.float32)),
+    }[light]
+    lights = [
+        key,
+        PointLight((200.0, 0.0, 50.0), 9.0, name="far"),
+        SpotLight((1, 0, 0), (-1, 0, 0), 1e-5, 1.0, name="weak"),
+    ]
+    leave_out = ALL - {"shared_pixels"}
+    without, every = (
+        picture(lights, settings=Settings(8, leave_out=names)) for names in (leave_out, leave_out - FAINT)
+    )
+    assert [text.partition(":")[0] for text in without.report.left_out if "too weak or too far" in text] == [
+        "far",
+        "weak",
+    ]
+    assert every.report.counts["lamps"] == without.report.counts["lamps"] + 2
+    shown = every.alpha > 0.02
+    change = np.sqrt(((without.rgb - every.rgb)[shown] ** 2).mean()) / every.rgb[shown].mean()
+    assert 0.0 < change < OPTIMIZATIONS["faint_lamps"].budget
+
+
+def test_faint_lamps_alone_are_not_left_out():
+    faint = [PointLight((200.0, 0.0, 50.0), 9.0), PointLight((0.9, 0.6, 0.5), 1e-5)]
+    assert picture(faint, settings=Settings(2, multiple=False)).report.counts["lamps"] == 2
 
 
 def test_surfaces_shadow_lamps():

@@ -169,7 +169,7 @@ def test_predictions_match_the_image():
     np.testing.assert_allclose(layer.multiple[0, 0], 0.9 * predicted.mean(axis=0) * (1 - np.exp(-10.0)), rtol=0.02)
 
 
-def test_uncertainty_is_the_error_that_more_depth_samples_remove():
+def test_sampling_error_is_what_more_depth_samples_remove():
     """Over the pixels: right in its size, and in where it is large."""
 
     def layer(samples):
@@ -178,13 +178,13 @@ def test_uncertainty_is_the_error_that_more_depth_samples_remove():
     best = layer(96).multiple.mean(axis=2)
     for samples in (4, 8):
         found = layer(samples)
-        error, told = found.multiple.mean(axis=2) - best, found.uncertainty
+        error, told = found.multiple.mean(axis=2) - best, found.sampling_error
         lit = found.alpha > 0.01
         assert 0.5 < np.sqrt((told[lit] ** 2).mean() / (error[lit] ** 2).mean()) < 2.5
         assert np.corrcoef(told[lit], np.abs(error[lit]))[0, 1] > 0.2
         assert told[~lit].max() <= 0.1 * best[~lit].max()
     one = layer(1)
-    assert np.all(one.uncertainty >= (1.0 - 1e-5) * one.multiple.mean(axis=2))
+    assert np.all(one.sampling_error >= (1.0 - 1e-5) * one.multiple.mean(axis=2))
 
 
 def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
@@ -203,7 +203,7 @@ def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
     assert fewer.report.counts["network points"] < 0.7 * every.report.counts["network points"]
     np.testing.assert_array_equal(fewer.single, every.single)
     off = fewer.multiple.mean(axis=2) - best.multiple.mean(axis=2)
-    assert np.sqrt((off**2).mean()) < 2.5 * np.sqrt((fewer.uncertainty**2).mean())
+    assert np.sqrt((off**2).mean()) < 2.5 * np.sqrt((fewer.sampling_error**2).mean())
     assert np.sqrt((off**2).mean()) < 0.02 * best.multiple.mean()
 
 

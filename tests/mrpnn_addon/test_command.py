@@ -55,8 +55,16 @@ def read_exr(path):
 
 def test_it_writes_the_requested_frame(command, blend, capsys):
     folder = blend.parent
-    assert command(["render", "--output", str(folder / "a.exr")]) == 0
-    assert f"wrote {folder / 'a.exr'}" in capsys.readouterr().out
+    assert command(["render", "--output", str(folder / "a.exr"), "--json", str(folder / "facts.json")]) == 0
+    said = capsys.readouterr().out
+    assert f"wrote {folder / 'a.exr'}" in said
+    stated = json.loads((folder / "facts.json").read_text())["frames"][0]["report"]["expected_error"]
+    assert (
+        f"expected error {100 * stated['error']:.1f} %" in said
+        or f"expected error {100 * stated['error']:.0f} %" in said
+    )
+    assert 0.0 < stated["low"] < stated["error"] < stated["high"]
+    (folder / "facts.json").unlink()
     assert (
         command(
             [

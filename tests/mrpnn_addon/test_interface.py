@@ -2,6 +2,7 @@
 """Properties, preferences and the panels' texts, in real Blender; and that nothing is left behind."""
 
 import gc
+import re
 import sys
 import threading
 
@@ -14,6 +15,11 @@ from inference import SceneError, Settings, render
 from inference.network.provider import PROVIDERS
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support import blender_scenes
+
+EXPECTED_ERROR = (
+    r"[\d.]+ % \(95 %: [\d.]+\u2013[\d.]+ %\), bias within [\d.]+ %, "
+    r"largest in the (upper|lower|middle)( left| right)?(, at the rim)?"
+)
 
 
 @pytest.fixture
@@ -121,6 +127,8 @@ def test_the_estimate_counts_what_a_render_does(addon, scene, cloud):
     assert (found.volumes, found.suns, found.problem) == (1, 2, "")
     bpy.ops.mrpnn.render()
     counts = addon.mrpnn_addon.status.last_render.last_render()
+    # As the panel says it.
+    assert re.fullmatch(EXPECTED_ERROR, counts.expected_error)
     # The bounds contain all pixels that show the cloud, which does not fill them.
     assert 0.3 * found.points < counts.points <= found.points < 32 * 24 * 8 * 2
     scene.camera.location.z = 0.5

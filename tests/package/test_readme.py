@@ -41,6 +41,17 @@ def test_fidelity_is_that_of_the_table():
     )
 
 
+def test_ratios_at_real_sizes_are_those_of_the_table():
+    table = (ROOT / "docs" / "error-vs-time.md").read_text()
+    rows = re.findall(
+        r"^\| the quickest of these(, denoised)? \| first frame \| (?:≥ )?([\d. ]+) \(([\d. ]+)–", table, re.MULTILINE
+    )
+    (_, plain, plain_low), (_, denoised, denoised_low) = rows
+    text = page("README.md")
+    assert f"takes {plain} times as long to the layer's error, and at least {denoised} times denoised" in text
+    assert f"intervals reach down to {plain_low} and {denoised_low}" in text
+
+
 def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
     """Geometric means of the page's rows, without the plume, which a clone lacks, and where noise hides the error."""
     rows = re.findall(
@@ -70,3 +81,13 @@ def test_figures_of_artists_settings_are_those_of_the_table():
     assert f"an error of {span('error', 2)} after {span('seconds', 0)} processor seconds" in text
     assert {f"{float(row['error']):.2f}" for row in layer} == {"0.07"} and "the layer errs by 0.07 after 1" in text
     assert max(float(row["seconds"]) for row in layer) < 1.5
+
+
+def test_dense_smoke_is_that_of_the_table():
+    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "readme.csv")}
+    smoke, covered = found["smoke, processor seconds"], float(found["covered"]["value"])
+    commit = re.search("commit ([0-9a-f]+)", smoke["made_by"])[1]
+    said = (
+        f"{100 * covered:.0f} % of them covered, takes {float(smoke['value']):.0f} processor seconds (commit {commit}"
+    )
+    assert said in page("README.md")

@@ -56,6 +56,7 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         kernels = [item for item in zipfile.ZipFile(path).infolist() if item.filename.startswith("inference/kernels/")]
         assert sum(item.compress_size for item in kernels) < 1e6
         assert [name for name in names if name.startswith("inference/weights/") and name.endswith(".onnx")]
+        assert {"inference/weights/uncertainty/mrpnn.onnx", "inference/weights/uncertainty/mrpnn.sha256"} <= set(names)
 
 
 def test_a_wheel_with_another_checksum_is_refused(tmp_path):

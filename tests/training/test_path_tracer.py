@@ -381,3 +381,11 @@ def test_pixels_agree_with_independent_references(view):
         folder = tempfile.mkdtemp(prefix="path_tracer_")
         np.savez(Path(folder) / f"{view}.npz", ours=ours, theirs=theirs, known=known)
         pytest.fail(f"{view}: mean square z {chi}, bias {bias}; images in {folder}")
+
+
+def test_a_wide_image_is_the_middle_of_a_square_one():
+    place = (1.2, 0.4, 0.9), (0, 0, 0), (0, 0, 1), 30.0
+    square, wide = PinholeCamera(*place, 16).rays(), PinholeCamera(*place, 16, 8).rays()
+    np.testing.assert_allclose(wide, square[4:12], atol=1e-6)
+    scene = Scene(smooth_cloud(16), (0, 0, 1))
+    assert trace_pixels(scene, PinholeCamera(*place, 16, 8), Medium(5.0), Sampling(1, 1)).shape == (8, 16, 4)

@@ -34,6 +34,7 @@ from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.working_cube import fit_cube, level0_density
+from inference.kernels.library import load_kernels
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
@@ -185,7 +186,7 @@ def describe_light(volume, cube, coarse, suns, media, points: ScatteringPoints):
     for number in np.unique(points.medium):
         sigma, anisotropy = media[number]
         own = np.flatnonzero(points.medium == number)
-        ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy)
+        ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy, kernels=load_kernels())
         lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(lattices):
             around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)

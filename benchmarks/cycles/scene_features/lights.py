@@ -136,6 +136,16 @@ def scattering(builder, anisotropy):
     return built
 
 
+def default_scene(stage):
+    """The lamp, the camera and the World of Blender's default scene."""
+    bpy.data.objects.remove(stage.sun)
+    add_lamp(stage, "POINT", (4.07625, 1.00545, 5.90386), 1000.0, shadow_soft_size=0.1)
+    stage.camera.location, stage.camera.rotation_euler = (7.35889, -6.92579, 4.95831), (1.10932, 0.0, 0.81493)
+    stage.camera.data.angle = math.radians(39.6)
+    node = stage.scene.world.node_tree.nodes["Background"]
+    node.inputs["Strength"].default_value, node.inputs["Color"].default_value = 1.0, (0.05088, 0.05088, 0.05088, 1.0)
+
+
 def isotropic_and_forward(cases):
     """Cases by name, at both ends of the anisotropy."""
     kinds = {"isotropic": 0.0, "G 0.857": 0.857}
@@ -150,6 +160,7 @@ def lamps():
 
 
 MEASURED = {
+    "Lamp and World of the default scene": default_scene,
     **lamps(),
     "Two suns": two_suns,
     "Sun of a temperature and an exposure": warm_sun,

@@ -95,13 +95,17 @@ def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     # The next view finds all fields in the cache, and begins with multiple scattering.
     turned = replace(large, fov=0.5)
     second = pictures(addon.mrpnn_addon.engine.preview.Preview(description, turned, settings, shared))
-    assert max(second) == 3 and second[1].shape == (40, 53, 4)
+    assert max(second) == 2 and second[1].shape == (40, 53, 4)
     layer = render(description.volumes, description.suns, turned, settings)
-    np.testing.assert_array_equal(second[3][::-1, :, :3], layer.rgb)
+    np.testing.assert_array_equal(second[2][::-1, :, :3], layer.rgb)
     rough = render(
         description.volumes, description.suns, replace(turned, resolution=(53, 40)), Settings(depth_samples=1)
     )
     np.testing.assert_array_equal(second[1][::-1, :, :3], rough.rgb)
+    # In large regions there is a picture in between.
+    wide = replace(turned, resolution=(1920, 1080))
+    sizes = [step.size for step in addon.mrpnn_addon.engine.preview.steps(description, wide, settings, shared)]
+    assert len(sizes) == 3 and sizes == sorted(sizes) and sizes[-1] == (1920, 1080)
 
 
 @pytest.mark.slow

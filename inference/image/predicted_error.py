@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error that is expected of what is predicted: of pixels, and of a whole picture.
+
+Where a network tells the error of its predictions at points, the deviations of depth samples on one ray are added up,
+times a factor for how far they are independent, and what comes of it, over the light, is interpolated between few
+pixels, since it is smooth. Of what else is predicted the error is a measured constant. Constants without another source
+are measured on procedural views by `python -m benchmarks.fidelity.calibration`; docs/fidelity.md shows how well they
+hold on others.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..network.uncertainty import has_uncertainty
+from ..plan.resolution import BAND
+from ..runtime.report import ExpectedError
+from ..scene.camera import Camera
+from .framebuffer import add_at
+from .layer import Layer
+
+# Pixels from one in which the network for the error is evaluated to the next: a power of two, the largest that leaves
+# so many of them along the picture's shorter edge, and no larger than the last.
+LEAST_ACROSS, LARGEST_STRIDE = 16, 16
+# Standard deviation of the sum of a ray's errors, over the sum of their standard deviations.
+JOINED = 0.52
+# Deviations within which half and 95 % of pixels' errors lie: more near and more far than of a normal distribution.
+HALF_OF_PIXELS, MOST_OF_PIXELS = 1.14, 3.97
+# A picture's error over the expected one: lowest and highest of the middle 50 % and 95 % of pictures.
+HALF_OF_PICTURES, MOST_OF_PICTURES = (0.81, 1.23), (0.55, 1.82)
+# Within which 95 % of pictures' biases lie, over the expected error.
+BIAS = 0.87
+# Relative errors of light from everywhere by albedo, at held-back points (docs/weights.md), of light that volumes emit
+# and scatter, and of networks without another for their error (docs/fidelity.md).
+ENVIRONMENT = ((0.0, 0.6, 0.9, 0.98, 1.0), (0.3, 0.199, 0.111, 0.080, 0.068))
+SCATTERED_EMISSION = 0.1
+MODELS = {"mrpnn-narrow": 0.17, "mrpnn-paper": 0.18, "mrpnn-wide": 0.18, "rpnn": 0.12}
+# Pixels of less opacity do not count in a picture's error.
+SHOWN_ALPHA = 0.02
+# Opacity of pixels at the rim; share of the light that a part of the picture must hold to be named.
+RIM_ALPHA, LEAST_LIGHT = 0.5, 0.05
+
+
+class SparseDeviation:
+    """Standard deviation of one source's light in a camera's window of P pixels.
+
+    known: bool (P,), pixels in which it is evaluated, where the source's light is.
+    """
+
+    def __init__(self, camera: Camera):
+        x0, y0, x1, y1 = camera.window
+        across = max(min(camera.resolution) // LEAST_ACROSS, 1)
+        stride = min(1 << (across.bit_length() - 1), LARGEST_STRIDE)
+        self._bands = [_bands(y0, y1, stride), _bands(x0, x1, stride)]
+        rows, columns = (np.arange(first, end) % BAND % stride == 0 for first, end in ((y0, y1), (x0, x1)))
+        self._shape = y1 - y0, x1 - x0
+        self.known = (rows[:, None] & columns).ravel()
+        self._sum, self._told = np.zeros(self.known.size), np.zeros(self.known.size, bool)
+
+    def add(self, pixel: np.ndarray, deviations: np.ndarray) -> None:
+        """Add depth samples: their pixels int (N,), ascending, and the deviations (N,) of what they contribute."""
+        add_at(self._sum, pixel, deviations)
+        self._told[pixel] = True
+
+    def everywhere(self, light: np.ndarray, typical: float) -> np.ndarray:
+        """Standard deviation float32 (P,) in all pixels.
+
+        light: (P,), of the source. typical: deviation over the light where it is known nowhere near.
+        """
+        values = np.stack([self._sum, np.maximum(light, 0.0) * self._told]).reshape(2, *self._shape)
+        relative = np.full(self._shape, typical)
+        # Bands by themselves, so that the image does not depend on the tiles.
+        for rows, down in self._bands[0]:
+            for columns, across in self._bands[1]:
+                deviation, lit = down @ values[:, rows, columns] @ across.T
+                relative[rows, columns] = np.where(lit > 0.0, deviation / np.maximum(lit, 1e-300), typical)
+        return (JOINED * relative.ravel() * np.maximum(light, 0.0)).astype(np.float32)
+
+
+def _bands(first: int, end: int, stride: int) -> list[tuple[slice, np.ndarray]]:
+    """Each band of rows or columns [first, end): where it lies, and weights (n, n) of its places for each of them."""
+    found = []
+    for start in range(first // BAND * BAND, end, BAND):
+        places = np.arange(max(start, first), min(start + BAND, end))
+        weights = np.exp(-0.5 * ((places[:, None] - places) / stride) ** 2)
+        found.append((slice(places[0] - first, places[-1] + 1 - first), weights))
+    return found
+
+
+def error_is_known(model: str) -> bool:
+    """Whether the error of a network, or of what takes its place, is told or has been measured."""
+    return model in MODELS or has_uncertainty(model)
+
+
+def environment_deviation(albedo: np.ndarray) -> np.ndarray:
+    """Relative error of the light of environments for albedos."""
+    return np.interp(albedo, *ENVIRONMENT)
+
+
+def expected_error(layer: Layer) -> ExpectedError | None:
+    """What is expected of a whole picture's error; None where nothing in it is predicted."""
+    shown = layer.alpha > SHOWN_ALPHA
+    light = layer.rgb.mean(axis=2, dtype=np.float64)
+    total = light[shown].sum()
+    if not total > 0.0 or not layer.multiple.any():
+        return None
+    variance = np.where(shown, layer.uncertainty.astype(np.float64) ** 2, 0.0)
+    error = float(np.sqrt(variance.sum() * shown.sum()) / total)
+    low, high = (error * factor for factor in MOST_OF_PICTURES)
+    return ExpectedError(error, low, high, BIAS * error, _where(variance, light, shown, layer.alpha))
+
+
+def _where(variance: np.ndarray, light: np.ndarray, shown: np.ndarray, alpha: np.ndarray) -> str:
+    """The ninth of what the picture shows in which the error over the light is largest, in words; images (H, W)."""
+    found = []
+    for rows, height in _thirds(shown.any(axis=1), ("upper", "", "lower")):
+        for columns, side in _thirds(shown.any(axis=0), ("left", "", "right")):
+            part = rows, columns
+            lit = light[part].sum()
+            # A ninth that holds hardly any light does not count.
+            if lit > LEAST_LIGHT * light[shown].sum():
+                name = f"{height or 'middle'} {side}".strip() if height or side else "middle"
+                found.append((variance[part].sum() * shown[part].sum() / lit**2, name, part))
+    if not found:
+        return ""
+    _, name, part = max(found, key=lambda one: one[0])
+    rim = alpha[part] < RIM_ALPHA
+    at_rim = variance[part][rim].sum() > 0.5 * variance[part].sum()
+    return name + (", at the rim" if at_rim else "")
+
+
+def _thirds(shown: np.ndarray, names: Sequence[str]) -> list[tuple[slice, str]]:
+    """Thirds of the rows or columns between the first and the last that show anything; shown: bool (n,)."""
+    places = np.flatnonzero(shown)
+    first, end = places[0], places[-1] + 1
+    ends = [first + round(k * (end - first) / 3) for k in range(4)]
+    return [(slice(a, b), name) for a, b, name in zip(ends, ends[1:], names)]

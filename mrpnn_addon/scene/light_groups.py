@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light groups: the lights of a view layer by the names of their groups, and the light of each."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...inference.image.layer import Layer
+from ...inference.image.predicted_error import expected_error
+from ...inference.scene import Medium, Surface, Volume
+
+
+@dataclass
+class LightGroups:
+    """names: of the view layer's light groups; empty where there are none. What is in none of them is in ""."""
+
+    names: list[str] = field(default_factory=list)
+    _groups: dict[int, str] = field(default_factory=dict)
+
+    def add(self, shining: list, *groups: str) -> None:
+        """Lights, volumes or meshes, and names of the group that they are in, of which the first that is one counts."""
+        group = next((name for name in groups if name in self.names), "")
+        self._groups.update({id(one): group for one in shining})
+
+    def parts(self, description) -> Iterator[tuple[str, list[tuple[Volume, Medium]], list, list[Surface]]]:
+        """Each group with any light, and "": its name, volumes, lights and surfaces, as of `inference.render`."""
+
+        def of(one) -> str:
+            return self._groups.get(id(one), "")
+
+        for name in [*self.names, ""]:
+            lights = [light for light in description.lights if of(light) == name]
+            volumes = [
+                (volume, medium if of(volume) == name else replace(medium, emission=0.0))
+                for volume, medium in description.volumes
+            ]
+            surfaces = [
+                surface if of(mesh) == name else replace(surface, emission=0.0)
+                for mesh, surface in zip(description.opaque, description.surfaces)
+            ]
+            emits = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in volumes)
+            if lights or emits or any(surface.emission.any() for surface in surfaces):
+                yield name, volumes, lights, surfaces
+
+
+def sum_of_groups(layers: dict[str, Layer]) -> Layer:
+    """The layer of all light, from those of each group, by name."""
+    whole, *others = layers.values()
+    report = whole.report
+    for other in others:
+        for mine, more in ((report.seconds, other.report.seconds), (report.counts, other.report.counts)):
+            for name, value in more.items():
+                mine[name] = mine.get(name, 0) + value
+        report.warnings += [text for text in other.report.warnings if text not in report.warnings]
+    stated = any(layer.report.expected_error for layer in layers.values())
+    added = ("rgb", "single", "multiple", "emission", "uncertainty")
+    sums = {name: np.sum([getattr(layer, name) for layer in layers.values()], axis=0) for name in added}
+    groups = {name: layer.rgb for name, layer in layers.items() if name}
+    layer = replace(whole, **sums, groups=groups, sampling_error=None)
+    report.expected_error = expected_error(layer) if stated else None
+    return layer
