@@ -41,7 +41,7 @@ from .drawn_views import (
     drawn_views,
     outside_views,
 )
-from .views import View
+from .views import MASK_ALPHA, View, independent_views
 
 PROGRAM = "benchmarks.fidelity.calibration"
 #: A picture has so many times the reference's pixels along an edge.
@@ -308,6 +308,23 @@ def table(rows) -> str:
     return "\n".join(lines)
 
 
+def independent_table() -> str:
+    """Expected and found errors of the independent references' views."""
+    lines = ["| view | expected (95 %) | found (95 %) | bias within | bias found |", "|---|---|---|---|---|"]
+    for view in independent_views():
+        halves = view.halves()
+        shown = halves[..., 3].mean(axis=0) > MASK_ALPHA
+        a, b = halves[..., :3] * shown[..., None]
+        layer = view.render(Settings(DEPTH_SAMPLES))
+        image, stated = layer.rgb * shown[..., None], layer.report.expected_error
+        found, bias = relative_rmse(image, a, b, shown), relative_bias(image, a, b, shown)
+        lines.append(
+            f"| {view.name} | {stated.error:.3f} ({stated.low:.3f}–{stated.high:.3f}) "
+            f"| {found.value:.3f} ({found.low:.3f}–{found.high:.3f}) | {stated.bias:.1%} | {bias.value:+.1%} |"
+        )
+    return "\n".join(lines)
+
+
 def main(options=None):
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -342,11 +359,14 @@ def main(options=None):
     figures = csv_text([source], list(rows[0]), [row.values() for row in rows])
     replace((docs or arguments.out) / "calibration.csv", figures)
     plot((docs / "images" if docs else arguments.out) / "reliability.png", found["calibration"][1], found["test"][1])
+    independent = independent_table()
+    print(independent)
     if docs:
         page = docs / "fidelity.md"
-        replace(page, with_table(page.read_text(), "calibration", text, source))
+        written = with_table(page.read_text(), "calibration", text, source)
+        replace(page, with_table(written, "calibration of independent views", independent, source))
     else:
-        (arguments.out / "calibration.md").write_text(f"{text}\n\n{source}\n")
+        (arguments.out / "calibration.md").write_text(f"{text}\n\n{independent}\n\n{source}\n")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked light in EEVEE, from the baked camera and from one turned by 40 degrees, against layers.
+
+    python -m benchmarks.cycles.baked_eevee [--blender COMMAND] [--folder FOLDER] [--size 64]
+
+COMMAND starts a Blender that has a graphics driver, and sees the folder under the same name. Needs bpy, which makes the
+scene and reads the pictures.
+"""
+
+import argparse
+import math
+import re
+import shlex
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+DISTANCE, DEGREES = 6.0, {"compiling": 0.0, "baked view": 0.0, "beside": 40.0}
+SAMPLES, STEPS, THICKNESS = 16, 128, 20.0
+
+
+def turn(camera, name: str) -> None:
+    """Put the camera where a picture is taken from."""
+    angle = math.radians(DEGREES[name])
+    camera.location = DISTANCE * math.sin(angle), 0.0, DISTANCE * math.cos(angle)
+    camera.rotation_euler = 0.0, angle, 0.0
+
+
+def pictures() -> None:
+    """Render the opened file in EEVEE: what the other Blender runs."""
+    import bpy
+
+    scene = bpy.context.scene
+    engines = type(scene.render).bl_rna.properties["engine"].enum_items.keys()
+    scene.render.engine = next(name for name in engines if name.startswith("BLENDER_EEVEE"))
+    scene.render.film_transparent = True
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    eevee = scene.eevee
+    eevee.taa_render_samples, eevee.volumetric_tile_size, eevee.volumetric_samples = SAMPLES, "2", STEPS
+    eevee.volumetric_start, eevee.volumetric_end = DISTANCE / 2.0, 1.5 * DISTANCE
+    eevee.use_volumetric_shadows, eevee.volumetric_shadow_samples = True, STEPS // 2
+    for name in DEGREES:
+        turn(scene.camera, name)
+        scene.render.filepath = bpy.path.abspath(f"//{name}.exr")
+        start, processor = time.perf_counter(), time.process_time()
+        bpy.ops.render.render(write_still=True)
+        print(
+            f"EEVEE of {bpy.app.version_string}, {name}: {time.perf_counter() - start:.1f} s, "
+            f"{time.process_time() - processor:.1f} processor seconds",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--blender", default="blender")
+    parser.add_argument("--folder", type=Path, default=None)
+    parser.add_argument("--size", type=int, default=64)
+    options = parser.parse_args()
+    from ..support.extension import extension
+    from ..support.provenance import commit, weights_checksum
+
+    extension()
+    import bpy
+    import numpy as np
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    from inference import Settings, render
+    from tests.support import blender_scenes as scenes
+
+    print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        scene = scenes.empty_scene()
+        scene.render.resolution_x = scene.render.resolution_y = options.size
+        scenes.cloud_scene(scene, folder, density=THICKNESS / 2.0)
+        scene.camera.data.angle = 0.5
+        bpy.ops.mrpnn.bake_light(folder=str(folder))
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "lit.blend"))
+        script = folder / "pictures.py"
+        script.write_text(Path(__file__).read_text().replace('__name__ == "__main__"', "False") + "\n\npictures()\n")
+        started = [*shlex.split(options.blender), "-b", "--factory-startup", "--gpu-backend", "opengl"]
+        started += [str(folder / "lit.blend"), "--python-exit-code", "1", "--python", str(script)]
+        said = subprocess.run(started, capture_output=True, text=True, check=True).stdout
+        print("\n".join(re.findall("EEVEE of .*", said)), flush=True)
+        for name in list(DEGREES)[1:]:
+            turn(scene.camera, name)
+            described = read_scene(scenes.depsgraph())
+            layer = render(described.volumes, described.suns, described.camera, Settings(16))
+            image = bpy.data.images.load(str(folder / f"{name}.exr"))
+            pixels = np.empty(options.size * options.size * 4, np.float32)
+            image.pixels.foreach_get(pixels)
+            shown = layer.alpha > 0.02
+            change = (pixels.reshape(options.size, options.size, 4)[::-1, :, :3] - layer.rgb)[shown]
+            mean = layer.rgb[shown].mean()
+            print(
+                f"{name}: error {np.sqrt(np.mean(change**2)) / mean:.3f}, bias {change.mean() / mean:+.3f}", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()
