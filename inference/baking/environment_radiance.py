@@ -70,7 +70,7 @@ class EnvironmentRadiance:
             for span, values in context.tasks.map(task, spans(len(positions))):
                 # The first is single scattering.
                 light = values[1:] + values[0] if self._single else values[1:]
-                for c, row in albedos.by_channel(light, positions[span]):
+                for c, row in albedos.by_channel(light, positions[span], directions[span]):
                     radiance[c, span] = row[:, c if predictor.channels > 1 else 0]
                 context.progress.advance("network", values.shape[1])
         context.report.count("network points", len(positions))

@@ -68,7 +68,7 @@ class LampRadiance:
 
             with context.report.stage("network"), context.progress.stage("network"):
                 for span, values in context.tasks.map(task, spans(len(positions))):
-                    for c, row in albedos.by_channel(values, positions[span]):
+                    for c, row in albedos.by_channel(values, positions[span], directions[span]):
                         radiance[c, span] += row * np.float32(lamp.lamp.power[c])
                     context.progress.advance("network", values.shape[1])
             context.report.count("network points", len(positions))

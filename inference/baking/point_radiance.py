@@ -78,7 +78,7 @@ class PointRadiance:
             with context.report.stage("network"), context.progress.stage("network"):
                 albedos = self._albedos_of(l)
                 for span, values in self._predicted((prepared, albedos), sun, positions, directions, of_sun):
-                    for c, row in albedos.by_channel(values, positions[span]):
+                    for c, row in albedos.by_channel(values, positions[span], directions[span]):
                         radiance[c, span] += row * np.float32(sun.irradiance[c])
                     context.progress.advance("network", values.shape[1])
             context.report.count("network points", len(positions))

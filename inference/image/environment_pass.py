@@ -140,7 +140,7 @@ class _EnvironmentEstimate:
             )
             weight = samples.scattered(done, source.members, source.last_albedo, source.places)
             pixel = self.pixel[done]
-            for c, row in source.albedos.by_channel(radiance[1:], samples.positions(done)):
+            for c, row in source.albedos.by_channel(radiance[1:], samples.positions(done), directions):
                 number, colour = indices.index(c), c if source.predictor.channels > 1 else 0
                 single, multiple = weight[:, number] * radiance[0, :, colour], weight[:, number] * row[:, colour]
                 add_at(self.radiance[number], pixel, single)

@@ -279,7 +279,7 @@ class _Estimate:
             )
             weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            for c, row in source.albedos.by_channel(radiance, samples.positions(done)):
+            for c, row in source.albedos.by_channel(radiance, samples.positions(done), directions):
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
                 parts[done] += part / 3.0
@@ -297,16 +297,17 @@ class _Estimate:
             return
         samples, source = self.samples, self.source
         assert source.uncertainty is not None
+        positions, directions = samples.positions(points), self.directions[samples.ray[points]]
         relative = source.prepared.deviation(
             source.uncertainty,
-            samples.positions(points),
-            self.directions[samples.ray[points]],
+            positions,
+            directions,
             dict(zip(source.albedos.values, radiance)),
             samples.jitter(points),
             self._features(points),
         )
         deviations = np.zeros(len(points))
-        for c, row in source.albedos.by_channel(relative * radiance, samples.positions(points)):
+        for c, row in source.albedos.by_channel(relative * radiance, positions, directions):
             deviations += weight[:, c] * row / 3.0
         self.deviation.add(self.pixel[points], deviations)
 

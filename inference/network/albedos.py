@@ -19,8 +19,11 @@ class Albedos(Protocol):
     def values(self) -> list[float]:
         """A uniform ones, for which networks are asked."""
 
-    def by_channel(self, rows: np.ndarray, positions: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield colour channels, by number, and their light (N, ...) at world positions (N, 3).
+    def by_channel(
+        self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield colour channels, by number, and their light (N, ...) at world positions (N, 3) on rays along directions
+        (N, 3).
 
         rows: (A, N, ...), predicted for each of the values. Channels whose albedo is 0 may be left out.
         """
@@ -37,7 +40,9 @@ class UniformAlbedos:
         """The distinct ones."""
         return [value for value, _ in self.distinct]
 
-    def by_channel(self, rows: np.ndarray, positions: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    def by_channel(
+        self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray]]:
         """As `Albedos`."""
         for (_, channels), row in zip(self.distinct, rows):
             for c in channels:
@@ -49,7 +54,8 @@ class VaryingAlbedos:
     """Albedos that vary in space.
 
     values, enclosing: uniform ones, and which of them enclose those of each channel. places: as of
-    `CoarseAlbedo.places`, in the frame of the cube. indices: the colour channels.
+    `CoarseAlbedo.places`, in the frame of the cube. indices: the colour channels. ahead: distance along camera rays, in
+    edges of the cube, at which they are read: a forward phase function scatters into a ray what arrives from ahead.
     """
 
     values: list[float]
@@ -57,10 +63,14 @@ class VaryingAlbedos:
     places: np.ndarray
     cube: Cube
     indices: Sequence[int]
+    ahead: float
 
-    def by_channel(self, rows: np.ndarray, positions: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    def by_channel(
+        self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray]]:
         """As `Albedos`."""
-        places = read_lattice(self.places, self.cube.positions(positions))
+        points = self.cube.positions(positions) + self.ahead * self.cube.directions(directions)
+        places = read_lattice(self.places, points)
         known: dict[int, np.ndarray] = {}
         for c in self.indices:
             column = c if places.shape[1] == 3 else 0

@@ -236,7 +236,8 @@ class VolumePredictor:
             conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
             image = image_in_frame(light, self.cube.rotation)
         coarse, places = self._predictor.varying_albedo(conditions, image, tasks)
-        return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices)
+        ahead = self.anisotropy * coarse.mean_free_path(conditions.sigma_hat)
+        return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
 
     @property
     def lamp_radius(self) -> float:
@@ -567,7 +568,7 @@ def predict_multiple(
             span = slice(start, start + POINTS_PER_TASK)
             features = features_at(positions[span], directions[span])
             radiance = prepared.predict(positions[span], directions[span], albedos.values, ray_features=features)
-            for c, row in albedos.by_channel(radiance, positions[span]):
+            for c, row in albedos.by_channel(radiance, positions[span], directions[span]):
                 result[span, c] = row * colour[c]
     return result
 

@@ -8,7 +8,8 @@ lies. With L_k the prediction for uniform albedo k and phi_k its fluence,
 
     log L = log L_k + f (log L_(k+1) - log L_k),    f = (log phi - log phi_k) / (log phi_(k+1) - log phi_k).
 
-Where the albedo is uniform after all this is exact, whatever the transport is worth.
+The point is one ahead on the camera ray (`network.albedos`). Where the albedo is uniform after all this is exact,
+whatever the transport is worth.
 """
 
 from collections.abc import Callable
@@ -32,6 +33,8 @@ SAME = 1e-5
 LOWEST = 0.02
 # Cells of less than this part of the largest density do not widen the range of albedos.
 NEGLIGIBLE = 1e-3
+# Longest mean free path, in edges of the cube.
+FARTHEST = 0.125
 # Fluences below this are equal.
 MIN_FLUENCE = 1e-12
 
@@ -71,6 +74,11 @@ class CoarseAlbedo:
     def solver(self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo) -> DiscreteOrdinates:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, self.kernels, albedo)
+
+    def mean_free_path(self, sigma_hat: float) -> float:
+        """Between scatterings where most are, in edges of the cube, and at most FARTHEST; sigma_hat: of the cube."""
+        density = self.density.astype(np.float64)
+        return min(float(density.sum() / ((density * density).sum() * sigma_hat)), FARTHEST)
 
     def places(self, solver_of: Callable[..., DiscreteOrdinates], fluence: FluenceOf) -> np.ndarray:
         """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].
