@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Equirectangular images at the low resolution that lighting from all directions needs."""
+"""Pixels of images, and equirectangular ones at the low resolution that lighting from all directions needs."""
 
 import math
 
 import numpy as np
+
+from ..textures.image import ImagePixels
 
 ROWS = 128
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
@@ -20,6 +22,15 @@ def environment_image(image):
 
 def linear_pixels(image) -> np.ndarray:
     """Linear colours float32 (rows, columns, 3) of an image. Raises ValueError, with the reason, if it has none."""
+    read = read_pixels(image)
+    colours = read.pixels[..., :3]
+    if read.srgb:
+        colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return colours
+
+
+def read_pixels(image) -> ImagePixels:
+    """The pixels of an image. Raises ValueError, with the reason, if it has none."""
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
     if image.source not in ("FILE", "GENERATED"):
@@ -29,12 +40,12 @@ def linear_pixels(image) -> np.ndarray:
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)
     colours = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    alpha = pixels[..., 3:] if image.channels == 4 else np.ones_like(colours[..., :1])
     space = image.colorspace_settings.name
-    if space == "sRGB" and not image.is_float:
-        colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    elif space not in LINEAR and not image.is_float:
+    srgb = space == "sRGB" and not image.is_float
+    if not srgb and space not in LINEAR and not image.is_float:
         raise ValueError(f"colour space {space}")
-    return colours
+    return ImagePixels(np.concatenate([colours, alpha], axis=2), srgb)
 
 
 def sampler(small):

@@ -10,6 +10,7 @@ import types
 import bpy
 import numpy as np
 
+from .environment_image import read_pixels
 from .functions import RAMP_CELLS, curve_tables
 
 PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
@@ -97,6 +98,12 @@ def _copy_references(copy, node, groups):
         )
     if node.bl_idname in CURVES:
         copy.mapping = Copy(extend=node.mapping.extend, tables=curve_tables(node.mapping, CURVES[node.bl_idname]))
+    if node.bl_idname == "ShaderNodeTexImage" and any(socket.is_linked for socket in node.outputs):
+        try:
+            copy.image = read_pixels(node.image)
+        except ValueError:
+            # Told where it is evaluated.
+            copy.image = None
     if hasattr(node, "object"):
         copy.object = node.object and Copy(matrix_world=np.array(node.object.matrix_world))
     if hasattr(node, "node_tree"):

@@ -7,11 +7,11 @@ Functions as in `functions`.
 import bpy
 import numpy as np
 
-from ..textures import patterns
+from ..textures import image, patterns
 from ..textures.gabor import gabor
 from ..textures.noise import Fractal, noise_texture
 from ..textures.voronoi import Voronoi
-from .environment_image import environment_image
+from .environment_image import environment_image, read_pixels
 from .math_operations import divide
 from .sockets import unsupported
 
@@ -127,6 +127,21 @@ def _gabor(values, node, output, groups):
     return found[("Value", "Phase", "Intensity").index(output.identifier)]
 
 
+def _image(values, node, output, groups):
+    try:
+        # Copies of nodes hold what was read.
+        pixels = node.image if isinstance(node.image, image.ImagePixels) else read_pixels(node.image)
+    except ValueError as problem:
+        raise unsupported(node, str(problem)) from None
+    if node.projection == "BOX":
+        raise unsupported(node, "projection BOX, which needs a surface")
+    if output.identifier == "Color" and (pixels.pixels[..., 3] < 1.0).any():
+        raise unsupported(node, "the colour of an image that is transparent somewhere")
+    uv = image.project(texture_vector(values, node, groups), node.projection)
+    found = image.sample(pixels, uv, node.interpolation, node.extension)
+    return found[:, :3] if output.identifier == "Color" else found[:, 3:]
+
+
 def _environment(values, node, output, groups):
     if not getattr(values.points, "images", False):
         raise unsupported(node, "an image here")
@@ -152,5 +167,6 @@ TEXTURES = {
     "ShaderNodeTexBrick": _brick,
     "ShaderNodeTexWhiteNoise": _white_noise,
     "ShaderNodeTexGabor": _gabor,
+    "ShaderNodeTexImage": _image,
     "ShaderNodeTexEnvironment": _environment,
 }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Texture nodes in numpy, against Cycles' render of a glowing plane."""
 
+import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
@@ -160,3 +161,49 @@ def test_gabor(tilted, tmp_path, dimensions):
         node = texture(tilted, "TexGabor", sockets, gabor_type=dimensions)
         outputs = [node.outputs[name] for name in ("Value", "Phase", "Intensity")]
         check(tilted, tmp_path, outputs, anisotropy)
+
+
+def picture(is_float, space, columns=7, rows=5):
+    """An opaque image of random colours."""
+    image = bpy.data.images.new("Picture", columns, rows, float_buffer=is_float)
+    image.colorspace_settings.name = space
+    colours = np.random.default_rng(3).random((rows, columns, 4)).astype(np.float32)
+    colours[..., 3] = 1.0
+    image.pixels.foreach_set(colours.ravel())
+    image.pack()
+    return image
+
+
+@pytest.mark.parametrize("extension", ["REPEAT", "EXTEND", "CLIP", "MIRROR"])
+def test_images(tilted, tmp_path, extension):
+    for interpolation, is_float, space in (
+        ("Linear", False, "sRGB"),
+        ("Closest", False, "Non-Color"),
+        ("Cubic", True, "Linear Rec.709"),
+    ):
+        node = texture(tilted, "TexImage", interpolation=interpolation, extension=extension)
+        node.image = picture(is_float, space)
+        # Onto the image and around it.
+        shift = add(tilted[1], "VectorMath")
+        shift.inputs[1].default_value = -2.9, 1.7, -5.0
+        tilted[1].links.new(tilted[3], shift.inputs[0])
+        tilted[1].links.new(shift.outputs[0], node.inputs["Vector"])
+        check(tilted, tmp_path, [node.outputs["Color"], node.outputs["Alpha"]], interpolation)
+
+
+@pytest.mark.parametrize("projection", ["SPHERE", "TUBE"])
+def test_projected_images(tilted, tmp_path, projection):
+    node = texture(tilted, "TexImage", projection=projection)
+    node.image = picture(True, "Linear Rec.709")
+    check(tilted, tmp_path, [node.outputs["Color"]], projection)
+
+
+def test_images_that_cannot_be_read_are_named(tilted):
+    node = texture(tilted, "TexImage")
+    tilted[1].links.new(node.outputs["Color"], tilted[2].inputs["Color"])
+    node.image = picture(False, "sRGB")
+    node.image.pixels[3] = 0.5
+    for problem in ("transparent", "missing"):
+        with pytest.raises(Exception, match=problem):
+            glowing_plane.evaluated(tilted[2])
+        node.image = None
