@@ -298,14 +298,11 @@ class _Estimate:
         samples, source = self.samples, self.source
         assert source.uncertainty is not None
         positions, directions = samples.positions(points), self.directions[samples.ray[points]]
+        # Several channels may have one albedo.
+        predicted = dict(zip(source.albedos.values, radiance))
         relative = source.prepared.deviation(
-            source.uncertainty,
-            positions,
-            directions,
-            dict(zip(source.albedos.values, radiance)),
-            samples.jitter(points),
-            self._features(points),
-        )
+            source.uncertainty, positions, directions, predicted, samples.jitter(points), self._features(points)
+        )[[list(predicted).index(albedo) for albedo in source.albedos.values]]
         deviations = np.zeros(len(points))
         for c, row in source.albedos.by_channel(relative * radiance, positions, directions):
             deviations += weight[:, c] * row / 3.0
