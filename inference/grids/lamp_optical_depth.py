@@ -38,8 +38,8 @@ class _Pyramid:
     """Optical depths around one direction of an axis.
 
     axis: along which it extends. sign: of that direction. others: the other axes. planes: int (P,), indices of voxel
-    centres along the axis, away from the lamp. every: planes from one slice to the next. starts: (slices,), distances of
-    the slices from the lamp in voxels, ascending; the first is where the grid or the lamp is, where the depth is 0.
+    centres along the axis, away from the lamp. every: planes from one slice to the next. starts: (slices,), distances
+    of the slices from the lamp in voxels, ascending; the first is where the grid or the lamp is, where the depth is 0.
     first: (2,), slopes of the first columns. spacing: (2,), of their slopes. depths: float32 (slices, b, c), integrals
     of density over the distance along the axis.
     """
@@ -88,8 +88,8 @@ class LampOpticalDepth:
     """Optical depth through one grid towards a point, for an extinction of 1 per unit density and world unit.
 
     grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from world positions. position:
-    (3,), of the lamp in the world. apart: voxels from one column to the next where they leave the grid. kernels: compiled
-    ones, or None. Raises Cancelled.
+    (3,), of the lamp in the world. apart: voxels from one column to the next where they leave the grid. kernels:
+    compiled ones, or None. Raises Cancelled.
     """
 
     def __init__(
@@ -143,10 +143,11 @@ class LampOpticalDepth:
     def _fill(self, pyramid: _Pyramid, cancel: CancelToken) -> None:
         slices, ways = pyramid.slices, 0.5 * pyramid.ways(self.lamp)
         running = np.zeros(pyramid.depths.shape[1:], np.float32)
-        if pyramid.starts[0] == 0.0:
-            # Elsewhere the first slice lies where the density begins.
-            running += np.float32(ways[0, 0]) * self.grid.sample(self.lamp[:, None].astype(np.float32))[0]
+        # A first slice elsewhere than at the lamp lies where the density begins.
+        inside = pyramid.starts[0] == 0.0
         if self.kernels is None:
+            if inside:
+                running += np.float32(ways[0, 0]) * self.grid.sample(self.lamp[:, None].astype(np.float32))[0]
             for plane, slice_number, (before, after) in zip(pyramid.planes, slices, ways):
                 cancel.check()
                 density = self._plane(pyramid, plane)
@@ -167,6 +168,7 @@ class LampOpticalDepth:
                 pyramid=pyramid.described(),
                 axis=pyramid.axis,
                 lamp=self.lamp,
+                inside=inside and not start,
                 planes=len(slices[part]),
                 numbers=pyramid.planes[part].astype(np.int64),
                 slices=slices[part].astype(np.int64),

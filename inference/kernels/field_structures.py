@@ -193,6 +193,7 @@ class LampSlices(Shared):
         ("pyramid", Pyramid),
         ("axis", c_int64),
         ("lamp", c_double * 3),
+        ("inside", c_int64),
         ("planes", c_int64),
         ("numbers", c_void_p),
         ("slices", c_void_p),

@@ -175,6 +175,7 @@ typedef struct {
     Pyramid pyramid;
     int64_t axis;                /* of the pyramid */
     double lamp[3];              /* in continuous indices */
+    int64_t inside;              /* whether the density at the lamp adds to all columns first */
     int64_t planes;
     const int64_t *numbers;      /* (planes), index along the axis, in the order of distance */
     const int64_t *slices;       /* (planes), that each ends, or 0 */

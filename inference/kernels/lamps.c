@@ -74,6 +74,12 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
     int64_t b = pyramid->size[0], c = pyramid->size[1];
     float *weights = data->scratch, *line = weights + 4 * c + 3, *room = line + width + 3;
     for (int64_t n = 0; n < 3; n++) line[-1 - n] = line[width + n] = 0.0f;
+    if (data->inside && data->planes > 0) {
+        Floats place[3];
+        for (int k = 0; k < 3; k++) place[k] = clamped_to(in_all((float)data->lamp[k]), in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        float density = sample_grid(&data->density, place)[0] * (float)data->ways[0];
+        for (int64_t n = 0; n < b * c; n++) data->running[n] += density;
+    }
     for (int64_t p = 0; p < data->planes; p++) {
         double along = fabs((double)data->numbers[p] - data->lamp[axis]);
         float before = (float)data->ways[2 * p], whole = before + (float)data->ways[2 * p + 1];
