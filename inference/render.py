@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .grids.bound_medium import scattering_channels
-from .image.camera_pass import march_tile
+from .image.camera_pass import march_tile, shown_pixels
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer
@@ -139,8 +139,10 @@ def _tiles(
 ) -> Iterator[Tile]:
     """The tiles of a pass, each rendered on one thread. Raises Cancelled."""
 
+    shown = shown_pixels(scene, camera)
+
     def march(window: tuple[int, int, int, int]) -> tuple[Tile, DepthSamples | None]:
-        tile = Tile.of(camera, window)
+        tile = Tile.of(camera, window, shown)
         return tile, march_tile(context, scene, channel_pass, tile)
 
     def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
