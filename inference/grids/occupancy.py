@@ -37,7 +37,7 @@ class Occupancy:
         """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
         their faces along each axis. No more than MOST_CELLS along any.
         """
-        # Interpolation reaches a voxel further: cells begin a voxel earlier, and what they hold is in the next one, too.
+        # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next one holds it, too.
         held = np.pad(self._held, (0, 1))
         for axis in range(3):
             along = np.moveaxis(held, axis, 0)

@@ -267,9 +267,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
-            split, far, share, free = _split_at_surfaces(
-                scene.depth_buffer, columns, rows, (near, far), context.cancel
-            )
+            split, far, share, free = _split_at_surfaces(scene.depth_buffer, columns, rows, (near, far), context.cancel)
         pixel, origins, directions, offsets, near = (
             values[split] for values in (pixel, origins, directions, offsets, near)
         )

@@ -140,7 +140,7 @@ def pixels_around(camera: Camera, held: np.ndarray, corners: np.ndarray) -> np.n
     for axis in range(1, 4):
         lower, upper = ((slice(None),) * axis + (some,) for some in (slice(None, -1), slice(1, None)))
         low, high = np.minimum(low[lower], low[upper]), np.maximum(high[lower], high[upper])
-    # One pixel more on each side, for rounding. How many rectangles cover a pixel follows from where they begin and end.
+    # One pixel more on each side, for rounding. Where rectangles begin and end tells how many cover each pixel.
     origin, size = np.array([[x0], [y0]]), np.array([[x1 - x0], [y1 - y0]])
     left, top = np.clip(np.floor(low[:, held]) - 1.0 - origin, 0, size).astype(int)
     right, bottom = np.clip(np.ceil(high[:, held]) + 1.0 - origin, 0, size).astype(int)
