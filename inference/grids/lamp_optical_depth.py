@@ -192,11 +192,11 @@ class LampOpticalDepth:
             place = self.lamp[axis] + along * slopes
             cell = np.floor(place).astype(int)
             padded = np.concatenate([density, np.zeros((1, density.shape[1]), np.float32)])
-            taps = 0.0
-            for tap, weight in enumerate(cubic((place - cell).astype(np.float32)), -1):
+            weights, taps = cubic((place - cell).astype(np.float32)), []
+            for tap, weight in enumerate(weights, -1):
                 voxel = np.where((cell + tap >= 0) & (cell + tap < size), cell + tap, size)
-                taps = taps + weight[:, None] * padded[voxel]
-            density = np.asarray(taps).T
+                taps.append(np.reshape(weight, (-1, 1)) * padded[voxel])
+            density = np.sum(taps, axis=0, dtype=np.float32).T
         return density
 
     def described(self, sigma_t: float) -> structures.LampColumns:
