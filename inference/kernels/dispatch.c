@@ -27,7 +27,8 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t resample_##variant(const Resampling *data);                                    \
     int64_t fill_lamp_columns_##variant(const LampSlices *data);                           \
     int64_t lamp_depths_##variant(const LampDepths *data);                                 \
-    int64_t lamp_beam_##variant(const LampBeam *data);
+    int64_t lamp_beam_##variant(const LampBeam *data);                                     \
+    int64_t gather_light_##variant(const LightGather *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
@@ -100,3 +101,4 @@ PREPARE(resample, const Resampling)
 PREPARE(fill_lamp_columns, const LampSlices)
 PREPARE(lamp_depths, const LampDepths)
 PREPARE(lamp_beam, const LampBeam)
+PREPARE(gather_light, const LightGather)

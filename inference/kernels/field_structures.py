@@ -231,6 +231,26 @@ class LampBeam(Shared):
     ]
 
 
+class LightGather(Shared):
+    _fields_ = [
+        ("points", c_int64),
+        ("positions", c_void_p),
+        ("frames", c_void_p),
+        ("rays", c_int64),
+        ("directions", c_void_p),
+        ("steps", c_int64),
+        ("thickness", c_double),
+        ("growth", c_double),
+        ("density", Grid),
+        ("depth", Grid),
+        ("light", Grid * 4),
+        ("sigma", c_double),
+        ("scale", c_double),
+        ("flux", c_double),
+        ("out", c_void_p),
+    ]
+
+
 #: Functions of the library that take one structure.
 FUNCTIONS = {
     "sweep_columns": ColumnSweep,
@@ -246,4 +266,5 @@ FUNCTIONS = {
     "fill_lamp_columns": LampSlices,
     "lamp_depths": LampDepths,
     "lamp_beam": LampBeam,
+    "gather_light": LightGather,
 }

@@ -209,4 +209,19 @@ typedef struct {
     double *light;               /* (cells, cells, cells), added to */
 } LampBeam;
 
+/* Light that points receive along rays around their camera rays: final_gather. */
+typedef struct {
+    int64_t points;
+    const float *positions;      /* (points, 3), in the cube from -1/2 to 1/2 */
+    const float *frames;         /* (points, 3, 3), from the frame of the camera ray to the cube's */
+    int64_t rays;                /* a multiple of 8 */
+    const float *directions;     /* (3, rays), in the frame of the camera ray */
+    int64_t steps;
+    double thickness, growth;    /* optical thickness of the first step, and by how much each may be longer */
+    Grid density, depth;         /* depth towards the sun for extinction 1 per edge of the cube */
+    Grid light[4];               /* fluence and flux */
+    double sigma, scale, flux;   /* of extinction; 3 G' */
+    float *out;                  /* (points, rays, 4) */
+} LightGather;
+
 #endif

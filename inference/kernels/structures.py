@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 12
+INTERFACE = 13
 CHANNELS = 3
 PHASES = 8192
 
