@@ -71,6 +71,7 @@ typedef struct {
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
+    int64_t *cells;              /* (volumes, LANES), around blocks that follow each other */
     uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
@@ -113,13 +114,18 @@ static inline void positions_at(const Line *line, const double *places, Floats *
     }
 }
 
-/* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
-static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+/* Positions of the samples of one block: SAMPLES for each of STEPS steps. */
+static inline void positions_in_block(const Line *line, double place, double size, Floats *position) {
     const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
-    Floats position[3];
     for (int axis = 0; axis < 3; axis++) {
         position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
     }
+}
+
+/* What a grid holds at the samples of one block. */
+static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+    Floats position[3];
+    positions_in_block(line, place, size, position);
     return sample_grid(grid, position);
 }
 
@@ -130,13 +136,11 @@ typedef struct {
     int64_t empty;   /* coarse blocks behind this one that are known to be empty */
 } Nearby;
 
-/* Whether a volume may hold something in a block. nearby: what is known of other volumes, to which this one is added. */
-static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
-                             Nearby *nearby) {
+/* Whether a volume may hold something in a block whose middle lies in a cell. nearby: what is known of other volumes, to
+which this one is added. */
+static inline int cell_near(const Scene *scene, const Medium *medium, const Line *line, int64_t cell, Nearby *nearby) {
     const Occupancy *cells = &medium->occupancy;
-    float position[3];
-    position_at(line, place + 0.5 * STEPS * size, position);
-    int64_t cell = cell_around(cells, position), clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
+    int64_t clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
     if (clearance > 1) {
         /* Blocks are judged by the cells of their middles, which are rounded. */
         double blocks = ((double)clearance - 1.01) * line->blocks_per_cell;
@@ -147,6 +151,14 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     nearby->near = 1;
     nearby->peak += (double)cells->peaks[cell] * medium->sigma_t;
     return 1;
+}
+
+/* As cell_near, for a block anywhere. */
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
+                             Nearby *nearby) {
+    float position[3];
+    position_at(line, place + 0.5 * STEPS * size, position);
+    return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
 }
 
 /* What is known of all volumes around a block; near: (volumes), whether each may hold something there. */
@@ -189,8 +201,12 @@ static inline void sample_media(const Scene *scene, const Ray *ray, double place
         const Medium *medium = scene->media + v;
         Steps sigma = {0.0f};
         if (near[v] && medium->sigma_t > 0.0) {
-            Floats samples = sample_block(&medium->density, work->lines + v, place, size);
-            sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
+            Floats position[3];
+            positions_in_block(work->lines + v, place, size, position);
+            if (any_held(medium, position)) {
+                Floats samples = sample_grid(&medium->density, position);
+                sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
+            }
         }
         memcpy(work->sigma + v * work->stride + at, &sigma, sizeof sigma);
         total += sigma;
@@ -231,13 +247,30 @@ typedef struct {
 static int look_ahead(const Scene *scene, const Ray *ray, double whole, Work *work, Coming *coming) {
     coming->count = coming->used = 0;
     while (coming->count < AHEAD && coming->from < whole) {
-        int64_t n = coming->count;
-        Nearby nearby = look_around(scene, work, coming->from, 1.0, work->near + n * scene->volumes);
-        coming->place[n] = coming->from;
-        coming->peak[n] = nearby.peak;
-        coming->count += nearby.near;
-        coming->from += STEPS;
-        if (nearby.empty > 0 && nearby.empty < INT64_MAX) coming->from += (double)(STEPS * nearby.empty);
+        /* The cells of blocks that follow each other, of which some are then leapt over. */
+        double middle[LANES];
+        FOR_LANES(n) middle[n] = coming->from + STEPS * (n + 0.5);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            Floats position[3];
+            positions_at(work->lines + v, middle, position);
+            Longs cells = cells_around(&scene->media[v].occupancy, position);
+            memcpy(work->cells + LANES * v, &cells, sizeof cells);
+        }
+        for (int64_t n = 0; n < LANES && coming->count < AHEAD && coming->from < whole;) {
+            int64_t number = coming->count;
+            Nearby nearby = {0, 0.0, INT64_MAX};
+            for (int64_t v = 0; v < scene->volumes; v++) {
+                int64_t cell = work->cells[LANES * v + n];
+                uint8_t *near = work->near + number * scene->volumes + v;
+                *near = (uint8_t)cell_near(scene, scene->media + v, work->lines + v, cell, &nearby);
+            }
+            int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
+            coming->place[number] = coming->from;
+            coming->peak[number] = nearby.peak;
+            coming->count += nearby.near;
+            coming->from += (double)(STEPS * next);
+            n = next < LANES ? n + next : LANES;
+        }
     }
     for (int64_t n = 0; n < coming->count; n++) {
         const uint8_t *near = work->near + n * scene->volumes;
@@ -882,6 +915,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
+    TAKE(cells, int64_t, LANES * volumes)
     TAKE(near, uint8_t, (AHEAD + 1) * volumes)
     TAKE(sample_step, int64_t, scene->depth_samples)
     TAKE(sample_inside, float, scene->depth_samples)

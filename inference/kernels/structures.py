@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 11
+INTERFACE = 12
 CHANNELS = 3
 PHASES = 8192
 
@@ -88,6 +88,7 @@ class SunColumns(Shared):
 class Medium(Shared):
     _fields_ = [
         ("density", Grid),
+        ("held", c_void_p),
         ("occupancy", Occupancy),
         ("suns", c_void_p),
         ("phase", c_void_p),
