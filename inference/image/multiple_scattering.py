@@ -273,16 +273,18 @@ class _Estimate:
         parts = np.zeros(len(self.pixel), np.float32)
         for done in sample_batches(points):
             self.context.cancel.check()
-            directions = self.directions[samples.ray[done]]
+            positions, directions = samples.positions(done), self.directions[samples.ray[done]]
             radiance = source.prepared.predict(
-                samples.positions(done), directions, source.albedos.values, samples.jitter(done), self._features(done)
+                positions, directions, source.albedos.values, samples.jitter(done), self._features(done)
             )
             weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            for c, row in source.albedos.by_channel(radiance, samples.positions(done), directions):
+            mean = np.zeros(len(done))
+            for c, row in source.albedos.by_channel(radiance, positions, directions):
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
-                parts[done] += part / 3.0
+                mean += part
+            parts[done] = mean / 3.0
             if source.uncertainty is not None:
                 known = np.flatnonzero(self.deviation.known[pixel])
                 self._add_deviation(done[known], radiance[:, known], weight[known])
@@ -407,7 +409,7 @@ def evaluate_adaptively(
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
-        smooth, centre_error = np.ones(len(squares.pixels), bool), np.zeros(len(squares.pixels))
+        smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
         for part, weight in zip(estimate.smooth_parts(mean), shown):
             found, part_error = interpolable(
                 squares,
@@ -424,7 +426,7 @@ def evaluate_adaptively(
         for values in (*mean, error):
             squares.fill(values, smooth, interior)
         errors = np.zeros_like(interpolation_error)
-        errors[squares.pixels[smooth]] = centre_error[smooth, None]
+        errors[squares.pixels[:, smooth]] = centre_error[smooth]
         interpolation_error[interior] = errors[interior]
         interpolated |= interior
     evaluate(~(evaluated | interpolated))

@@ -72,7 +72,7 @@ typedef struct {
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
     int64_t *cells;              /* (volumes, LANES), around blocks that follow each other */
-    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block */
+    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block; 2: no density */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
     float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
@@ -192,7 +192,7 @@ static inline Steps step_means(Floats samples, const Ray *ray, double place, dou
 
 /* Extinction and optical thickness of the steps of a block, which are left as those from `at` on.
 
-near: (volumes), which of them may hold something there. */
+near: (volumes), 1 for those that may hold density there. */
 static inline void sample_media(const Scene *scene, const Ray *ray, double place, double size, const uint8_t *near,
                                 int64_t at, Work *work) {
     float *sums = work->within + at;
@@ -200,13 +200,9 @@ static inline void sample_media(const Scene *scene, const Ray *ray, double place
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
         Steps sigma = {0.0f};
-        if (near[v] && medium->sigma_t > 0.0) {
-            Floats position[3];
-            positions_in_block(work->lines + v, place, size, position);
-            if (any_held(medium, position)) {
-                Floats samples = sample_grid(&medium->density, position);
-                sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
-            }
+        if (near[v] == 1 && medium->sigma_t > 0.0) {
+            Floats samples = sample_block(&medium->density, work->lines + v, place, size);
+            sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
         }
         memcpy(work->sigma + v * work->stride + at, &sigma, sizeof sigma);
         total += sigma;
@@ -236,15 +232,24 @@ static int parts_of(const Scene *scene, const float *tau, double reached, double
     return parts;
 }
 
+/* Whether a volume may hold density at any sample of a coarse block. */
+static inline int block_held(const Medium *medium, const Line *line, double place) {
+    Floats position[3];
+    if (!medium->held) return 1;
+    positions_in_block(line, place, 1.0, position);
+    return any_held(medium, position);
+}
+
 /* Coarse blocks that may hold something, one after another. */
 typedef struct {
     int64_t count, used;
     double from;          /* place from which on the next ones are looked for */
     double place[AHEAD], peak[AHEAD];
+    int64_t before[AHEAD], passed;  /* blocks near density that turned out to hold none: in front of each, and since */
 } Coming;
 
 /* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
-static int look_ahead(const Scene *scene, const Ray *ray, double whole, Work *work, Coming *coming) {
+static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep_empty, Work *work, Coming *coming) {
     coming->count = coming->used = 0;
     while (coming->count < AHEAD && coming->from < whole) {
         /* The cells of blocks that follow each other, of which some are then leapt over. */
@@ -258,16 +263,26 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, Work *wo
         }
         for (int64_t n = 0; n < LANES && coming->count < AHEAD && coming->from < whole;) {
             int64_t number = coming->count;
+            int held = keep_empty;
             Nearby nearby = {0, 0.0, INT64_MAX};
             for (int64_t v = 0; v < scene->volumes; v++) {
-                int64_t cell = work->cells[LANES * v + n];
+                const Medium *medium = scene->media + v;
+                const Line *line = work->lines + v;
                 uint8_t *near = work->near + number * scene->volumes + v;
-                *near = (uint8_t)cell_near(scene, scene->media + v, work->lines + v, cell, &nearby);
+                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
+                if (*near && !block_held(medium, line, coming->from)) *near = 2;
+                held |= *near == 1;
             }
             int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
-            coming->place[number] = coming->from;
-            coming->peak[number] = nearby.peak;
-            coming->count += nearby.near;
+            if (nearby.near && held) {
+                coming->place[number] = coming->from;
+                coming->peak[number] = nearby.peak;
+                coming->before[number] = coming->passed;
+                coming->passed = 0;
+                coming->count++;
+            } else {
+                coming->passed += nearby.near;
+            }
             coming->from += (double)(STEPS * next);
             n = next < LANES ? n + next : LANES;
         }
@@ -303,7 +318,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
     double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
     int level = 0;
-    Coming coming = {0, 0, 0.0, {0.0}, {0.0}};
+    Coming coming = {0};
     for (int64_t v = 0; v < scene->volumes; v++) {
         work->lines[v] = line_through(scene->media + v, ray);
     }
@@ -315,7 +330,11 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         int64_t at = STEPS * work->blocks;
         int near = 1;
         if (level == 0) {
-            if (coming.used == coming.count && !look_ahead(scene, ray, whole, work, &coming)) break;
+            if (coming.used == coming.count && !look_ahead(scene, ray, whole, keep_empty, work, &coming)) {
+                work->looked_at += coming.passed;
+                break;
+            }
+            work->looked_at += coming.before[coming.used];
             /* Blocks in between are empty. */
             if (coming.place[coming.used] > place) gap = step;
             place = coming.place[coming.used], peak = coming.peak[coming.used];
