@@ -265,6 +265,8 @@ class _Estimate:
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
         self.deviation = SparseDeviation(tile.camera)
+        # Samples whose error is to be told: numbers, radiance (A, N) and weight (N, C).
+        self._told: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
@@ -287,16 +289,25 @@ class _Estimate:
             parts[done] = mean / 3.0
             if source.uncertainty is not None:
                 known = np.flatnonzero(self.deviation.known[pixel])
-                self._add_deviation(done[known], radiance[:, known], weight[known])
+                self._told.append((done[known], radiance[:, known], weight[known]))
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
 
+    def _add_deviations(self) -> None:
+        """Tell the error of what was predicted, all at once."""
+        points, radiance, weight = (
+            np.concatenate(parts, axis=-1) for parts in zip(*((p, r, w.T) for p, r, w in self._told))
+        )
+        order = np.argsort(points)
+        points, radiance, weight = points[order], radiance[:, order], weight.T[order]
+        for start in range(0, len(points), POINTS_PER_TASK):
+            some = slice(start, start + POINTS_PER_TASK)
+            self._add_deviation(points[some], radiance[:, some], weight[some])
+
     def _add_deviation(self, points: np.ndarray, radiance: np.ndarray, weight: np.ndarray) -> None:
         """Tell the error of what was predicted at some samples: radiance (A, N), seen with weight (N, C)."""
-        if not len(points):
-            return
         samples, source = self.samples, self.source
         assert source.uncertainty is not None
         positions, directions = samples.positions(points), self.directions[samples.ray[points]]
@@ -314,6 +325,8 @@ class _Estimate:
         """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
         light, network = self.radiance.sum(axis=0) / 3.0, self.source.uncertainty
         if network is not None:
+            if self._told:
+                self._add_deviations()
             return self.deviation.everywhere(light, network.typical)
         return (MODELS.get(self.context.settings.model, 0.0) * light).astype(np.float32)
 
@@ -395,10 +408,15 @@ def evaluate_adaptively(
     mean, error = estimate.radiance / divisor, estimate.error / safe
     interpolation_error = np.zeros(len(safe), np.float32)
     evaluated, interpolated = np.zeros((2, len(safe)), bool)
-    pixel, report = estimate.pixel[inside], estimate.report
+    report = estimate.report
+    # Samples of a pixel follow each other.
+    counts = np.bincount(estimate.pixel[inside], minlength=len(safe))
+    starts = np.cumsum(counts) - counts
 
     def evaluate(pixels: np.ndarray) -> None:
-        estimate.evaluate(inside[pixels[pixel]])
+        some = counts[pixels]
+        first = np.repeat(starts[pixels] - (np.cumsum(some) - some), some)
+        estimate.evaluate(inside[first + np.arange(len(first))])
         evaluated[pixels] = True
         mean[:, pixels] = estimate.radiance[:, pixels] / divisor[..., pixels]
         error[pixels] = estimate.error[pixels] / safe[pixels]
