@@ -411,15 +411,16 @@ def evaluate_adaptively(
     report = estimate.report
     # Samples of a pixel follow each other.
     counts = np.bincount(estimate.pixel[inside], minlength=len(safe))
-    starts = np.cumsum(counts) - counts
+    starts, filled = np.cumsum(counts) - counts, counts > 0
 
     def evaluate(pixels: np.ndarray) -> None:
-        some = counts[pixels]
-        first = np.repeat(starts[pixels] - (np.cumsum(some) - some), some)
-        estimate.evaluate(inside[first + np.arange(len(first))])
         evaluated[pixels] = True
-        mean[:, pixels] = estimate.radiance[:, pixels] / divisor[..., pixels]
-        error[pixels] = estimate.error[pixels] / safe[pixels]
+        seen = np.flatnonzero(pixels & filled)
+        some = counts[seen]
+        first = np.repeat(starts[seen] - (np.cumsum(some) - some), some)
+        estimate.evaluate(inside[first + np.arange(len(first))])
+        mean[:, seen] = estimate.radiance.take(seen, axis=1) / divisor.take(seen, axis=-1)
+        error[seen] = estimate.error[seen] / safe[seen]
 
     tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
     for stride, least in LEVELS:
