@@ -101,7 +101,8 @@ def expected_error(layer: Layer) -> ExpectedError | None:
     """What is expected of a whole picture's error; None where nothing in it is predicted."""
     shown = layer.alpha > SHOWN_ALPHA
     # numpy is slow to sum along short axes.
-    light = sum(layer.rgb[..., c].astype(np.float64) for c in range(3)) / 3.0
+    red, green, blue = (layer.rgb[..., c].astype(np.float64) for c in range(3))
+    light = (red + green + blue) / 3.0
     total = light[shown].sum()
     if not total > 0.0 or not layer.multiple.any():
         return None
