@@ -781,7 +781,7 @@ static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray
         int64_t s = n < steps ? n : work->sample_step[n - steps];
         double inside = n < steps ? 0.5 : (double)work->sample_inside[n - steps], point[3], given = 0.0, most = 0.0;
         if (n < steps && !(work->total[s] > 0.0f)) {
-            work->given[s] = work->reference[s] = 0.0;
+            work->given[s] = work->reference[s] = 0.0, work->received[s] = 0.0f;
             continue;
         }
         double distance = ray->near + place_in(work, s, inside) * ray->dt;
