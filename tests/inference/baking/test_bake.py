@@ -287,7 +287,7 @@ def test_joined_voxels_stay_within_their_budget():
 
 
 def test_the_factor_of_other_directions_is_one_along_the_baked_view():
-    volume, view = cloud(), camera()
+    volume, view = cloud(voxels=16), camera()
     [lit] = bake([(volume, MEDIUM)], [SUN], view)
     filled = lit.emission.any(axis=3)
     positions, baked = centres(lit)[filled.reshape(-1)], lit.scattered[filled].mean(axis=1)
@@ -311,7 +311,7 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
 
 
 def test_each_colour_of_a_coloured_volume_has_its_own_directions():
-    volume, medium = cloud(), Medium(40.0, (0.6, 0.9, 1.0), 0.85)
+    volume, medium = cloud(voxels=16), Medium(40.0, (0.6, 0.9, 1.0), 0.85)
     [lit] = bake([(volume, medium)], [SUN], looking((0.0, 0.0, -1.0)), replace(EXACT, directional=True))
     other = np.array([0.0, np.sin(np.radians(40)), -np.cos(np.radians(40))])
     [truth] = bake([(volume, medium)], [SUN], looking(other), EXACT)
@@ -325,7 +325,7 @@ def test_each_colour_of_a_coloured_volume_has_its_own_directions():
 
 
 def test_light_along_the_anchors_about_the_baked_view_is_what_is_predicted_there():
-    volume, medium = cloud(), Medium(20.0, 1.0, 0.85)
+    volume, medium = cloud(voxels=16), Medium(20.0, 1.0, 0.85)
     view = looking((0.0, 0.0, -1.0))
     [lit] = bake([(volume, medium)], [SUN], view, replace(EXACT, directional=True))
     positions = centres(lit)
