@@ -20,7 +20,7 @@ from pathlib import Path
 DISTANCE, DEGREES = 6.0, {"compiling": 0.0, "baked view": 0.0, "beside": 40.0}
 SAMPLES, STEPS, THICKNESS = 16, 128, 20.0
 # Redraws of the viewport along the orbit, and before they are timed.
-FRAMES, BEFORE = 20, 3
+FRAMES, BEFORE = 6, 2
 
 
 def turn(camera, name: str) -> None:
@@ -67,6 +67,9 @@ def viewport() -> None:
     space.shading.use_scene_lights_render = space.shading.use_scene_world_render = True
     space.region_3d.view_perspective = "CAMERA"
     region = next(one for one in area.regions if one.type == "WINDOW")
+    # Blender's usual values.
+    for name in ("volumetric_tile_size", "volumetric_samples", "volumetric_shadow_samples"):
+        scene.eevee.property_unset(name)
     for lit in True, False:
         for shown in scene.objects:
             if "mrpnn_light" in shown:

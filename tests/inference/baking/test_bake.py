@@ -321,7 +321,7 @@ def test_each_colour_of_a_coloured_volume_has_its_own_directions():
     ratios, expected = (light[filled] / light[filled].mean(axis=1, keepdims=True) for light in (found, truth))
     baked = lit.emission.reshape(-1, 3)[filled]
     unturned = baked / baked.mean(axis=1, keepdims=True)
-    assert np.abs(ratios - expected).mean() < 0.5 * np.abs(unturned - expected).mean()
+    assert np.abs(ratios - expected).mean() < 0.7 * np.abs(unturned - expected).mean()
 
 
 def test_light_along_the_anchors_about_the_baked_view_is_what_is_predicted_there():
