@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scene in, layer out: the stages of a render in their order."""
 
+import functools
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from .grids.bound_medium import scattering_channels
-from .image.camera_pass import march_tile
+from .image.camera_pass import march_tile, shown_pixels
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
-from .image.framebuffer import Framebuffer
+from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
@@ -63,10 +64,10 @@ def render(
     The same seed gives the same image for any number of threads. Raises SceneError for a scene that cannot be rendered,
     Cancelled when asked to stop.
     """
-    # The last is the whole image; the others need not be held.
-    tiles = render_tiles(volumes, lights, camera, settings, progress, cancelled, cache, surfaces)
-    [(_, layer)] = deque(tiles, maxlen=1)
-    return layer
+    # The last is the whole image; the others need not be composed.
+    parts = _finished_parts(volumes, lights, camera, settings or Settings(), progress, cancelled, cache, surfaces)
+    [(_, compose)] = deque(parts, maxlen=1)
+    return compose()
 
 
 def render_tiles(
@@ -83,7 +84,16 @@ def render_tiles(
 
     Yields ((x0, y0, x1, y1), Layer): the window of the image, rows from the top, and the layer in it, without a report.
     The last one is the whole image, with the report."""
-    settings, report = settings or Settings(), Report()
+    parts = _finished_parts(volumes, lights, camera, settings or Settings(), progress, cancelled, cache, surfaces)
+    for window, compose in parts:
+        yield window, compose()
+
+
+def _finished_parts(
+    volumes, lights, camera: Camera, settings: Settings, progress, cancelled, cache: RenderCache | None, surfaces
+) -> Iterator[tuple[Window, Callable[[], Layer]]]:
+    """As `render_tiles`, but yield what composes each layer, to be called before the next one is asked for."""
+    report = Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
             plan = make_plan(volumes, lights, camera, settings, surfaces=surfaces)
@@ -104,14 +114,20 @@ def render_tiles(
     report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
-    layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
-    if error_is_known(report.model):
-        report.expected_error = expected_error(layer)
-    yield camera.window, layer
+
+    def compose() -> Layer:
+        layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
+        if error_is_known(report.model):
+            report.expected_error = expected_error(layer)
+        return layer
+
+    yield camera.window, compose
 
 
-def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer):
-    """Render into the framebuffer; yield the window and Layer of each finished tile."""
+def _render_passes(
+    context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer
+) -> Iterator[tuple[Window, Callable[[], Layer]]]:
+    """Render into the framebuffer; yield the window of each finished tile, and what composes its Layer."""
     if not scene.plan.volumes:
         return
     emission = prepare_scattered_emission(context, scene)
@@ -126,8 +142,13 @@ def _render_passes(context: RenderContext, scene: PreparedScene, camera: Camera,
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
             if number == len(passes) - 1:
-                x0, y0, x1, y1 = window
-                yield window, compose_layer(framebuffer.part(camera.window, window), (y1 - y0, x1 - x0))
+                yield window, functools.partial(_compose_part, framebuffer, camera.window, window)
+
+
+def _compose_part(framebuffer: Framebuffer, whole: Window, part: Window) -> Layer:
+    """The Layer of a part of a framebuffer's window."""
+    x0, y0, x1, y1 = part
+    return compose_layer(framebuffer.part(whole, part), (y1 - y0, x1 - x0))
 
 
 def _tiles(
@@ -139,8 +160,10 @@ def _tiles(
 ) -> Iterator[Tile]:
     """The tiles of a pass, each rendered on one thread. Raises Cancelled."""
 
-    def march(window: tuple[int, int, int, int]) -> tuple[Tile, DepthSamples | None]:
-        tile = Tile.of(camera, window)
+    shown = shown_pixels(scene, camera)
+
+    def march(window: Window) -> tuple[Tile, DepthSamples | None]:
+        tile = Tile.of(camera, window, shown)
         return tile, march_tile(context, scene, channel_pass, tile)
 
     def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
@@ -151,7 +174,10 @@ def _tiles(
             add_environment_light(context, environments, tile, samples)
         return tile
 
-    windows, tasks = scene.plan.tiles, context.tasks
+    # Those that show most first, so that no thread waits long for the last one.
+    (left, top, *_), tasks = camera.window, context.tasks
+    pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.plan.tiles]
+    windows = [scene.plan.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
     if scene.plan.small and not context.cache.any_view:
         context.progress.message("single scattering")
         marched = list(tasks.map(march, windows))

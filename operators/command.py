@@ -69,6 +69,11 @@ def _parser() -> argparse.ArgumentParser:
         "--ladder", type=int, default=64, help="highest number of samples per pixel of Cycles; 0: none"
     )
     compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
+    compare.add_argument(
+        "--usual",
+        action="store_true",
+        help="measure Cycles as artists set it, too: few bounces, clamped, denoised, adaptive, guided",
+    )
     compare.add_argument("--all-models", action="store_true", help="every network, not only the scene's")
     compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
     compare.add_argument(

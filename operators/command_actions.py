@@ -119,6 +119,7 @@ def compare(options, console, found: dict) -> None:
                 seconds=options.seconds,
                 ladder=options.ladder,
                 denoised=not options.no_denoise,
+                usual=options.usual,
                 all_models=options.all_models,
                 bounces=options.bounces,
                 scale=options.scale,

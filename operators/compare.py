@@ -55,6 +55,12 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
     denoised: BoolProperty(
         name="Denoised Cycles", default=True, description="Measure Cycles with OpenImageDenoise, too"
     )
+    usual: BoolProperty(
+        name="Usual Settings",
+        default=False,
+        description="Measure Cycles as artists set it, too: with 0, 4 and 12 volume bounces, clamped at 10, denoised, "
+        "with adaptive sampling and with path guiding",
+    )
     models: EnumProperty(
         name="Networks",
         default="ONE",
@@ -112,7 +118,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         header, body = layout.panel("MRPNN_compare_settings", default_closed=True)
         header.label(text="Settings")
         if body:
-            for name in ("ladder", "denoised", "models", "bounces", "reference_path", "folder"):
+            for name in ("ladder", "denoised", "usual", "models", "bounces", "reference_path", "folder"):
                 body.prop(self, name)
 
     def execute(self, context):
@@ -195,6 +201,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             seconds=self.budget,
             ladder=self.ladder,
             denoised=self.denoised,
+            usual=self.usual,
             all_models=self.models == "ALL",
             bounces=self.bounces,
             scale=self.scale,

@@ -7,6 +7,10 @@ Reads the data into memory; a run resumes from its checkpoint. The loss is L2 on
 environments scatter, of mean 1: on single scattering, and on all scattering for several albedos. As in a picture,
 errors are relative to the mean over a medium's points, times what is left of even light at that albedo. The loss is
 linear in the targets' noise, and the mean is not biased by what the network cannot know.
+
+A step takes the rows of some views: points of one medium whose rays go roughly one way. To the points' errors it adds
+VIEW_WEIGHT times the square of each view's bias, relative to its mean radiance: of all that is wrong at the points of a
+view, a picture shows most what they have in common.
 """
 
 import argparse
@@ -24,8 +28,11 @@ from inference.transport.environment_light import direction_radiance
 from training.files import complete_file
 from training.networks.environment import EnvironmentNet
 from training.tracer.exits import decode_directions
+from training.train import start_from
 
-BATCH, STEPS, LEARNING_RATE, WARM_UP, WEIGHT_DECAY = 2048, 8000, 2e-3, 300, 0.05
+STEPS, LEARNING_RATE, WARM_UP, WEIGHT_DECAY = 8000, 2e-3, 300, 0.05
+#: Views in a step, rows of each, and what the square of their biases counts beside that of the points' errors.
+VIEWS, VIEW_ROWS, VIEW_WEIGHT = 64, 32, 8.0
 AVERAGING = 0.999
 #: Of a row's albedos the first is 1.
 ALBEDOS = 4
@@ -61,10 +68,16 @@ def read_file(path: pathlib.Path, seed: int) -> dict:
         ahead[own] = read_image(blurred(stacked, features.blurs(float(value))), omega[own])
     candidates = features.candidates(ahead, opened.radiance(direction_radiance(stacked)), light, seldom, omega, g)
     random = np.random.default_rng([seed, 7])
-    albedo = np.ones((len(x), ALBEDOS), np.float32)
-    albedo[:, 1] = 1.0 - 10.0 ** random.uniform(-3.0, -0.7, len(x))
-    albedo[:, 2] = random.uniform(0.7, 1.0, len(x))
-    albedo[:, 3] = random.uniform(0.0, 1.0, len(x))
+    # Rays of a view have the same axis in common. Its albedos are the same, so that it has a bias.
+    facing = np.abs(omega).argmax(axis=1)
+    facing += 3 * (np.take_along_axis(omega, facing[:, None], axis=1)[:, 0] < 0.0)
+    medium = np.unique(np.stack([sigma_hat, g]), axis=1, return_inverse=True)[1].reshape(-1)
+    views, view = np.unique(6 * medium + facing, return_inverse=True)
+    albedo = np.ones((len(views), ALBEDOS), np.float32)
+    albedo[:, 1] = 1.0 - 10.0 ** random.uniform(-3.0, -0.7, len(views))
+    albedo[:, 2] = random.uniform(0.7, 1.0, len(views))
+    albedo[:, 3] = random.uniform(0.0, 1.0, len(views))
+    albedo = albedo[view]
     values, n = environment_values(images, d["exits"]), d["scatterings"].astype(np.float32)
     lost = n >= 65535
     paths = values.shape[1]
@@ -81,12 +94,17 @@ def read_file(path: pathlib.Path, seed: int) -> dict:
         "targets": targets.astype(np.float16),
         "sigma_hat": sigma_hat,
         "anisotropy": g,
+        "view": view,
     }
 
 
 def load(folder: pathlib.Path, most: int | None = None) -> dict:
     """All rows of a folder's files as tensors."""
     parts = [read_file(path, int(path.stem)) for path in sorted(folder.glob("*.npz"))[:most]]
+    first = 0
+    for part in parts:
+        part["view"] += first
+        first = part["view"].max() + 1
     return {key: torch.from_numpy(np.concatenate([part[key] for part in parts])) for key in parts[0]}
 
 
@@ -115,6 +133,40 @@ def number_media(data) -> torch.Tensor:
     targets = data["targets"].float().mean(dim=1)[:, :2].sum(dim=1)
     count = torch.bincount(data["medium"])
     return torch.zeros(len(count), targets.shape[1]).index_add_(0, data["medium"], targets) / count[:, None]
+
+
+def number_views(data) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rows in the order of their views, and where each view ends among them."""
+    return torch.argsort(data["view"], stable=True), torch.cumsum(torch.bincount(data["view"]), dim=0)
+
+
+def draw_rows(order, ends, random) -> torch.Tensor:
+    """Rows (VIEWS, VIEW_ROWS) of random views; of small ones some are drawn more than once."""
+    views = torch.randint(len(ends), (VIEWS,), generator=random)
+    counts = torch.diff(ends, prepend=ends.new_zeros(1))[views, None]
+    place = (torch.rand(VIEWS, VIEW_ROWS, generator=random) * counts).long()
+    return order[ends[views, None] - counts + place]
+
+
+def view_biases(y, t):
+    """Biases relative to the mean radiance of views, (VIEWS, 1 + ALBEDOS, E), of totals (VIEWS * VIEW_ROWS, ...)."""
+    y, t = (values.unflatten(0, (VIEWS, VIEW_ROWS)).mean(dim=1) for values in (y, t))
+    return (y - t) / t.clamp_min(LEAST_EVEN * LEAST_MEAN)
+
+
+def held_biases(net, data) -> dict:
+    """Root mean squares of the biases of views without the targets' noise, all light, at albedos of 1 and 0.7 to 1."""
+    net.eval()
+    order, ends = number_views(data)
+    squares = []
+    with torch.no_grad():
+        for rows in torch.tensor_split(order, ends[:-1]):
+            halves = data["targets"][rows].float().mean(dim=0)[:, None]
+            y, a, b = (totals(part)[0, [1, 3]] for part in (predict(net, data, rows)[0].mean(dim=0)[None], *halves))
+            squares.append((y - a) * (y - b) / (0.5 * (a + b)).clamp_min(LEAST_EVEN * LEAST_MEAN) ** 2)
+    net.train()
+    one, less = torch.stack(squares).mean(dim=(0, 2)).clamp_min(0.0).sqrt().tolist()
+    return {"view_bias": one, "albedo_view_bias": less}
 
 
 def held_error(net, data) -> dict:
@@ -157,6 +209,8 @@ def main(options=None):
     parser.add_argument("--held", type=pathlib.Path, required=True)
     parser.add_argument("--run", type=pathlib.Path, required=True)
     parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--initial", type=pathlib.Path, help="weights to start from, an exported ONNX file")
+    parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE)
     parser.add_argument("--volumes", type=int)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report-every", type=int, default=500)
@@ -171,18 +225,22 @@ def main(options=None):
     means = number_media(data).clamp_min(LEAST_MEAN)
     net, averaged = EnvironmentNet(), EnvironmentNet()
     net.calibrate(data["x"])
+    initial = {"initial": start_from(net, arguments.initial)} if arguments.initial else {}
+    order, ends = number_views(data)
     averaged.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    optimizer = torch.optim.AdamW(net.parameters(), arguments.learning_rate, weight_decay=WEIGHT_DECAY)
     configuration = {
         "network": "environment",
         "volumes": len(list(arguments.data.glob("*.npz"))[: arguments.volumes]),
         "rows": rows,
         "steps": arguments.steps,
-        "batch": BATCH,
-        "learning_rate": LEARNING_RATE,
+        "views_a_step": VIEWS,
+        "rows_a_view": VIEW_ROWS,
+        "view_weight": VIEW_WEIGHT,
+        "learning_rate": arguments.learning_rate,
         "weight_decay": WEIGHT_DECAY,
         "seed": arguments.seed,
-    }
+    } | initial
     first, path = 0, arguments.run / "checkpoint.pt"
     if path.exists():
         checkpoint = torch.load(path, weights_only=True)
@@ -193,23 +251,23 @@ def main(options=None):
     total, since, start = 0.0, 0, time.process_time()
     for step in range(first, arguments.steps):
         random = torch.Generator().manual_seed(arguments.seed * 1_000_003 + step)
-        picked = torch.randint(rows, (BATCH,), generator=random)
+        picked = draw_rows(order, ends, random).flatten()
         y, even = predict(net, data, picked)
-        t = data["targets"][picked].float().mean(dim=1)
+        y, t = totals(y), totals(data["targets"][picked].float().mean(dim=1))
         scale = even.clamp_min(LEAST_EVEN)[:, :, None] * means[data["medium"][picked]][:, None]
-        loss = (((totals(y) - totals(t)) / scale) ** 2).mean()
+        loss = (((y - t) / scale) ** 2).mean() + VIEW_WEIGHT * (view_biases(y, t) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         for group in optimizer.param_groups:
-            group["lr"] = LEARNING_RATE * rate(step, arguments.steps)
+            group["lr"] = arguments.learning_rate * rate(step, arguments.steps)
         optimizer.step()
         with torch.no_grad():
             keep = min(AVERAGING, (1 + step) / (10 + step))
             torch._foreach_lerp_(list(averaged.parameters()), list(net.parameters()), 1.0 - keep)
         total, since, done = total + loss.item(), since + 1, step + 1
         if done % arguments.report_every == 0 or done == arguments.steps:
-            found = held_error(averaged, held)
+            found = held_error(averaged, held) | held_biases(averaged, held)
             line = {"step": done, "loss": total / since, **found, "seconds": time.process_time() - start}
             print(json.dumps(line), flush=True)
             with open(arguments.run / "progress.jsonl", "a") as log:

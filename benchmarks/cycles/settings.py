@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,48 +33,14 @@ ALL_BOUNCES = 1024
 COLUMNS = ("view", "version", "settings", "samples", "error", "low", "high", "bias", "seconds")
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Settings of Cycles. null: by null scattering, where the version has it; clamp: of indirect light, 0 for none."""
+def choices(null: bool) -> list:
+    """(Choice, samples) to measure: as artists set it, and as it comes near the truth. null: by null scattering too."""
+    from mrpnn.mrpnn_addon.cycles.choices import USUAL, Choice
 
-    bounces: int
-    samples: int
-    denoised: bool = True
-    clamp: float = 10.0
-    adaptive: bool = False
-    guided: bool = False
-    null: bool = False
-
-    @property
-    def name(self) -> str:
-        """What an artist would call it."""
-        words = [f"{self.bounces} volume bounces"]
-        words += [f"clamped at {self.clamp:g}"] if self.clamp else []
-        words += ["adaptive"] if self.adaptive else []
-        words += ["guided"] if self.guided else []
-        words += ["null scattering"] if self.null else []
-        return ", ".join(words + ["denoised" if self.denoised else "not denoised"])
-
-
-CHOICES = (
-    Choice(0, 32),
-    Choice(4, 32),
-    Choice(4, 128),
-    Choice(12, 32),
-    Choice(12, 128),
-    Choice(12, 128, adaptive=True),
-    Choice(12, 32, guided=True),
-    Choice(ALL_BOUNCES, 16, False, 0.0),
-    Choice(ALL_BOUNCES, 64, False, 0.0),
-    Choice(ALL_BOUNCES, 16, clamp=0.0),
-    Choice(ALL_BOUNCES, 64, clamp=0.0),
-)
-NULL_CHOICES = (
-    Choice(0, 32, null=True),
-    Choice(12, 32, null=True),
-    Choice(ALL_BOUNCES, 16, False, 0.0, null=True),
-    Choice(ALL_BOUNCES, 16, clamp=0.0, null=True),
-)
+    marched = [(Choice(ALL_BOUNCES, denoised), samples) for denoised in (False, True) for samples in (16, 64)]
+    scattered = [(Choice(ALL_BOUNCES, denoised, null=True), 16) for denoised in (False, True)]
+    found = sorted([*USUAL, *marched, *scattered], key=lambda one: one[0].null)
+    return [(choice, samples) for choice, samples in found if choice.null <= null]
 
 
 class Reference:
@@ -122,29 +87,29 @@ def layers(settings: Settings) -> Iterator[tuple[str, np.ndarray, float]]:
 def rows_of_baked_light(scene, reference: Reference, folder: Path) -> list[dict]:
     """Cycles with baked light; the bake counts."""
     import bpy
+    from mrpnn.mrpnn_addon.cycles.choices import Choice
 
     start = time.process_time()
     bpy.ops.mrpnn.bake_light(folder=str(folder))
     bake, rows = time.process_time() - start, []
     for samples, denoised in ((4, True), (64, False)):
-        image, seconds = picture(scene, folder, Choice(0, samples, denoised, 0.0))
+        image, seconds = picture(scene, folder, Choice(0, denoised), samples)
         name = f"baked light, {'denoised' if denoised else 'not denoised'}, with the bake"
         rows.append(reference.row(name, samples, image, bake + seconds))
     bpy.ops.mrpnn.bake_light_remove()
     return rows
 
 
-def picture(scene, folder: Path, choice: Choice) -> tuple[np.ndarray, float]:
-    """Cycles' picture (H, W, 3), and processor seconds."""
+def picture(scene, folder: Path, choice, samples: int) -> tuple[np.ndarray, float]:
+    """Cycles' picture (H, W, 3) by a Choice, and processor seconds."""
     from tests.support import blender_scenes as scenes
 
-    scenes.set_up_cycles(scene, choice.samples, choice.bounces)
+    scenes.set_up_cycles(scene, samples)
     cycles = scene.cycles
-    cycles.volume_step_rate, cycles.use_denoising, cycles.sample_clamp_indirect = 1.0, choice.denoised, choice.clamp
-    cycles.use_adaptive_sampling, cycles.use_guiding = choice.adaptive, choice.guided
-    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
-    if hasattr(cycles, "volume_biased"):
-        cycles.volume_biased = not choice.null
+    for name, value in choice.settings(ALL_BOUNCES).items():
+        if hasattr(cycles, name):
+            setattr(cycles, name, value)
+    cycles.volume_step_rate, cycles.pixel_filter_type, cycles.filter_width = 1.0, "BLACKMAN_HARRIS", 0.01
     start = time.process_time()
     image = scenes.rendered(scene, folder)[..., :3]
     return image, time.process_time() - start
@@ -159,10 +124,10 @@ def measure(view: View) -> list[dict]:
         depths = f"{settings.depth_samples} depths"
         rows = [reference.row(name, depths, image, seconds) for name, image, seconds in layers(settings)]
         rows += rows_of_baked_light(scene, reference, Path(folder))
-        choices = CHOICES + (NULL_CHOICES if hasattr(scene.cycles, "volume_biased") else ())
-        for choice in choices:
-            image, seconds = picture(scene, Path(folder), choice)
-            rows.append(reference.row(f"Cycles, {choice.name}", choice.samples, image, seconds))
+        for choice, samples in choices(null=hasattr(scene.cycles, "volume_biased")):
+            image, seconds = picture(scene, Path(folder), choice, samples)
+            words = ["Cycles", *choice.words, *([] if choice.denoised else ["not denoised"])]
+            rows.append(reference.row(", ".join(words), samples, image, seconds))
     return rows
 
 

@@ -7,7 +7,7 @@ Runs the extension's comparison in Blender for each case of `cases`. Every image
 the figures of finished cases: a run that was stopped continues where it was, and with more --samples the references
 that are there are continued. With other weights or code every case is measured again, against the stored images. With
 --again every image that is timed is rendered again, but for the references. --table only rewrites the page, from the
-figures of the present weights.
+figures of the present weights. The page has every version of Cycles that was measured: run it with bpy 4.5 and 5.2.
 """
 
 import argparse
@@ -56,8 +56,9 @@ def main(arguments=None) -> int:
             if not (options.only in case.name or options.only in case.growth):
                 continue
             start, state = time.perf_counter(), [weights(), options.samples, commit()]
-            if results.get(case.name, {}).get("state") != state:
-                results[case.name] = {
+            key = f"{case.name}, Cycles {bpy.app.version_string}"
+            if results.get(key, {}).get("state") != state:
+                results[key] = {
                     "case": asdict(case),
                     "state": state,
                     "made_by": made_by(PROGRAM, arguments),
@@ -67,7 +68,10 @@ def main(arguments=None) -> int:
                 print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     # Figures of other weights do not count.
     known = [
-        results[case.name] for case in scenes if case.name in results and results[case.name]["state"][0] == weights()
+        results[key]
+        for case in scenes
+        for key in sorted(results)
+        if key.startswith(f"{case.name}, Cycles ") and results[key]["state"][0] == weights()
     ]
     if not known:
         print("nothing is measured yet", file=sys.stderr)

@@ -10,6 +10,9 @@ from ..fidelity.tables import table
 from .cases import ENLARGED, EXTRAS
 
 CYCLES, DENOISED = "cycles", "cycles denoised"
+# The same by null scattering, which Cycles has beside ray marching from Blender 5.0 on.
+NULL, NULL_DENOISED = "cycles null scattering", "cycles null scattering, denoised"
+QUICKEST = "the quickest of these"
 NOISY = "too noisy"
 
 
@@ -32,9 +35,9 @@ def seconds_to_error(result, method: str, error: float = None, timed=None):
     ]
     if not error or not rungs:
         return None
-    if method == DENOISED:
+    if method in (DENOISED, NULL_DENOISED):
         return seconds_on_ladder(rungs, error, "cpu_seconds").value
-    return _law(timed or result).seconds(_law(result).variance / error**2)
+    return _law(timed or result, method).seconds(_law(result, method).variance / error**2)
 
 
 def times_as_long(result, method: str, per_frame: bool, error: float = None, timed=None):
@@ -43,8 +46,34 @@ def times_as_long(result, method: str, per_frame: bool, error: float = None, tim
     return needed and needed / (judged["cpu_seconds"] - (judged["once_cpu"] if per_frame else 0.0))
 
 
-def _law(result) -> PathTracing:
-    return PathTracing(**result["path_tracing"]["cpu_seconds"])
+def _law(result, method: str) -> PathTracing:
+    return PathTracing(**result["path_tracing"][method]["cpu_seconds"])
+
+
+def ways(result, denoised: bool) -> list:
+    """The methods of Cycles that were measured: by ray marching, and by null scattering where it has that."""
+    several = (DENOISED, NULL_DENOISED) if denoised else (CYCLES, NULL)
+    return [method for method in several if rung(result, method)]
+
+
+def cycles(result, method: str = CYCLES) -> str:
+    """A method of Cycles with its version."""
+    words = [f"Cycles {result['cycles'].removesuffix(' LTS')}"]
+    words += ["null scattering"] if method in (NULL, NULL_DENOISED) else []
+    return ", ".join(words + (["denoised"] if method in (DENOISED, NULL_DENOISED) else []))
+
+
+def quickest(ratios: dict) -> dict:
+    """Ratios and what they would be at the upper end of the error, (2,), by scene, of what is quickest in each scene.
+
+    ratios: the same by method and scene; None where a ratio cannot be told.
+    """
+    found: dict = {}
+    for pairs in ratios.values():
+        for scene, pair in pairs.items():
+            known = found.get(scene, (None, None))
+            found[scene] = tuple(min(filter(None, both), default=None) for both in zip(known, pair))
+    return found
 
 
 def geometric_mean(values) -> float:
@@ -77,7 +106,7 @@ def csv_table(results):
     rows = []
     for result in results:
         for rung in result["rungs"]:
-            row = dict(result["case"])
+            row = {**result["case"], "version": result["cycles"]}
             row.update({name: value for name, value in rung.items() if not isinstance(value, dict)})
             for name in ("rmse", "bias"):
                 row.update(
@@ -97,12 +126,14 @@ def page(results, wanted: int, real_sizes: str = "") -> str:
     main = of_the_set(results)
     model = results[0]["judged"]["method"]
     size = results[0]["case"]["size"]
+    measured = len({tuple(result["case"].values()) for result in results})
+    versions = " and ".join(dict.fromkeys(cycles(result) for result in results))
     parts = [
         "# Error against run time\n",
         *(f"{sentence}\n" for sentence in sources(results)),
-        f"{len(results)} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
+        f"{measured} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
-        f"{results[0]['judged']['samples']} depth samples) and by Cycles {results[0]['cycles']} in a process of its "
+        f"{results[0]['judged']['samples']} depth samples) and by {versions} in a process of its "
         f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
         "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
         "changes little; the CSV has wall clock too. *First* includes fields, shadows and loading the network, which "
@@ -134,33 +165,22 @@ def headline(main, results) -> str:
     size, rows = main[0]["case"]["size"], []
     for pixels in (size, ENLARGED * size):
         timed = [(r, at_size(r, pixels, results)) for r in main]
-        for method, wanted in ((CYCLES, 300), (DENOISED, 10)):
-            for per_frame in (False, True) if method == CYCLES or pixels == size else ():
-                ratios = [
-                    (
-                        times_as_long(r, method, per_frame, None, other),
-                        times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other),
-                    )
-                    for r, other in timed
-                    if other
-                ]
-                by_error, by_high = ([one[i] for one in ratios if one[i]] for i in (0, 1))
-                if by_error:
-                    mean, least = geometric_mean(by_error), geometric_mean(by_high)
-                    reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
-                    rows.append(
-                        [
-                            f"{pixels}²",
-                            method,
-                            "frame" if per_frame else "first",
-                            f"{mean:.3g}",
-                            f"{min(by_error):.3g}",
-                            f"{max(by_error):.3g}",
-                            f"{least:.3g}",
-                            f"{len(by_error)} of {len(by_high)}",
-                            f"{wanted}: {reached}",
-                        ]
-                    )
+        for denoised, wanted in ((False, 300), (True, 10)):
+            for per_frame in () if denoised and pixels != size else (False, True):
+                ratios: dict = {}
+                for r, other in timed:
+                    for method in ways(r, denoised) if other else ():
+                        ratios.setdefault(cycles(r, method), {})[label(r)] = (
+                            times_as_long(r, method, per_frame, None, other),
+                            times_as_long(r, method, per_frame, r["judged"]["rmse"]["high"], other),
+                        )
+                if len(ratios) > 1:
+                    ratios = {QUICKEST + ", denoised" * denoised: quickest(ratios), **ratios}
+                for against, pairs in ratios.items():
+                    by_error, by_high = ([one[i] for one in pairs.values() if one[i]] for i in (0, 1))
+                    if by_error:
+                        row = [f"{pixels}²", against, "frame" if per_frame else "first"]
+                        rows.append([*row, *_means(by_error, by_high, wanted)])
     head = [
         "pixels",
         "against",
@@ -173,8 +193,10 @@ def headline(main, results) -> str:
         "target reached",
     ]
     return (
-        "How many times as long Cycles takes to reach the layer's error. Without denoising: by its measured noise, "
-        "extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which is a lower bound. "
+        "How many times as long Cycles takes to reach the layer's error. *The quickest of these* takes in each scene "
+        "the least of the ratios; Cycles 5 marches rays where the table does not say null scattering. Without "
+        "denoising: by its measured noise, extrapolated with 1/√N. With denoising: extrapolated with 1/√N too, which "
+        "is a lower bound. "
         f"At {ENLARGED * size}² the layer's seconds and Cycles' seconds per sample are those measured there; the "
         f"number of samples that Cycles needs is that at {size}², as if the layer's error were the same. Denoised "
         "Cycles has no such rows: the error that a filter leaves depends on the size (see below). Scenes of "
@@ -185,21 +207,30 @@ def headline(main, results) -> str:
     )
 
 
+def _means(by_error: list, by_high: list, wanted: float) -> list:
+    """Cells of the headline: ratios by the errors, by their upper ends, and whether they reach what is wanted."""
+    mean, least = geometric_mean(by_error), geometric_mean(by_high)
+    reached = "yes" if least >= wanted else "no" if mean < wanted else "not certain"
+    figures = [f"{value:.3g}" for value in (mean, min(by_error), max(by_error), least)]
+    return [*figures, f"{len(by_error)} of {len(by_high)}", f"{wanted}: {reached}"]
+
+
 def filtered(results) -> str:
     """Denoised Cycles at two sizes."""
     rows = []
     for large in (r for r in results if r["case"]["growth"] == "filter"):
         small = at_size(large, results[0]["case"]["size"], results)
-        for one in filter(None, (small, large)):
+        for one, method in ((r, method) for r in (small, large) if r for method in ways(r, denoised=True)):
             judged = one["judged"]
-            ladder = sorted((r for r in one["rungs"] if r["method"] == DENOISED), key=lambda r: r["samples"])
-            times = [times_as_long(one, DENOISED, per_frame) for per_frame in (False, True)]
+            ladder = sorted((r for r in one["rungs"] if r["method"] == method), key=lambda r: r["samples"])
+            times = [times_as_long(one, method, per_frame) for per_frame in (False, True)]
             rows.append(
                 [
                     label(one),
                     f"{one['case']['size']}²",
                     _error(judged),
                     f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
+                    cycles(one, method),
                     ", ".join(f"{r['samples']}: {r['rmse']['value']:.3f}" for r in ladder),
                     "n/a" if None in times else f"{times[0]:.3g} / {times[1]:.3g} ×",
                 ]
@@ -211,8 +242,9 @@ def filtered(results) -> str:
         "pixels",
         "layer: error",
         "seconds, first / frame",
-        "denoised: error by samples per pixel",
-        "denoised to the layer's error: times first / frame",
+        "denoised by",
+        "error by samples per pixel",
+        "to the layer's error: times first / frame",
     ]
     return (
         "## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
@@ -221,47 +253,57 @@ def filtered(results) -> str:
 
 
 def at_size(result, size: int, results):
-    """The same scene's figures at another size, None where there are none."""
+    """The same scene's figures at another size by the same Cycles, None where there are none."""
 
     def scene(one, **other):
-        return {**one["case"], "growth": "", **other}
+        return {**one["case"], "growth": "", "version": one["cycles"], **other}
 
     return next((one for one in results if scene(one) == scene(result, size=size)), None)
 
 
 def scenes(main, model: str) -> str:
+    """A row for each scene and way of Cycles through volumes; the quicker ones of a scene first."""
     rows = []
-    for result in main:
+    by_scene = dict.fromkeys(label(result) for result in main)
+    for result, method in (
+        one
+        for name in by_scene
+        for one in sorted(
+            ((r, method) for r in main if label(r) == name for method in ways(r, denoised=False)), key=_ratio_or_none
+        )
+    ):
         judged = result["judged"]
         row = [
             label(result),
+            cycles(result, method),
             _error(judged),
             f"{judged['bias']['value']:+.1%}",
             f"{judged['cpu_seconds']:.2g} / {judged['cpu_seconds'] - judged['once_cpu']:.2g}",
         ]
-        for method in (CYCLES, DENOISED):
-            one = equal(result, method)
+        for one_method in (method, NULL_DENOISED if method == NULL else DENOISED):
+            one = equal(result, one_method)
             error = judged["rmse"]["value"] or judged["rmse"]["high"]
-            first, frame = (times_as_long(result, method, per_frame, error) for per_frame in (False, True))
-            how = one["needed"]["how"] if judged["rmse"]["value"] else "to the upper end"
+            first, frame = (times_as_long(result, one_method, per_frame, error) for per_frame in (False, True))
+            how = one and (one["needed"]["how"] if judged["rmse"]["value"] else "to the upper end")
             row.append(
                 "n/a"
                 if first is None
                 else f"{first * judged['cpu_seconds']:.3g} s ({how}): {first:.3g} / {frame:.3g} ×"
             )
             row.append("n/a" if one is None else f"{one['error']['value']:.3f} ({one['error']['how']})")
-        for method in ("single-scattering", "multi-octave"):
-            found = rung(result, method)
+        for baseline in ("single-scattering", "multi-octave"):
+            found = rung(result, baseline)
             row.append(_error(found) if found else "n/a")
         row.append("good" if result["verdict"]["good"] else f"{NOISY}: {_more(result['verdict'])}")
         rows.append(row)
     head = [
         "scene",
+        "against",
         f"{model}: error",
         "bias",
         "seconds, first / frame",
-        "Cycles to this error: times first / frame",
-        "Cycles in the first's time",
+        "to this error: times first / frame",
+        "in the first's time",
         "denoised to this error",
         "denoised in the first's time",
         "single-scattering",
@@ -275,9 +317,17 @@ def scenes(main, model: str) -> str:
     )
 
 
+def _ratio_or_none(one) -> float:
+    """For sorting: how many times as long a (result, method) takes; the last where that cannot be told."""
+    result, method = one
+    judged = result["judged"]["rmse"]
+    return times_as_long(result, method, False, judged["value"] or judged["high"]) or math.inf
+
+
 def growth(results) -> str:
-    """Costs where one thing changes: the layer's seconds, and Cycles' to an error of 0.1."""
-    base = results[0]["case"]
+    """Costs where one thing changes: the layer's seconds, and Cycles' to an error of 0.1, by the first version."""
+    base, version = results[0]["case"], cycles(results[0])
+    results = [result for result in results if cycles(result) == version]
     rows = []
     for what, key in (
         ("pixels", "size"),
@@ -291,7 +341,7 @@ def growth(results) -> str:
         if len({r["case"][key] for r in same}) < 2:
             continue
         for result in sorted(same, key=lambda r: r["case"][key]):
-            law = result["path_tracing"].get("cpu_seconds")
+            law = result["path_tracing"][CYCLES]["cpu_seconds"]
             judged, value = result["judged"], result["case"][key]
             shown = f"{value}²" if key == "size" else f"{value}³" if key == "cells" else f"{value:g}"
             rows.append(
@@ -320,8 +370,8 @@ def growth(results) -> str:
         "value",
         "layer, once",
         "layer, frame",
-        "Cycles, per sample per pixel",
-        "Cycles, to an error of 0.1",
+        f"{version}, per sample per pixel",
+        f"{version}, to an error of 0.1",
     ]
     return "Processor seconds, all else as in the first scene.\n\n" + table(head, rows)
 

@@ -134,7 +134,7 @@ def _batch(scene: RealScene, view: View, grid, seed: int) -> np.ndarray:
     image = trace_pixels(Scene(grid, view.sun), camera, medium, Sampling(BATCH, seed)).astype(np.float64)
     if scene.sky:
         # Albedo 1: what a path finds where it leaves is what the pixel receives.
-        exits, hit = trace_camera_exits(grid, camera, spec.sigma_hat, spec.anisotropy, Sampling(BATCH, seed))
+        exits, _, hit = trace_camera_exits(grid, camera, spec.sigma_hat, spec.anisotropy, Sampling(BATCH, seed))
         found = hit[..., None] * sky(decode_directions(exits.directions))
         image[..., :3] += found.mean(axis=1).reshape(*image.shape[:2], 3)
     return image

@@ -95,8 +95,9 @@ def stage(scene: RealScene, folder: Path):
 def render_images(scene: RealScene, most: int, source: str) -> None:
     """Render the layer, and of Cycles what is not there, up to `most` samples."""
     import bpy
+    from mrpnn.mrpnn_addon.cycles.choices import Choice
 
-    from ..cycles.settings import Choice, layers, picture
+    from ..cycles.settings import layers, picture
 
     version = f"Cycles {bpy.app.version_string.removesuffix(' LTS')}"
     with tempfile.TemporaryDirectory() as folder:
@@ -110,8 +111,8 @@ def render_images(scene: RealScene, most: int, source: str) -> None:
             for method, samples, denoised in sorted(wanted, key=lambda one: one[1]):
                 path = file_of(scene, method, samples)
                 if samples <= most and not path.exists():
-                    choice = Choice(ALL_BOUNCES, samples, denoised, 0.0, null=null)
-                    keep(path, *picture(made, Path(folder), choice), source)
+                    choice = Choice(ALL_BOUNCES, denoised, null)
+                    keep(path, *picture(made, Path(folder), choice, samples), source)
                     print(f"{scene.name}: {method}, {samples}", flush=True)
 
 

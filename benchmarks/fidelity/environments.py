@@ -26,6 +26,9 @@ from training.tracer.path_tracer import Sampling
 from training.tracer.scene import PinholeCamera
 from training.train_environment import environment_values
 
+from ..support.provenance import made_by
+
+PROGRAM = "benchmarks.fidelity.environments"
 ROWS, FIELD_OF_VIEW = 64, 36.0
 SIGMAS, ANISOTROPIES, ALBEDOS = (20.0, 150.0, 600.0), (0.0, 0.5, 0.857), (1.0, 0.9)
 #: Camera positions in units of the volume's cube; all look at its centre.
@@ -68,7 +71,7 @@ def references(density, medium: tuple[float, float], camera: PinholeCamera, imag
     """Two independent references float64 (2, albedos, E, pixels), and opacity (pixels,)."""
     grid, halves = prepare(density), []
     for seed in range(2):
-        exits, hit = trace_camera_exits(grid, camera, *medium, Sampling(paths // 2, seed))
+        exits, _, hit = trace_camera_exits(grid, camera, *medium, Sampling(paths // 2, seed))
         values, n = environment_values(images, exits.directions), exits.scatterings.astype(np.float32)
         halves.append([np.einsum("pk,pke->ep", hit * np.float32(a) ** (n + 1.0), values) / n.shape[1] for a in ALBEDOS])
     return np.array(halves), hit.mean(axis=1)
@@ -143,6 +146,7 @@ def main(options=None):
     parser.add_argument("--depth-samples", type=int, default=16)
     parser.add_argument("--directions", action="store_true", help="also twelve parallel lights")
     arguments = parser.parse_args(options)
+    print(made_by(PROGRAM, options, ("mrpnn", "environment/mrpnn")))
     rows = []
     for seed in arguments.seeds:
         for row in measure(seed, arguments):

@@ -100,6 +100,11 @@ def variance_at_one(a: np.ndarray, b: np.ndarray, mask: np.ndarray, samples: flo
     return float(0.5 * np.mean((a - b)[mask] ** 2) * samples / (0.5 * np.mean((a + b)[mask])) ** 2)
 
 
+def variance_on_ladder(rungs: Sequence[Rung]) -> float:
+    """As `variance_at_one`, of the errors of a ladder without bias; larger numbers of samples weigh more."""
+    return float(sum((r.samples * r.rmse.value) ** 2 for r in rungs) / sum(r.samples for r in rungs))
+
+
 def seconds_on_ladder(rungs: Sequence[Rung], error: float, clock: str = "seconds") -> Reached:
     """Time in which a ladder of one method, by ascending samples, reaches `error`.
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume at the resolution of its density, for camera rays and single scattering."""
 
+import functools
 import threading
 from collections.abc import Sequence
 
@@ -87,6 +88,15 @@ class Grid:
             [[(low, high)[b][axis] for axis, b in enumerate((x, y, z))] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
         )
         return product(ends - self.offset, inverse(self.linear).T)
+
+    @functools.cached_property
+    def support(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cells outside of which density and emission are 0, bool (x, y, z), and the world positions
+        (x + 1, y + 1, z + 1, 3) of their corners.
+        """
+        held, faces = self.occupancy.support()
+        places = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
+        return held, product(places - self.offset, inverse(self.linear).T)
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""

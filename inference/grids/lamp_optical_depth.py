@@ -3,7 +3,8 @@
 
 Around the lamp, space is divided into six pyramids, by the index axis along which a point is farthest from it. Each
 stores optical depths from the lamp on slices across its axis, in columns along the lamp's rays, which start from one
-point: the columns of a slice are those of the next one, closer together.
+point: the columns of a slice are those of the next one, closer together. As for suns, one sweep goes through the planes
+of voxel centres; each is interpolated once, cubically, at the columns, and adds to the slices before and after it.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,12 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
 from .described import describe_grid
+from .optical_depth_sweep import cubic
 
 # Largest number of columns along each axis of a slice, and of slices of a pyramid.
 MAX_COLUMNS, MAX_SLICES = 384, 384
+# Cells that one call of the kernel sweeps.
+CELLS_PER_CALL = 1 << 22
 # Optical thickness of a voxel above which the last part of the way is integrated.
 THIN_VOXEL = 0.35
 GAUSS_NODES = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
@@ -33,15 +37,18 @@ CLOSEST = 1e-6
 class _Pyramid:
     """Optical depths around one direction of an axis.
 
-    axis: along which it extends. sign: of that direction. others: the other axes. starts: (slices,), distances of the
-    slices from the lamp in voxels, ascending; at the first the depth is 0. first: (2,), slopes of the first columns.
-    spacing: (2,), of their slopes. depths: float32 (slices, b, c), integrals of density over the distance along the
-    axis.
+    axis: along which it extends. sign: of that direction. others: the other axes. planes: int (P,), indices of voxel
+    centres along the axis, away from the lamp. every: planes from one slice to the next. starts: (slices,), distances
+    of the slices from the lamp in voxels, ascending; the first is where the grid or the lamp is, where the depth is 0.
+    first: (2,), slopes of the first columns. spacing: (2,), of their slopes. depths: float32 (slices, b, c), integrals
+    of density over the distance along the axis.
     """
 
     axis: int
     sign: float
     others: list[int]
+    planes: np.ndarray
+    every: int
     starts: np.ndarray
     first: np.ndarray
     spacing: np.ndarray
@@ -53,9 +60,17 @@ class _Pyramid:
         return 2 * self.axis + (self.sign < 0.0)
 
     @property
-    def parts(self) -> np.ndarray:
-        """int (slices - 1,), into how many parts the way from each slice to the next one is divided."""
-        return np.maximum(np.round(np.diff(self.starts)), 1.0).astype(int)
+    def slices(self) -> np.ndarray:
+        """int (P,), number of the slice on each plane, 0 where there is none."""
+        numbers = np.arange(1, len(self.planes) + 1)
+        stored = (numbers % self.every == 0) | (numbers == len(numbers))
+        return np.where(stored, -(-numbers // self.every), 0)
+
+    def ways(self, lamp: np.ndarray) -> np.ndarray:
+        """Distances along the axis (P, 2) from each plane to the one before and the one after it; lamp: (3,), index."""
+        along = self.sign * (self.planes - lamp[self.axis])
+        ends = np.diff(along, prepend=self.starts[0])
+        return np.stack([ends, np.append(ends[1:], 0.0)], axis=1)
 
     def described(self) -> structures.Pyramid:
         """As compiled kernels read it."""
@@ -73,8 +88,8 @@ class LampOpticalDepth:
     """Optical depth through one grid towards a point, for an extinction of 1 per unit density and world unit.
 
     grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from world positions. position:
-    (3,), of the lamp in the world. columns: most of them along an axis of a slice. kernels: compiled ones, or None.
-    Raises Cancelled.
+    (3,), of the lamp in the world. apart: voxels from one column to the next where they leave the grid. kernels:
+    compiled ones, or None. Raises Cancelled.
     """
 
     def __init__(
@@ -83,26 +98,18 @@ class LampOpticalDepth:
         linear: np.ndarray,
         offset: np.ndarray,
         position: np.ndarray,
-        columns: int = MAX_COLUMNS,
+        apart: float = 1.0,
         cancel: CancelToken = NEVER,
         kernels: Kernels | None = None,
     ):
         self.grid, self.world_from_index, self.kernels = grid, inverse(linear), kernels
         self.lamp = linear @ position + offset
         self.longest = float(np.linalg.norm(self.world_from_index, axis=0).max())
-        self._most = columns
+        self._apart = apart
         found = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
         self.pyramids = [pyramid for pyramid in found if pyramid is not None]
-        if kernels is None:
-            for pyramid in self.pyramids:
-                self._fill(pyramid, cancel)
-            return
-        described = self.described(1.0)
         for pyramid in self.pyramids:
-            for number, parts in enumerate(pyramid.parts, 1):
-                cancel.check()
-                data = LampSlices(columns=described, pyramid=pyramid.number, begin=number, end=number + 1, parts=parts)
-                kernels.prepare("fill_lamp_columns", data)
+            self._fill(pyramid, cancel)
 
     def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
         """One of the six, to be filled, or None where it holds nothing of the grid."""
@@ -120,32 +127,77 @@ class LampOpticalDepth:
             return None
         first = np.array([least for least, _ in slopes])
         width = np.array([most - least for least, most in slopes])
-        count = np.clip(np.ceil(width * far).astype(int) + 1, 2, self._most)
+        count = np.clip(np.ceil(width * far / self._apart).astype(int) + 1, 2, MAX_COLUMNS)
         spacing = width / (count - 1)
-        # Slices lie on voxel centres, between which density is smooth.
-        slices = min(int(np.ceil(far - near)) + 1, MAX_SLICES)
-        begin = np.ceil(near + sign * self.lamp[axis]) - sign * self.lamp[axis]
-        step = max((far - begin) / max(slices - 1, 1), 1.0)
-        places = np.append(begin + step * np.arange(max(int(np.ceil((far - begin) / step)), 0)), far)
-        starts = np.append(0.0 if near == CLOSEST else near, places)
-        starts = starts[np.append(True, np.diff(starts) > 1e-9)]
-        return _Pyramid(axis, sign, others, starts, first, spacing, np.zeros((len(starts), *count), np.float32))
+        begin, end = (int(np.ceil(place + sign * self.lamp[axis] - CLOSEST)) for place in (near, far))
+        planes = int(sign) * np.arange(begin, end + 1)
+        along = sign * (planes - self.lamp[axis])
+        start = 0.0 if near == CLOSEST else near
+        planes = planes[along > start + CLOSEST]
+        every = -(-len(planes) // MAX_SLICES)
+        ends = sign * (np.append(planes[every - 1 : -1 : every], planes[-1]) - self.lamp[axis])
+        starts = np.append(start, ends)
+        depths = np.zeros((len(starts), *count), np.float32)
+        return _Pyramid(axis, sign, others, planes, every, starts, first, spacing, depths)
 
     def _fill(self, pyramid: _Pyramid, cancel: CancelToken) -> None:
-        depths, starts, count = pyramid.depths, pyramid.starts, pyramid.depths.shape[1:]
-        u, v = (pyramid.first[k] + pyramid.spacing[k] * np.arange(count[k]) for k in (0, 1))
-        slope = np.zeros((3, count[0] * count[1]), np.float32)
-        slope[pyramid.axis] = pyramid.sign
-        slope[pyramid.others[0]], slope[pyramid.others[1]] = np.repeat(u, count[1]), np.tile(v, count[0])
-        lamp = self.lamp[:, None].astype(np.float32)
-        for number, parts in enumerate(pyramid.parts, 1):
+        slices, ways = pyramid.slices, 0.5 * pyramid.ways(self.lamp)
+        running = np.zeros(pyramid.depths.shape[1:], np.float32)
+        # A first slice elsewhere than at the lamp lies where the density begins.
+        inside = pyramid.starts[0] == 0.0
+        if self.kernels is None:
+            if inside:
+                running += np.float32(ways[0, 0]) * self.grid.sample(self.lamp[:, None].astype(np.float32))[0]
+            for plane, slice_number, (before, after) in zip(pyramid.planes, slices, ways):
+                cancel.check()
+                density = self._plane(pyramid, plane)
+                running += np.float32(before) * density
+                if slice_number:
+                    pyramid.depths[slice_number] = running
+                running += np.float32(after) * density
+            return
+        b, c = (self.grid.shape[axis] for axis in pyramid.others)
+        scratch = np.empty(4 * running.shape[1] + c + 6 + b * c * isinstance(self.grid, SparseGrid), np.float32)
+        cells = np.empty(running.shape[1], np.int32)
+        each = max(CELLS_PER_CALL // max(running.size, b * c), 1)
+        for start in range(0, len(slices), each):
             cancel.check()
-            ends = np.linspace(starts[number - 1], starts[number], parts + 1)
-            total = np.zeros(slope.shape[1], np.float32)
-            for start, end in zip(ends[:-1], ends[1:]):
-                for node in GAUSS_NODES:
-                    total += self.grid.sample(lamp + np.float32(start + node * (end - start)) * slope)
-            depths[number] = depths[number - 1] + (total * np.float32(0.5 * (ends[1] - ends[0]))).reshape(count)
+            part = slice(start, start + each)
+            data = LampSlices(
+                density=describe_grid(self.grid),
+                pyramid=pyramid.described(),
+                axis=pyramid.axis,
+                lamp=self.lamp,
+                inside=inside and not start,
+                planes=len(slices[part]),
+                numbers=pyramid.planes[part].astype(np.int64),
+                slices=slices[part].astype(np.int64),
+                ways=np.ascontiguousarray(ways[part]),
+                running=running,
+                scratch=scratch,
+                cells=cells,
+            )
+            self.kernels.prepare("fill_lamp_columns", data)
+
+    def _plane(self, pyramid: _Pyramid, plane: int) -> np.ndarray:
+        """Density float32 (b, c) where the columns of a pyramid meet a plane of voxel centres."""
+        along = pyramid.sign * (plane - self.lamp[pyramid.axis])
+        sizes = [self.grid.shape[axis] for axis in pyramid.others]
+        index = np.empty((3, *sizes), np.float32)
+        index[pyramid.axis] = plane
+        index[pyramid.others[0]], index[pyramid.others[1]] = np.meshgrid(*map(np.arange, sizes), indexing="ij")
+        density = self.grid.sample(index.reshape(3, -1)).reshape(sizes)
+        for k, (axis, size) in enumerate(zip(pyramid.others, sizes)):
+            slopes = pyramid.first[k] + pyramid.spacing[k] * np.arange(pyramid.depths.shape[1 + k])
+            place = self.lamp[axis] + along * slopes
+            cell = np.floor(place).astype(int)
+            padded = np.concatenate([density, np.zeros((1, density.shape[1]), np.float32)])
+            weights, taps = cubic((place - cell).astype(np.float32)), []
+            for tap, weight in enumerate(weights, -1):
+                voxel = np.where((cell + tap >= 0) & (cell + tap < size), cell + tap, size)
+                taps.append(np.reshape(weight, (-1, 1)) * padded[voxel])
+            density = np.sum(taps, axis=0, dtype=np.float32).T
+        return density
 
     def described(self, sigma_t: float) -> structures.LampColumns:
         """As compiled kernels read it, for an extinction per unit density and world unit."""
@@ -242,4 +294,5 @@ class LampOpticalDepth:
         else:
             depth += share * (on_slice(b * c) - depth)
         length = np.linalg.norm(self.world_from_index.astype(np.float32) @ (away / along), axis=0)
-        return np.where(outside, np.float32(0.0), depth * length)
+        # Cubic interpolation may fall below 0 beside sharp edges.
+        return np.where(outside, np.float32(0.0), np.maximum(depth, np.float32(0.0)) * length)

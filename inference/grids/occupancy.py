@@ -5,6 +5,8 @@ import numpy as np
 
 #: Distance in voxels along any axis, within which nothing is missed, including the reach of interpolation.
 REACH = 2
+#: Cells along an edge that are enough to tell which pixels a grid is seen in.
+MOST_CELLS = 64
 
 
 class Occupancy:
@@ -15,7 +17,7 @@ class Occupancy:
     """
 
     def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
-        self.cell, self.first = cell, first
+        self.cell, self.first, self._held = cell, first, filled
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
@@ -30,6 +32,21 @@ class Occupancy:
             grown, distance = _grown(grown, by), distance + by
             found[~grown] = distance
         return found
+
+    def support(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
+        their faces along each axis. No more than MOST_CELLS along any.
+        """
+        # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next one holds it, too.
+        held = np.pad(self._held, (0, 1))
+        for axis in range(3):
+            along = np.moveaxis(held, axis, 0)
+            along[1:] |= along[:-1].copy()
+        times = -(-max(held.shape) // MOST_CELLS)
+        for axis in range(3):
+            held = np.logical_or.reduceat(held, np.arange(0, held.shape[axis], times), axis=axis)
+        faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(held.shape, self.first)]
+        return held, faces
 
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""

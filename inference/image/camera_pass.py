@@ -16,7 +16,7 @@ from ..occluders.depth_buffer import SAMPLES, DepthBuffer, split_rays_at_surface
 from ..plan.plan import Plan, last_albedo
 from ..runtime.cancellation import CancelToken
 from ..scene.camera import Camera
-from ..scene.camera_rays import camera_rays, window_around
+from ..scene.camera_rays import camera_rays, pixel_rays, pixels_around
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Framebuffer, add_at
@@ -29,17 +29,23 @@ MAX_STEPS = 1 << 18
 PILOT = 12
 
 
-def lookup_offsets(camera: Camera, seed: int) -> np.ndarray:
-    """Offsets (N,) in [0, 1) of the window's pixels: a rank-1 lattice over the image, shifted by the seed.
+def shown_pixels(scene: PreparedScene, camera: Camera) -> np.ndarray:
+    """bool (rows, columns): pixels of the camera's window in which rays may meet a volume."""
+    x0, y0, x1, y1 = camera.window
+    if "missed_pixels" not in scene.plan.optimizations:
+        return np.ones((y1 - y0, x1 - x0), bool)
+    return np.logical_or.reduce([pixels_around(camera, *grid.support) for grid in scene.grids])
+
+
+def lookup_offsets(columns: np.ndarray, rows: np.ndarray, seed: int) -> np.ndarray:
+    """Offsets (N,) in [0, 1) of pixels: a rank-1 lattice over the image, shifted by the seed.
 
     Neighbouring pixels get offsets far apart, so that the remaining error has no low frequencies. Depends only on the
     pixel's place in the whole image.
     """
-    x0, y0, x1, y1 = camera.window
-    columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-    shift = np.random.default_rng(seed).random()
     # Powers of the reciprocal of the plastic number.
-    return np.mod(shift + columns.ravel() * 0.7548776662466927 + rows.ravel() * 0.5698402909980532, 1.0)
+    offsets = np.random.default_rng(seed).random() + columns * 0.7548776662466927 + rows * 0.5698402909980532
+    return offsets - np.floor(offsets)
 
 
 @dataclass(frozen=True)
@@ -246,46 +252,35 @@ class _Shading:
 
 
 def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
-    """The camera rays that meet a volume, or None if there are none."""
-    report, settings = tile.report, context.settings
-    # No rays are made for pixels away from every volume.
-    around, pixel = _crop_to_volumes(tile.camera, scene.corners, "missed_pixels" in settings.leave_out)
+    """The camera rays that may meet a volume, or None if there are none."""
+    report, pixel = tile.report, tile.shown
     report.count("camera rays", len(pixel))
     report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(pixel))
     if not len(pixel):
         return None
-    origins, directions, *clip = camera_rays(around)
-    offsets = lookup_offsets(around, settings.seed)
+    x0, y0, x1, _ = tile.camera.window
+    rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
+    origins, directions, *clip = pixel_rays(tile.camera, columns, rows)
+    offsets = lookup_offsets(columns, rows, context.settings.seed)
     near, far, warnings = _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
     report.warn(warnings)
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
-            split, far, share, free = _split_at_surfaces(scene.depth_buffer, around.window, near, far, context.cancel)
+            split, far, share, free = _split_at_surfaces(scene.depth_buffer, columns, rows, (near, far), context.cancel)
         pixel, origins, directions, offsets, near = (
             values[split] for values in (pixel, origins, directions, offsets, near)
         )
-    hit = np.flatnonzero(near < far)
-    report.count("rays that miss every volume", len(origins) - len(hit))
-    report.count("rays marched", len(hit))
-    if not len(hit):
+    hit = near < far
+    report.count("rays that miss every volume", len(near) - np.count_nonzero(hit))
+    report.count("rays marched", np.count_nonzero(hit))
+    if not hit.any():
         return None
+    if hit.all():
+        return _TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
     return _TileRays(
         RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit], free[hit]
     )
-
-
-def _crop_to_volumes(camera: Camera, corners: np.ndarray, crop: bool) -> tuple[Camera, np.ndarray]:
-    """The camera with the pixels around all volumes as its region, and their numbers (P,) in its own window.
-
-    corners: (N, 3), of the volumes in the world. crop: without, all pixels.
-    """
-    x0, y0, x1, y1 = camera.window
-    if not crop:
-        return camera, np.arange((x1 - x0) * (y1 - y0))
-    left, top, right, bottom = window_around(camera, corners)
-    pixel = (np.arange(top, bottom)[:, None] - y0) * (x1 - x0) + np.arange(left, right) - x0
-    return replace(camera, region=(left, top, right, bottom)) if pixel.size else camera, pixel.ravel()
 
 
 def _ray_intervals(
@@ -319,18 +314,18 @@ def _ray_intervals(
 
 def _split_at_surfaces(
     depth_buffer: DepthBuffer,
-    window: tuple[int, int, int, int],
-    near: np.ndarray,
-    far: np.ndarray,
+    columns: np.ndarray,
+    rows: np.ndarray,
+    interval: tuple[np.ndarray, np.ndarray],
     cancel: CancelToken,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rays that end at surfaces, as `split_rays_at_surfaces`."""
-    x0, y0, x1, y1 = window
-    rows, columns = np.divmod(np.flatnonzero(near < far), x1 - x0)
-    distances = np.full((y1 - y0, x1 - x0, SAMPLES**2), np.inf)
-    if len(rows):
+    """Rays that end at surfaces, as `split_rays_at_surfaces`; columns, rows: int (N,), pixels of the image."""
+    near, far = interval
+    distances, some = np.full((len(near), SAMPLES**2), np.inf), near < far
+    if some.any():
         # Only around the pixels that show a volume.
-        left, top, right, bottom = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-        found = depth_buffer.distances((x0 + left, y0 + top, x0 + right, y0 + bottom), cancel)
-        distances[top:bottom, left:right] = found.reshape(bottom - top, right - left, -1)
-    return split_rays_at_surfaces(near, far, distances.reshape(len(near), -1))
+        x, y = columns[some], rows[some]
+        left, top, right, bottom = x.min(), y.min(), x.max() + 1, y.max() + 1
+        found = depth_buffer.distances((left, top, right, bottom), cancel)
+        distances[some] = found[(y - top) * (right - left) + x - left]
+    return split_rays_at_surfaces(near, far, distances)

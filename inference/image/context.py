@@ -28,7 +28,7 @@ from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
 from ..scene.environment import Environment
 from ..scene.settings import Settings
-from .framebuffer import Framebuffer
+from .framebuffer import Framebuffer, Window
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,20 @@ class ChannelPass:
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of the image that one thread renders: a camera whose region it is, its pixels, and what was done."""
+    """A part of the image that one thread renders: a camera whose region it is, its pixels, and what was done.
+
+    shown: int, ascending numbers of the pixels that may show a volume.
+    """
 
     camera: Camera
     framebuffer: Framebuffer
     report: Report
+    shown: np.ndarray
 
     @classmethod
-    def of(cls, camera: Camera, window: tuple[int, int, int, int]) -> "Tile":
-        """A black tile."""
-        x0, y0, x1, y1 = window
-        return cls(replace(camera, region=window), Framebuffer.black((y1 - y0) * (x1 - x0)), Report.of_thread())
+    def of(cls, camera: Camera, window: Window, shown: np.ndarray) -> "Tile":
+        """A black tile; shown: bool (rows, columns), pixels of the camera's window that may show a volume."""
+        (left, top, *_), (x0, y0, x1, y1) = camera.window, window
+        part = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
+        framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
+        return cls(replace(camera, region=window), framebuffer, Report.of_thread(), part)

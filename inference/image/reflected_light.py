@@ -24,7 +24,8 @@ from ..marching.lamp_march import LampInMedia
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..occluders.seen_surfaces import HIDING, ROWS, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
-from ..plan.lights import linking
+from ..plan.directional_lights import directional_lights
+from ..plan.lights import DIRECTIONS, linking
 from ..render_cache import ScatteringGroup
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun, Surface, Volume
@@ -106,6 +107,8 @@ def surface_light(
             power[c] += lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
     if scene.plan.sky:
         sky, fluence = _sky_light(scene.plan.sky, seen)
+        if shading and any(environment.weight for environment in plan.environments):
+            sky *= _sky_visibility(shading, plan.sky, seen, scene.corners, cancel)[:, None]
         # What volumes take from the sky in front of a surface, they take from its irradiance.
         mean = fluence / (4.0 * np.pi)
         irradiance += np.maximum(0.5 * sky * (1.0 + passed) - form[:, None] * ball.area * mean, 0.0)
@@ -228,6 +231,23 @@ def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarr
     normals, number = np.unique(np.round(seen.normals, 3), axis=0, return_inverse=True)
     found = np.concatenate([np.maximum(normal @ towards.T, 0.0)[None] @ light for normal in normals])
     return found[number.reshape(-1)], light.sum(axis=0)
+
+
+def _sky_visibility(
+    shading: Sequence[Surface],
+    sky: Sequence[Environment],
+    seen: SeenSurfaces,
+    corners: np.ndarray,
+    cancel: CancelToken,
+) -> np.ndarray:
+    """Share (P,) of environments' irradiance that surfaces leave to surfaces, by parallel lights. Raises Cancelled."""
+    whole, left = np.full(len(seen.points), 1e-30), np.zeros(len(seen.points))
+    for sun in (sun for environment in sky for sun in directional_lights(environment, DIRECTIONS)):
+        cancel.check()
+        light = _sun_light(sun, seen) * sun.irradiance.mean()
+        whole += light
+        left += light * _sun_visibility(shading, sun.direction, seen, corners, cancel)
+    return left / whole
 
 
 def _passed(media: Sequence[BoundMedium], depths: Sequence[np.ndarray], channels: Sequence[int]) -> np.ndarray:

@@ -3,7 +3,7 @@
 
 from ctypes import c_double, c_int64, c_void_p
 
-from .structures import Grid, Occupancy, Shared
+from .structures import Grid, Occupancy, Pyramid, Shared
 
 #: Columns that a slice reaches beyond its cells.
 MORE = 3
@@ -189,11 +189,18 @@ class Resampling(Shared):
 
 class LampSlices(Shared):
     _fields_ = [
-        ("columns", c_void_p),
-        ("pyramid", c_int64),
-        ("begin", c_int64),
-        ("end", c_int64),
-        ("parts", c_int64),
+        ("density", Grid),
+        ("pyramid", Pyramid),
+        ("axis", c_int64),
+        ("lamp", c_double * 3),
+        ("inside", c_int64),
+        ("planes", c_int64),
+        ("numbers", c_void_p),
+        ("slices", c_void_p),
+        ("ways", c_void_p),
+        ("running", c_void_p),
+        ("scratch", c_void_p),
+        ("cells", c_void_p),
     ]
 
 

@@ -169,11 +169,20 @@ typedef struct {
     int64_t strides[3];
 } Resampling;
 
-/* Slices of the columns around a lamp: LampOpticalDepth. */
+/* Some planes of voxel centres that add to the columns around a lamp: LampOpticalDepth. */
 typedef struct {
-    const LampColumns *columns;
-    int64_t pyramid, begin, end; /* the slices to fill, of which none is the first */
-    int64_t parts;               /* into which the way from the slice before is divided */
+    Grid density;
+    Pyramid pyramid;
+    int64_t axis;                /* of the pyramid */
+    double lamp[3];              /* in continuous indices */
+    int64_t inside;              /* whether the density at the lamp adds to all columns first */
+    int64_t planes;
+    const int64_t *numbers;      /* (planes), index along the axis, in the order of distance */
+    const int64_t *slices;       /* (planes), that each ends, or 0 */
+    const double *ways;          /* (planes, 2), half the distances to the planes before and after */
+    float *running;              /* (columns), depths so far */
+    float *scratch;              /* (4 * columns of a row + voxels of a row + 6, and those of a plane if sparse) */
+    int32_t *cells;              /* (columns of a row), scratch */
 } LampSlices;
 
 /* Optical depths from points towards a lamp: LampOpticalDepth. */

@@ -101,7 +101,8 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
         Floats after = lerp_lanes(lerp_pairs(far[0], part[1]), lerp_pairs(far[1], part[1]), part[0]);
         depth = lerp_lanes(depth, after, share);
     }
-    return choose(inside, depth * length, in_all(0.0f)) * sigma_t;
+    /* Cubic interpolation may fall below 0 beside sharp edges. */
+    return choose(inside & (depth > 0.0f), depth * length, in_all(0.0f)) * sigma_t;
 }
 
 /* Visibility of a lamp from 0 to 1 at a world point, by percentage-closer filtering. */

@@ -2,45 +2,113 @@
 /* Optical depths around lamps, and their light in cells; the twins are grids/lamp_optical_depth.py and
 transport/lamp_beam.py. */
 
+#include <string.h>
+
 #include "fields.h"
 #include "lamp_sampling.h"
 #include "variants.h"
 
+/* Weights of four voxels at a fraction beyond the second: optical_depth_sweep.cubic. */
+static void cubic_weights(double f, float *weights) {
+    weights[0] = (float)(0.5 * f * (-1.0 + f * (2.0 - f)));
+    weights[1] = (float)(1.0 + 0.5 * f * f * (3.0 * f - 5.0));
+    weights[2] = (float)(0.5 * f * (1.0 + f * (4.0 - 3.0 * f)));
+    weights[3] = (float)(0.5 * f * f * (f - 1.0));
+}
+
+/* Voxels of a plane across an axis: those of (row, n) lie at row * strides[0] + n * strides[1]. */
+typedef struct {
+    const float *values;
+    int64_t strides[2], rows, width;
+} Plane;
+
+/* A plane of a grid; others: the other axes. room: for the voxels of a sparse one. */
+static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int *others, float *room) {
+    Plane plane = {room, {grid->shape[others[1]], 1}, grid->shape[others[0]], grid->shape[others[1]]};
+    if (!grid->table) {
+        int64_t strides[3] = {grid->size[1] * grid->size[2], grid->size[2], 1};
+        plane.strides[0] = strides[others[0]], plane.strides[1] = strides[others[1]];
+        plane.values = grid->values + (number + 1) * strides[axis] + plane.strides[0] + plane.strides[1];
+        return plane;
+    }
+    int64_t place[3];
+    place[axis] = number + grid->first[axis];
+    for (int64_t row = 0; row < plane.rows; row++) {
+        place[others[0]] = row + grid->first[others[0]];
+        for (int64_t n = 0; n < plane.width; n++) {
+            place[others[1]] = n + grid->first[others[1]];
+            int64_t block = ((place[0] >> 3) * grid->size[1] + (place[1] >> 3)) * grid->size[2] + (place[2] >> 3);
+            int64_t voxel = (place[0] & 7) * 64 + (place[1] & 7) * 8 + (place[2] & 7);
+            room[row * plane.width + n] = block_values(grid, block)[voxel];
+        }
+    }
+    return plane;
+}
+
+/* Interpolate the four rows of a plane around a place. Returns whether any voxel of theirs is not 0. */
+static int row_at(const Plane *plane, double place, float *out) {
+    double below = floor(place);
+    float weights[4];
+    int any = 0;
+    if (!(below >= -2.0 && below <= (double)plane->rows)) return 0;
+    cubic_weights(place - below, weights);
+    for (int64_t n = 0; n < plane->width; n++) out[n] = 0.0f;
+    for (int tap = 0; tap < 4; tap++) {
+        int64_t row = (int64_t)below + tap - 1;
+        if (row < 0 || row >= plane->rows || weights[tap] == 0.0f) continue;
+        const float *from = plane->values + row * plane->strides[0];
+        if (plane->strides[1] == 1) {
+            for (int64_t n = 0; n < plane->width; n++) out[n] += weights[tap] * from[n];
+        } else {
+            for (int64_t n = 0; n < plane->width; n++) out[n] += weights[tap] * from[n * plane->strides[1]];
+        }
+    }
+    for (int64_t n = 0; n < plane->width; n++) any |= out[n] != 0.0f;
+    return any;
+}
+
 int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
-    const LampColumns *lamp = data->columns;
-    const Pyramid *pyramid = lamp->pyramids + data->pyramid;
-    int axis = (int)(data->pyramid / 2), others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
-    float sign = data->pyramid % 2 ? -1.0f : 1.0f;
-    int64_t rows = pyramid->size[0], width = pyramid->size[1];
-    for (int64_t slice = data->begin; slice < data->end; slice++) {
-        const float *before = pyramid->depths + (slice - 1) * rows * width;
-        float *out = pyramid->depths + slice * rows * width;
-        double start = pyramid->starts[slice - 1];
-        double step = (pyramid->starts[slice] - start) / (double)data->parts;
-        for (int64_t row = 0; row < rows; row++) {
-            float across = (float)(pyramid->first[0] + pyramid->spacing[0] * (double)row);
-            for (int64_t column = 0; column < width; column += LANES) {
-                Floats slope, total = in_all(0.0f);
-                int used = width - column < LANES ? (int)(width - column) : LANES;
-                FOR_LANES(n) slope[n] = (float)(pyramid->first[1] + pyramid->spacing[1] * (double)(column + n));
-                for (int64_t part = 0; part < data->parts; part++) {
-                    for (int node = 0; node < 2; node++) {
-                        float along = (float)(start + step * ((double)part + (double)GAUSS_NODES[node]));
-                        Floats place[3];
-                        place[axis] = in_all((float)lamp->lamp[axis] + along * sign);
-                        place[others[0]] = in_all((float)lamp->lamp[others[0]] + along * across);
-                        place[others[1]] = (float)lamp->lamp[others[1]] + along * slope;
-                        total = total + sample_grid(&lamp->density, place);
-                    }
-                }
-                total = total * (float)(0.5 * step);
-                for (int n = 0; n < used; n++) {
-                    out[row * width + column + n] = before[row * width + column + n] + total[n];
-                }
+    const Pyramid *pyramid = &data->pyramid;
+    int axis = (int)data->axis, others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
+    int64_t width = data->density.shape[others[1]], last = data->density.shape[axis] - 1;
+    int64_t b = pyramid->size[0], c = pyramid->size[1];
+    float *weights = data->scratch, *line = weights + 4 * c + 3, *room = line + width + 3;
+    for (int64_t n = 0; n < 3; n++) line[-1 - n] = line[width + n] = 0.0f;
+    if (data->inside && data->planes > 0) {
+        Floats place[3];
+        for (int k = 0; k < 3; k++) place[k] = clamped_to(in_all((float)data->lamp[k]), in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        float density = sample_grid(&data->density, place)[0] * (float)data->ways[0];
+        for (int64_t n = 0; n < b * c; n++) data->running[n] += density;
+    }
+    for (int64_t p = 0; p < data->planes; p++) {
+        double along = fabs((double)data->numbers[p] - data->lamp[axis]);
+        float before = (float)data->ways[2 * p], whole = before + (float)data->ways[2 * p + 1];
+        float *out = data->slices[p] ? pyramid->depths + within(data->slices[p], pyramid->slices - 1) * b * c : NULL;
+        Plane plane = plane_of(&data->density, axis, within(data->numbers[p], last), others, room);
+        int filled = data->numbers[p] >= 0 && data->numbers[p] <= last;
+        double first = data->lamp[others[1]] + along * pyramid->first[1], step = along * pyramid->spacing[1];
+        /* The columns that any of the row's voxels reaches. */
+        int64_t low = (int64_t)larger(smaller(ceil((-2.0 - first) / step), (double)c), 0.0);
+        int64_t high = (int64_t)larger(smaller(ceil(((double)width + 1.0 - first) / step), (double)c), 0.0);
+        for (int64_t n = low; filled && n < high; n++) {
+            double place = first + step * (double)n, below = floor(place);
+            data->cells[n] = (int32_t)larger(smaller(below, (double)width), -2.0);
+            cubic_weights(place - below, weights + 4 * n);
+        }
+        for (int64_t row = 0; row < b; row++) {
+            float *running = data->running + row * c, *to = out ? out + row * c : NULL;
+            double across = data->lamp[others[0]] + along * (pyramid->first[0] + pyramid->spacing[0] * (double)row);
+            if (to) memcpy(to, running, (size_t)c * sizeof *running);
+            if (!filled || !row_at(&plane, across, line)) continue;
+            for (int64_t n = low; n < high; n++) {
+                const float *at = line + data->cells[n] - 1, *weight = weights + 4 * n;
+                float density = weight[0] * at[0] + weight[1] * at[1] + weight[2] * at[2] + weight[3] * at[3];
+                if (to) to[n] += before * density;
+                running[n] += whole * density;
             }
         }
     }
-    return data->end - data->begin;
+    return data->planes;
 }
 
 int64_t NAMED(lamp_depths, VARIANT)(const LampDepths *data) {

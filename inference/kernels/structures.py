@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 11
+INTERFACE = 12
 CHANNELS = 3
 PHASES = 8192
 

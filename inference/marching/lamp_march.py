@@ -15,7 +15,7 @@ import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
-from ..grids.lamp_optical_depth import MAX_COLUMNS, LampOpticalDepth
+from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
@@ -127,9 +127,7 @@ def place_lamp(
         maps = None if all(one.empty for one in maps) else maps
     depths = [
         [
-            LampOpticalDepth(
-                grid.density, grid.linear, grid.offset, emitter.position, MAX_COLUMNS // coarser, cancel, kernels
-            )
+            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, coarser, cancel, kernels)
             for grid in grids
         ]
         for emitter in emitters

@@ -4,6 +4,7 @@
 import contextlib
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +32,7 @@ class EnvironmentNetwork:
     checksum: str
     lock: contextlib.AbstractContextManager[Any]
 
-    def run(self, x: np.ndarray, radiances: np.ndarray, albedos: np.ndarray) -> np.ndarray:
+    def run(self, x: np.ndarray, radiances: np.ndarray, albedos: Sequence[float] | np.ndarray) -> np.ndarray:
         """Radiance float32 (N, 1 + A, C): single scattering, then multiple scattering for each albedo (A,).
 
         x: float32 (N, COLUMNS) and radiances: float32 (N, CANDIDATES, C), of `environment_features`.
@@ -62,7 +63,8 @@ class PreparedEnvironment:
     """What predicts the light of an environment in one volume, for one optical thickness. Immutable.
 
     lookup: of the density at the stencil. low: number of its low-frequency points. depths: what is open to points.
-    light, absorbed: of `solve_environment`. radiance: (50, C), of `direction_radiance`. blurred: float32 (H, 2H, B, C).
+    light, absorbed: of `solve_environment`, C channels. radiance: (50, S C), of `direction_radiance`, of S skies that
+    reach places differently. blurred: float32 (H, 2H, B, S C).
     sigma_hat: extinction per unit density times the cube's edge. thickness: the same at the largest density.
     anisotropy: G.
     """
@@ -80,15 +82,22 @@ class PreparedEnvironment:
     anisotropy: float
 
     def predict(
-        self, positions: np.ndarray, omega: np.ndarray, along: np.ndarray, albedos, jitter: np.ndarray | None = None
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        along: np.ndarray,
+        shares: np.ndarray,
+        albedos: Sequence[float],
+        jitter: np.ndarray | None = None,
     ) -> np.ndarray:
         """Radiance float32 (1 + A, N, C) scattered towards the camera, without the factor of the local albedo.
 
         Single scattering, then multiple scattering for each of A albedos. positions, omega: (N, 3) in the cube's frame.
-        along: (N, 2), optical depth ahead of each point and behind it on its ray. jitter: as for `FieldLookup`.
+        along: (N, 2), optical depth ahead of each point and behind it on its ray. shares: (N, S), of the skies at the
+        points. jitter: as for `FieldLookup`.
         """
         first, view = distinct_rows(omega)
-        count, channels = len(positions), self.radiance.shape[1]
+        count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]
         density = self.lookup(positions, omega[first], view, jitter)[:, : self.low, 0]
         depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
@@ -98,7 +107,15 @@ class PreparedEnvironment:
         absorbed = read_lattice(self.absorbed, flat).reshape(count, probes.shape[1], 4, len(ALBEDOS), channels + 1)
         seldom, even = seldom_scattered(light, absorbed.swapaxes(2, 3), omega)
         x = inputs(density, along, opened, even, omega, self.thickness, self.anisotropy)
-        ahead = read_image(self.blurred, omega[first])[view]
-        radiances = candidates(ahead, opened.radiance(self.radiance), light, seldom, omega, self.anisotropy)
+        ahead = _reaching(read_image(self.blurred, omega[first])[view], shares)
+        open_to = _reaching(opened.radiance(self.radiance), shares)
+        radiances = candidates(ahead, open_to, light, seldom, omega, self.anisotropy)
         found = self.network.run(x, radiances, albedos)
         return np.maximum(found, np.float32(0.0)).transpose(1, 0, 2)
+
+
+def _reaching(radiance: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Radiances (N, K, C) of what reaches N points of skies (N, K, S C), of which they see shares (N, S)."""
+    if shares.shape[1] == 1:
+        return radiance * shares[:, :, None]
+    return np.einsum("nksc,ns->nkc", radiance.reshape(*radiance.shape[:2], shares.shape[1], -1), shares)

@@ -26,7 +26,7 @@ from ..scene.lamps import LAMPS, Lamp
 from ..scene.optimizations import ALL
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
-from ..transport.environment_light import image_in_frame
+from ..transport.environment_light import Skies, image_in_frame
 from ..transport.lamp_beam import LampInCube
 from ..transport.scattered_fluence import ScatteredFluence
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
@@ -205,11 +205,11 @@ class VolumePredictor:
         """
         up = np.array([0.0, 0.0, 1.0])
         conditions = Conditions(sigma_t * self.cube.edge, up, bounds)
-        image = image_in_frame(environments, self.cube.rotation)
+        skies = Skies.of(environments, self.cube.rotation)
         prepared = self._predictor.prepare_environment(
-            network, image, conditions, max(self.peak_sigma_hat(sigma_t), 1e-30), tasks
+            network, skies, conditions, max(self.peak_sigma_hat(sigma_t), 1e-30), tasks
         )
-        return EnvironmentPredictor(prepared, self.cube)
+        return EnvironmentPredictor(prepared, self.cube, skies)
 
     def albedos(
         self,
@@ -506,11 +506,12 @@ class EnvironmentPredictor:
 
     prediction: PreparedEnvironment
     cube: Cube
+    skies: Skies
 
     @property
     def channels(self) -> int:
         """Channels of the light: 1 if it is grey, else 3."""
-        return self.prediction.radiance.shape[1]
+        return self.skies.channels
 
     def predict(
         self,
@@ -522,7 +523,7 @@ class EnvironmentPredictor:
     ) -> np.ndarray:
         """As `PreparedEnvironment.predict`, at world positions (N, 3) for camera rays along directions (N, 3)."""
         x, omega = self.cube.positions(positions), self.cube.directions(directions)
-        return self.prediction.predict(x, omega, along, albedos, jitter)
+        return self.prediction.predict(x, omega, along, self.skies.shares(positions), albedos, jitter)
 
 
 def predict_multiple(

@@ -27,7 +27,7 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import direction_radiance, ordinate_radiance, solve_environment
+from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
@@ -145,7 +145,7 @@ class RayPredictor(StencilPredictor):
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: OpenDepths | None = None
-        self._environment: tuple[tuple[float, bytes], tuple[np.ndarray, np.ndarray]] | None = None
+        self._environment: tuple[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] | None = None
         self._albedo: CoarseAlbedo | None = None
         self._places: dict[tuple[Any, ...], np.ndarray] = {}
 
@@ -160,18 +160,18 @@ class RayPredictor(StencilPredictor):
     def prepare_environment(
         self,
         network: EnvironmentNetwork,
-        image: np.ndarray,
+        skies: Skies,
         conditions: Conditions,
         thickness: float,
         tasks: AnyTasks = SERIAL,
     ) -> PreparedEnvironment:
         """What predicts the light of an environment. Raises Cancelled.
 
-        image: (H, 2H, C), in the cube's frame. conditions: whose sun only gives the stencil a frame. thickness: optical
-        thickness of the cube at the largest density.
+        conditions: whose sun only gives the stencil a frame. thickness: optical thickness of the cube at the largest
+        density.
         """
-        ordinates = ordinate_radiance(image)
-        key = conditions.sigma_hat, ordinates.tobytes()
+        ordinates = ordinate_radiance(skies.image)
+        key = conditions.sigma_hat, ordinates.tobytes(), skies.weights
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
             if self._depths is None:
@@ -183,6 +183,8 @@ class RayPredictor(StencilPredictor):
                 solved = solve_environment(
                     self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel, self.kernels
                 )
+                if skies.vary:
+                    solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
                 self._environment = key, solved
             depths, (light, absorbed) = self._depths, self._environment[1]
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
@@ -193,8 +195,8 @@ class RayPredictor(StencilPredictor):
             depths,
             light,
             absorbed,
-            direction_radiance(image).astype(np.float32),
-            blurred(image, blurs(self.anisotropy)),
+            direction_radiance(skies.image).astype(np.float32),
+            blurred(skies.image, blurs(self.anisotropy)),
             conditions.sigma_hat,
             thickness,
             self.anisotropy,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The nearest surfaces in all directions around a point, and how much of the sky they leave open."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
-from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
+from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_solid_angles
 from .depth_buffer import SAMPLES, DepthBuffer
 from .lamp_shadow_map import LampShadowMap
 
@@ -17,8 +18,8 @@ from .lamp_shadow_map import LampShadowMap
 ROWS, FACE = 32, 64
 # Distances along an edge of each face of such a cube, for what surfaces hide from its middle.
 HIDING = 512
-# The sky is open alike to all of a volume if what is open from several places differs by this share of the sphere on
-# the average; surfaces of more triangles are not looked at from several places.
+# The sky is known if what is open from several places differs from it by this share of the sphere on the average;
+# surfaces of more triangles are not looked at from several places.
 ALIKE, MAX_TRIANGLES = 0.05, 10_000
 
 
@@ -127,35 +128,78 @@ def _meets(start: np.ndarray, way: np.ndarray, triangles: np.ndarray) -> bool:
         return bool(np.any((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)))
 
 
+@dataclass(frozen=True)
+class OpenSky:
+    """Share (ROWS, 2 ROWS) of each direction's light that surfaces let through to volumes, and where it does."""
+
+    share: np.ndarray
+    weight: PlaceWeight | None = None
+
+
 def open_sky(
     surfaces: Sequence[Surface], corners: np.ndarray, eye: np.ndarray, cancel: CancelToken = NEVER
-) -> np.ndarray | None:
-    """Share (ROWS, 2 ROWS) of each direction's light that surfaces let through to volumes; None where places differ.
+) -> list[OpenSky]:
+    """What surfaces let through to volumes: one sky where it is alike to all of them, else the sum of 2, 4 or 8.
 
-    corners: (N, 3), of the volumes. eye: (3,), from `vantage`. Places are it, the volumes' middle and halfway to each
-    corner of their box, unless surfaces hide them from the eye. Raises Cancelled.
+    corners: (N, 3), of the volumes. eye: (3,), from `vantage`. It is seen from there, from the volumes' middle and from
+    halfway to each corner of their box, unless surfaces hide these from the eye, and varies linearly along as few axes
+    as do. Empty where it varies otherwise, which is checked halfway to the faces of the box. Raises Cancelled.
     """
     shading = [surface for surface in surfaces if surface.shades and len(surface.triangles)]
     if sum(len(surface.triangles) for surface in shading) > MAX_TRIANGLES:
-        return None
+        return []
     if not shading:
-        return np.ones((ROWS, 2 * ROWS))
-    places = _places(corners)
-    hidden = LampShadowMap(shading, eye, HIDING, cancel).visibility(places) < 0.5
-    directions = pixel_directions(ROWS).reshape(-1, 3)
-    views = [_nearest_triangles(shading, place, directions, cancel) < 0 for place in (eye, *places[~hidden])]
-    mean = np.mean(views, axis=0)
+        return [OpenSky(np.ones((ROWS, 2 * ROWS)))]
+    places, directions = _places(corners), pixel_directions(ROWS).reshape(-1, 3)
+    shadows = LampShadowMap(shading, eye, HIDING, cancel)
+
+    def look(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of places (N, 3) that the eye sees, and what is open to each, float64 (N, P)."""
+        seen = places[shadows.visibility(places) >= 0.5]
+        views = [_nearest_triangles(shading, place, directions, cancel) < 0 for place in seen]
+        return seen, np.array(views, np.float64).reshape(len(seen), len(directions))
+
+    seen, views = look(places)
+    own = _nearest_triangles(shading, eye, directions, cancel) < 0
+    seen, views = np.concatenate([eye[None], seen]), np.concatenate([own[None], views])
+    mean = views.mean(axis=0)
+    if _difference(views, mean) <= ALIKE:
+        return [OpenSky(mean.reshape(ROWS, 2 * ROWS))]
+    low, high = places[1:].min(axis=0), places[1:].max(axis=0)
+    faces = places[0] + np.concatenate([np.diag(high - places[0]), np.diag(low - places[0])])
+    others, checked = look(faces)
+    for count in (1, 2, 3):
+        for axes in itertools.combinations(range(3), count):
+            weights = _linear(low, high, axes)
+            shares, known = (np.stack([weight(at) for weight in weights], axis=1) for at in (seen, others))
+            found = mean + np.linalg.lstsq(shares, views - mean, rcond=1e-6)[0]
+            found = found.clip(0.0, 1.0)
+            all_views, all_shares = np.concatenate([views, checked]), np.concatenate([shares, known])
+            if _difference(all_views, all_shares @ found) <= ALIKE:
+                return [OpenSky(sky.reshape(ROWS, 2 * ROWS), weight) for sky, weight in zip(found, weights)]
+    return []
+
+
+def _difference(views: np.ndarray, sky: np.ndarray) -> float:
+    """Mean share of the sphere in which views (N, P) are not a sky, (P,) or (N, P)."""
     angles = np.broadcast_to(pixel_solid_angles(ROWS), (ROWS, 2 * ROWS)).ravel() / (4.0 * np.pi)
-    if np.mean([np.abs(view - mean) @ angles for view in views]) > ALIKE:
-        return None
-    return mean.reshape(ROWS, 2 * ROWS)
+    return float((np.abs(views - sky) @ angles).mean())
 
 
-def behind(environment: Environment, sky: np.ndarray) -> Environment:
-    """An environment behind surfaces; sky: from `open_sky`."""
+def _linear(low: np.ndarray, high: np.ndarray, axes: Sequence[int]) -> list[PlaceWeight]:
+    """Weights that are linear between the corners (3,) of a box along some axes, and sum to 1."""
+    ways = [((low[a], high[a]), (high[a], low[a])) if a in axes else (None,) for a in range(3)]
+    return [PlaceWeight(ends) for ends in itertools.product(*ways)]
+
+
+def behind(environment: Environment, sky: OpenSky) -> Environment:
+    """An environment behind surfaces."""
     towards = environment.directions()
     row = ((0.5 - np.arcsin(np.clip(towards[..., 2], -1.0, 1.0)) / np.pi) * ROWS).astype(int).clip(0, ROWS - 1)
     column = np.floor(np.arctan2(towards[..., 1], towards[..., 0]) * (ROWS / np.pi)).astype(int) % (2 * ROWS)
     return Environment(
-        environment.radiance * sky[row, column, None], environment.world_from_environment, environment.name
+        environment.radiance * sky.share[row, column, None],
+        environment.world_from_environment,
+        environment.name,
+        sky.weight,
     )

@@ -153,7 +153,8 @@ def _fluence(light: Sun | Environment) -> float:
     if isinstance(light, Sun):
         return float(light.irradiance.mean())
     rows, columns, _ = light.radiance.shape
-    return float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+    fluence = float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+    return fluence if light.weight is None else light.weight.mean * fluence
 
 
 def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:

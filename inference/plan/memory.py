@@ -15,6 +15,8 @@ LAMP_EDGE = 384
 FIELD_BYTES = 42 * LEVEL0_CELLS**3
 # Bytes of the lattices of environments' light in one group of volumes, while they are solved for.
 ENVIRONMENT_BYTES = 8 * LEVEL0_CELLS**3
+# Bytes of those of each sky that the environments have in places, until these are joined.
+SKY_BYTES = 3 * LEVEL0_CELLS**3
 # Bytes per voxel of the grid itself, and of the optical depth towards each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
 # Bytes of overlapping volumes merged into one medium.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..occluders.seen_surfaces import behind, open_sky, vantage
+from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment
@@ -31,7 +31,16 @@ from .lights import (
     without_faint,
     without_lamps,
 )
-from .memory import ENVIRONMENT_BYTES, FIELD_BYTES, IMAGE_BYTES, MERGED_BYTES, grid_bytes, lamp_bytes, ray_bytes
+from .memory import (
+    ENVIRONMENT_BYTES,
+    FIELD_BYTES,
+    IMAGE_BYTES,
+    MERGED_BYTES,
+    SKY_BYTES,
+    grid_bytes,
+    lamp_bytes,
+    ray_bytes,
+)
 from .overlap import overlapping
 from .resolution import BAND
 
@@ -265,13 +274,13 @@ def _sum(grid: np.ndarray | SparseGrid) -> float:
     return float(_voxels(grid).sum(dtype=np.float64))
 
 
-def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> np.ndarray | None:
+def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> list[OpenSky]:
     """As `open_sky`, of the volumes, from where the camera sees them."""
     if not volumes:
-        return None
+        return []
     corners = np.concatenate([_corners(volume) for volume, _ in volumes])
     eye = vantage(surfaces, corners, camera)
-    return None if eye is None else open_sky(surfaces, corners, eye)
+    return [] if eye is None else open_sky(surfaces, corners, eye)
 
 
 def _corners(volume: Volume) -> np.ndarray:
@@ -336,14 +345,16 @@ def make_plan(
     lights = linked_lights(lights, names, left_out)
     groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
+    skies: list[OpenSky] = []
     if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
-        sky = _sky(rendered, camera, surfaces)
-        parallel = SURFACES_SHADOW if sky is None else ""
+        skies = _sky(rendered, camera, surfaces)
+        parallel = "" if skies else SURFACES_SHADOW
     suns, environments = split_lights(lights, settings, parallel, planned, left_out)
     if surfaces and environments:
-        assert sky is not None
-        unhidden, environments = environments, [behind(environment, sky) for environment in environments]
-        planned += [f"{environment.name}: as the middle of the volumes sees it" for environment in environments]
+        seen = "the middle of the volumes sees it" if len(skies) == 1 else f"{len(skies)} places in the volumes see it"
+        planned += [f"{environment.name}: as {seen}" for environment in environments]
+        unhidden = environments
+        environments = [behind(environment, sky) for environment in unhidden for sky in skies]
     # Surfaces shadow each part of a soft sun differently.
     if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
         suns = [replace(sun, part_of=None) for sun in suns]
@@ -381,6 +392,7 @@ def make_plan(
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
     memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES + from_everywhere * len(groups) * ENVIRONMENT_BYTES
+    memory += len(skies) * SKY_BYTES if len(skies) > 1 else 0
     memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
     if len(tiles) > 1:

@@ -15,7 +15,14 @@ def camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     """
     x0, y0, x1, y1 = camera.window
     columns, rows = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-    origins, directions, cosine = image_rays(camera, columns.ravel() + 0.5, rows.ravel() + 0.5)
+    return pixel_rays(camera, columns.ravel(), rows.ravel())
+
+
+def pixel_rays(
+    camera: Camera, columns: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """As `camera_rays`, through some pixels of the image."""
+    origins, directions, cosine = image_rays(camera, columns + 0.5, rows + 0.5)
     # Clipping planes are perpendicular to the viewing axis; those of equirectangular cameras are spheres.
     return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
 
@@ -81,29 +88,66 @@ def _lerp(ends: tuple[float, float], share: np.ndarray) -> np.ndarray:
     return ends[0] + (ends[1] - ends[0]) * share
 
 
+def image_points(camera: Camera, points: np.ndarray) -> np.ndarray | None:
+    """Where world points (..., 3) are seen, (2, ...) in pixels from the image's upper left corner.
+
+    None where some lie beside or behind the camera, and for equirectangular cameras.
+    """
+    if camera.projection == "equirectangular":
+        return None
+    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
+    x, y, z = np.moveaxis(product(points - camera.world_matrix[:3, 3], inverse(rotation).T), -1, 0)
+    if camera.projection == "orthographic":
+        extent: np.ndarray | float = camera.ortho_scale
+    elif z.max() < -1e-6 * max(np.abs(x).max(), np.abs(y).max(), np.abs(z).max()):
+        extent = -2.0 * np.tan(0.5 * camera.fov) * z
+    else:
+        return None
+    width, height = camera.resolution
+    column = (x / extent - camera.shift[0]) * width + 0.5 * width
+    return np.stack([column, 0.5 * height - (y / extent - camera.shift[1]) * width])
+
+
 def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, int]:
     """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the convex hull of world points (N, 3).
 
-    The whole window where some points lie beside or behind the camera, and for equirectangular cameras.
+    The whole window where `image_points` does not say.
     """
     x0, y0, x1, y1 = camera.window
-    if camera.projection == "equirectangular":
+    places = image_points(camera, corners)
+    if places is None:
         return x0, y0, x1, y1
-    rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-    local = product(corners - camera.world_matrix[:3, 3], inverse(rotation).T)
-    if camera.projection == "orthographic":
-        plane = local[:, :2] / camera.ortho_scale
-    elif local[:, 2].max() < -1e-6 * np.abs(local).max():
-        plane = local[:, :2] / -local[:, 2:] / (2.0 * np.tan(0.5 * camera.fov))
-    else:
-        return x0, y0, x1, y1
-    width, height = camera.resolution
-    x, y = ((plane - camera.shift) * width * [1.0, -1.0]).T
     # One pixel more on each side, for rounding.
-    low = np.floor([x.min() + 0.5 * width, y.min() + 0.5 * height]) - 1.0
-    high = np.ceil([x.max() + 0.5 * width, y.max() + 0.5 * height]) + 1.0
+    low, high = np.floor(places.min(axis=1)) - 1.0, np.ceil(places.max(axis=1)) + 1.0
     if not np.isfinite([low, high]).all():
         return x0, y0, x1, y1
     left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
     right, bottom = np.clip(high, [x0, y0], [x1, y1]).astype(int).tolist()
     return left, top, right, bottom
+
+
+def pixels_around(camera: Camera, held: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """bool (rows, columns): pixels of the camera's window that can show any of some cells.
+
+    held: bool (x, y, z), the cells. corners: (x + 1, y + 1, z + 1, 3), of all of them in the world. All pixels where
+    `image_points` does not say.
+    """
+    x0, y0, x1, y1 = camera.window
+    places = image_points(camera, corners)
+    if places is None or not np.isfinite(places).all():
+        return np.ones((y1 - y0, x1 - x0), bool)
+    low, high = places, places
+    for axis in range(1, 4):
+        lower, upper = ((slice(None),) * axis + (some,) for some in (slice(None, -1), slice(1, None)))
+        low, high = np.minimum(low[lower], low[upper]), np.maximum(high[lower], high[upper])
+    # One pixel more on each side, for rounding. Where rectangles begin and end tells how many cover each pixel.
+    origin, size = np.array([[x0], [y0]]), np.array([[x1 - x0], [y1 - y0]])
+    left, top = np.clip(np.floor(low[:, held]) - 1.0 - origin, 0, size).astype(int)
+    right, bottom = np.clip(np.ceil(high[:, held]) + 1.0 - origin, 0, size).astype(int)
+    width, height = x1 - x0 + 1, y1 - y0 + 1
+    begin, end = (
+        np.bincount(np.concatenate([top * width + one, bottom * width + other]), minlength=width * height)
+        for one, other in ((left, right), (right, left))
+    )
+    change = (begin - end).reshape(height, width)
+    return (np.cumsum(np.cumsum(change, axis=0), axis=1) > 0)[:-1, :-1]

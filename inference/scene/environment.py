@@ -48,6 +48,29 @@ def pixel_solid_angles(rows: int) -> np.ndarray:
     return _grid(rows)[1][:, :1]
 
 
+@dataclass(frozen=True)
+class PlaceWeight:
+    """How much of a light reaches places: a product over axes, linear between two ends and constant beyond them.
+
+    ends: per axis (start, end), at which it is 0 and 1; None on axes along which it does not vary.
+    """
+
+    ends: tuple[tuple[float, float] | None, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean between the ends."""
+        return float(0.5 ** sum(ends is not None for ends in self.ends))
+
+    def __call__(self, positions: np.ndarray) -> np.ndarray:
+        """float32 (N,), at world positions (N, 3)."""
+        found = np.ones(len(positions), np.float32)
+        for along, ends in zip(positions.T, self.ends):
+            if ends is not None:
+                found *= np.clip((along - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0).astype(np.float32)
+        return found
+
+
 @dataclass
 class Environment:
     """Light from all directions, infinitely far away.
@@ -58,6 +81,7 @@ class Environment:
     world_from_environment: (3, 3) orthonormal matrix that turns these directions into those of the world, or None for
         the identity.
     name: for messages.
+    weight: of its light at places, or None where all see all of it.
 
     Raises SceneError for other shapes, for radiance out of range and for matrices that are not orthonormal.
     """
@@ -65,6 +89,7 @@ class Environment:
     radiance: np.ndarray
     world_from_environment: np.ndarray | None = None
     name: str = "environment"
+    weight: PlaceWeight | None = None
 
     def __post_init__(self) -> None:
         self.radiance = np.ascontiguousarray(self.radiance, dtype=np.float32)

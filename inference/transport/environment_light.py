@@ -7,14 +7,15 @@ stays even and no energy is lost.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..grids.halving import halve
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.environment import Environment, pixel_directions, pixel_solid_angles
+from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_solid_angles
 from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
 
 #: Rows of the images that are read here; larger ones are reduced before.
@@ -25,6 +26,41 @@ SHARPNESS, ROUNDS = 12.0 / 26.0, 30
 ALBEDOS = (0.98, 0.8)
 # Images with fewer rows than this are divided before they are turned, and such with more reduced.
 TURNED_ROWS = 192
+
+
+@dataclass(frozen=True)
+class Skies:
+    """Light from everywhere, of which places see different shares.
+
+    image: float64 (ROWS, 2 ROWS, S C), radiance of S skies of C channels. weights: of the S skies.
+    """
+
+    image: np.ndarray
+    weights: tuple[PlaceWeight | None, ...]
+
+    @classmethod
+    def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":
+        """The sum of environments, in a frame as of `image_in_frame`."""
+        weights = tuple(dict.fromkeys(environment.weight for environment in environments)) or (None,)
+        images = [image_in_frame([e for e in environments if e.weight == weight], rotation) for weight in weights]
+        channels = max(image.shape[2] for image in images)
+        images = [np.broadcast_to(image, (*image.shape[:2], channels)) for image in images]
+        return cls(np.concatenate(images, axis=2), weights)
+
+    @property
+    def channels(self) -> int:
+        """C: 1 if all light is grey, else 3."""
+        return self.image.shape[2] // len(self.weights)
+
+    @property
+    def vary(self) -> bool:
+        """Whether places see different shares."""
+        return any(weight is not None for weight in self.weights)
+
+    def shares(self, positions: np.ndarray) -> np.ndarray:
+        """Those of the skies, float32 (N, S), at world positions (N, 3)."""
+        ones = np.ones(len(positions), np.float32)
+        return np.stack([ones if weight is None else weight(positions) for weight in self.weights], axis=1)
 
 
 def image_in_frame(environments: Sequence[Environment], rotation: np.ndarray) -> np.ndarray:
@@ -153,6 +189,31 @@ def solve_environment(
         solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, kernels=kernels, albedo=albedo)
         absorbed += [solver.environment(channel, cancel) for channel in np.concatenate([light, even])]
     return environment_lattice(found), environment_lattice(np.stack(absorbed, axis=1))
+
+
+def reaching(
+    lattices: tuple[np.ndarray, np.ndarray], shares: Callable[[np.ndarray], np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lattices of C channels of the light of several skies that reach places differently.
+
+    lattices: of `solve_environment`, of each sky's C channels. shares: gives those (N, count) of the skies at positions
+    (N, 3) in the cube's frame.
+    """
+    light, absorbed = lattices
+    own = np.einsum("nksc,ns->nkc", light.reshape(light[..., 0].size, 4, count, -1), shares(_places(len(light))))
+    # The last channel is of even light, which no surface hides.
+    parts = absorbed.reshape(absorbed[..., 0].size, 4 * len(ALBEDOS), -1)
+    seldom = parts[..., :-1].reshape(*parts.shape[:2], count, -1)
+    seldom = np.einsum("nksc,ns->nkc", seldom, shares(_places(len(absorbed))))
+    seldom = np.concatenate([seldom, parts[..., -1:]], axis=2)
+    return own.reshape(*light.shape[:3], -1), seldom.reshape(*absorbed.shape[:3], -1)
+
+
+def _places(size: int) -> np.ndarray:
+    """Positions (size^3, 3), in the cube's frame, of the cells of a lattice, the outermost cells repeated once."""
+    n = size - 2
+    along = (np.arange(size) - 0.5).clip(0.5, n - 0.5) / n - 0.5
+    return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def environment_lattice(light: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.lamps import Emitter
 from .described_lamps import describe_emitter, describe_shadow_map
-from .discrete_ordinates import CELLS, DiscreteOrdinates
+from .discrete_ordinates import DiscreteOrdinates
 
 # Sample points along an edge of a cell, where a lamp is one point: of all cells that hold density, and of those within
 # so many cells of the lamp, where its light varies as the inverse square of a distance smaller than a cell. Nearer to
@@ -55,7 +55,7 @@ class LampInCube:
         light, filled = np.zeros(len(centres)), solver.density.ravel() > 0.0
         for e, emitter in enumerate(self.emitters):
             lamp = self.cube.positions(emitter.position[None])[0]
-            depth = LampOpticalDepth(grid, linear, offset, lamp, CELLS, cancel, solver.kernels)
+            depth = LampOpticalDepth(grid, linear, offset, lamp, 1.0, cancel, solver.kernels)
             shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
             near = np.abs(centres - lamp).max(axis=1) < NEAR_CELLS / n
             few = PARTS if len(self.emitters) == 1 else 1

@@ -8,19 +8,32 @@ import numpy as np
 
 from ...inference.evaluation.error_vs_time import Rung
 from ...inference.network.baselines import OCTAVES, SINGLE
-from ..cycles.pass_store import CYCLES, DENOISED
+from ..cycles.choices import CHOICES, CYCLES, DENOISED, LADDERS, NULL, NULL_DENOISED
 
 WIDTH, HEIGHT = 760, 440
 # Left, top, right and bottom edge of the plot in the image.
 FRAME = (64, 18, 742, 392)
-COLOURS = {CYCLES: "#1f77b4", DENOISED: "#17a2a2", SINGLE: "#7f7f7f", OCTAVES: "#b8860b"}
+# Left edge of the legend, from the right of the plot.
+LEGEND = 215
+# The points of Cycles as artists set it, which are no ladder.
+USUAL_SERIES = "cycles as artists set it"
+COLOURS = {
+    CYCLES: "#1f77b4",
+    DENOISED: "#17a2a2",
+    NULL: "#4b5fd6",
+    NULL_DENOISED: "#3f9b5f",
+    USUAL_SERIES: "#101820",
+    SINGLE: "#7f7f7f",
+    OCTAVES: "#b8860b",
+}
 NETWORK_COLOURS = ("#c0392b", "#8e44ad", "#e67e22", "#d6568f", "#5d4037", "#2e7d32")
 
 
 @dataclass
 class Chart:
-    """series: rungs by method, in drawing order; errors indistinguishable from 0 are at their interval's upper end. x,
-    y: (lowest, highest) of the axes, seconds and relative error. clock: of the rungs.
+    """series: rungs by method, in drawing order, those of Cycles as artists set it in one; errors indistinguishable
+    from 0 are at their interval's upper end. x, y: (lowest, highest) of the axes, seconds and relative error. clock: of
+    the rungs.
     """
 
     series: dict[str, list[Rung]]
@@ -55,7 +68,8 @@ def make_chart(rungs: list[Rung], clock: str = "seconds") -> Chart:
     series: dict[str, list[Rung]] = {}
     for rung in rungs:
         if rung.error > 0.0 and getattr(rung, clock) > 0.0:
-            series.setdefault(rung.method, []).append(rung)
+            usual = rung.method in CHOICES and rung.method not in LADDERS
+            series.setdefault(USUAL_SERIES if usual else rung.method, []).append(rung)
     if not series:
         raise ValueError("no rung has an error distinguishable from 0")
     for found in series.values():
@@ -105,8 +119,8 @@ def svg(chart: Chart) -> str:
         parts.append(_series(chart, method, rungs))
         y = top + 16 + 17 * number
         parts.append(
-            f'<circle cx="{right - 150}" cy="{y - 4}" r="4" fill="{chart.colour(method)}"/>'
-            f'<text x="{right - 140}" y="{y}">{escape(method)}</text>'
+            f'<circle cx="{right - LEGEND}" cy="{y - 4}" r="4" fill="{chart.colour(method)}"/>'
+            f'<text x="{right - LEGEND + 10}" y="{y}">{escape(method)}</text>'
         )
     return "\n".join(parts) + "\n</svg>"
 
@@ -115,11 +129,13 @@ def _series(chart: Chart, method: str, rungs: list[Rung]) -> str:
     colour = chart.colour(method)
     places = [chart.point(rung) for rung in rungs]
     line = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-    parts = [f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="1.5"/>']
+    parts = []
+    if method != USUAL_SERIES:
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
     for rung, (x, y) in zip(rungs, places):
         upper, lower = chart.bar(rung)
         note = (
-            f"{method}, {rung.samples} samples: {getattr(rung, chart.clock):.3g} s, error {rung.rmse.value:.3f} "
+            f"{rung.method}, {rung.samples} samples: {getattr(rung, chart.clock):.3g} s, error {rung.rmse.value:.3f} "
             f"({rung.rmse.low:.3f} to {rung.rmse.high:.3f})"
         )
         parts.append(

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cycles.reference import read_image
 from ..output.layer_image import IMAGE_NAME, show_image
-from .chart import FRAME, HEIGHT, WIDTH, Chart, make_chart, ticks
+from .chart import FRAME, HEIGHT, LEGEND, USUAL_SERIES, WIDTH, Chart, make_chart, ticks
 
 CHART_IMAGE = f"{IMAGE_NAME} chart"
 PAPER, INK, GRID = np.float32([[0.95] * 3, [0.03] * 3, [0.75] * 3])
@@ -42,14 +42,14 @@ def draw(chart: Chart) -> np.ndarray:
     for number, (method, rungs) in enumerate(chart.series.items()):
         colour = _linear(chart.colour(method))
         places = [chart.point(rung) for rung in rungs]
-        for (x0, y0), (x1, y1) in zip(places, places[1:]):
+        for (x0, y0), (x1, y1) in zip(places, places[1:] if method != USUAL_SERIES else ()):
             _line(pixels, x0, y0, x1, y1, colour)
         for rung, (x, y) in zip(rungs, places):
             upper, lower = chart.bar(rung)
             _line(pixels, x, upper, x, lower, colour)
             _dot(pixels, x, y, colour)
-        _dot(pixels, right - 150, top + 12 + 17 * number, colour)
-        words.append((method, right - 140, top + 17 + 17 * number))
+        _dot(pixels, right - LEGEND, top + 12 + 17 * number, colour)
+        words.append((method, right - LEGEND + 10, top + 17 + 17 * number))
     ink = _rendered_text(words)[..., None]
     opaque = np.ones((HEIGHT, WIDTH, 1), np.float32)
     return np.concatenate([pixels + (INK - pixels) * ink, opaque], axis=-1)

@@ -5,7 +5,8 @@ import time
 from dataclasses import replace
 
 from ...inference.scene import Cancelled, SceneError, Settings
-from ..cycles.pass_store import DENOISED, Job, Pass, PassStore
+from ..cycles.choices import CHOICES
+from ..cycles.pass_store import Job, Pass, PassStore
 from ..cycles.process import CyclesProcess, PassFailed
 from ..engine.render_job import RenderJob
 from ..output.layer_frame import rgba
@@ -65,10 +66,10 @@ class ComparisonJob:
                     self._spent += finished.seconds
             self._begin(next_job(self.request, self.passes, self._failed, self._spent))
         except PassFailed as problem:  # Only one candidate failed.
-            if self._job.method != DENOISED:
+            if not CHOICES[self._job.method].denoised:
                 self._end(SceneError(f"Cycles could not render: {problem}"))
                 return
-            self._failed.update(job for job in self.request.cycles_jobs() if job.method == DENOISED)
+            self._failed.update(job for job in self.request.cycles_jobs() if CHOICES[job.method].denoised)
             self.marks.append(f"Cycles could not denoise here: {problem}")
             self._job = None
         except (SceneError, OSError) as problem:

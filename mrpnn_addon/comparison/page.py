@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 
 from ...inference.evaluation.error_vs_time import Rung
+from ..cycles.choices import CHOICES
 from .chart import make_chart, svg
 from .results import Comparison
 
@@ -52,12 +53,21 @@ def page(
         error_low=f"−{ERROR_LIMIT:.0%}",
         error_high=f"+{ERROR_LIMIT:.0%}",
         table=_table(
-            ["image", "samples", "error (95 %)", "bias (95 %)", "seconds", "once", "processor seconds", "FLIP"],
+            [
+                f"image (Cycles: {comparison.cycles})",
+                "samples",
+                "error (95 %)",
+                "bias (95 %)",
+                "seconds",
+                "once",
+                "processor seconds",
+                "FLIP",
+            ],
             [_row(rung) for rung in comparison.rungs],
         ),
         equal_table=_table(
             [
-                "Cycles",
+                f"Cycles {comparison.cycles}",
                 "clock",
                 "the layer's seconds",
                 "seconds to its error",
@@ -75,7 +85,9 @@ def page(
                     f"{one.frame_ratio:.3g}",
                     str(one.error),
                 ]
-                for one in comparison.equal
+                for one in sorted(
+                    comparison.equal, key=lambda one: (one.clock, CHOICES[one.method].denoised, one.ratio)
+                )
             ],
         ),
         facts=_table(["", ""], [[key, value] for key, value in facts.items()]),

@@ -4,7 +4,8 @@
 from dataclasses import dataclass
 
 from ...inference.evaluation.error_vs_time import cost
-from ..cycles.pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
+from ..cycles.choices import CHOICES, CYCLES, DENOISED, LADDERS, REFERENCE, USUAL
+from ..cycles.pass_store import Job, Pass
 
 # Ratio of successive sample counts of Cycles.
 STEP = 4
@@ -18,15 +19,16 @@ class Request:
     """What to render.
 
     layers: jobs of networks and baselines; the first is the judged image. samples: per pixel in each half of the
-    reference, at most. largest: highest sample count of Cycles, at most; 0 for none. denoised: whether to render the
-    ladder with denoising too. seconds: limit for Cycles in this run, 0 for none. given: whether the reference exists
-    already.
+    reference, at most. largest: highest sample count of Cycles' ladders, at most; 0 for none. methods: of LADDERS,
+    whose ladders are rendered. usual: jobs of Cycles as artists set it. seconds: limit for Cycles in this run, 0 for
+    none. given: whether the reference exists already.
     """
 
     layers: tuple[Job, ...]
     samples: int = 32
     largest: int = 64
-    denoised: bool = True
+    methods: tuple[str, ...] = (CYCLES, DENOISED)
+    usual: tuple[Job, ...] = ()
     seconds: float = 0.0
     given: bool = False
 
@@ -43,14 +45,12 @@ class Request:
         return jobs
 
     def ladder_jobs(self) -> list:
-        """Cycles as a candidate, cheapest first."""
+        """Cycles as a candidate: ladders, cheapest first, then as artists set it."""
         jobs, samples = [], 1
         while samples <= self.largest:
-            jobs.append(Job(CYCLES, samples))
-            if self.denoised:
-                jobs.append(Job(DENOISED, samples))
+            jobs += [Job(method, samples) for method in self.methods]
             samples *= STEP
-        return jobs
+        return jobs + list(self.usual)
 
     def cycles_jobs(self) -> list:
         return [*self.reference_jobs(), *self.ladder_jobs()]
@@ -83,20 +83,30 @@ def next_job(request: Request, done: dict[Job, Pass], failed=(), spent: float = 
     return None
 
 
+def ladders(denoised: bool, null: bool) -> tuple[str, ...]:
+    """The methods whose ladders are measured: with denoising, if wanted, and null scattering, if Cycles has it."""
+    return tuple(name for name in LADDERS if CHOICES[name].denoised <= denoised and CHOICES[name].null <= null)
+
+
+def usual_jobs(null: bool) -> tuple[Job, ...]:
+    """Cycles as artists set it. null: whether Cycles has null scattering."""
+    return tuple(Job(choice.name, samples) for choice, samples in USUAL if choice.null <= null)
+
+
 def remaining_seconds(request: Request, done: dict[Job, Pass], failed=(), spent: float = 0.0) -> float:
     """Estimated seconds that Cycles still takes."""
     missing = [job for job in request.cycles_jobs() if job not in done and job not in failed]
-    start, each = _cost(done)
-    expected = start * len(missing) + each * sum(job.samples for job in missing)
+    expected = sum(expected_seconds(job, done) for job in missing)
     return min(expected, max(request.seconds - spent, 0.0)) if request.seconds else expected
 
 
 def expected_seconds(job: Job, done: dict[Job, Pass]) -> float:
-    """Estimated seconds of a Cycles job; 0 before the first."""
-    start, each = _cost(done)
+    """Estimated seconds of a Cycles job, from those that go the same way through volumes; 0 before the first."""
+    null = CHOICES[job.method].null
+    known = [
+        (other.samples, made.seconds)
+        for other, made in done.items()
+        if other.by_cycles and CHOICES[other.method].null == null
+    ]
+    start, each = cost(*zip(*known)) if known else (0.0, 0.0)
     return start + each * job.samples
-
-
-def _cost(done: dict[Job, Pass]):
-    known = [(job.samples, made.seconds) for job, made in done.items() if job.by_cycles]
-    return cost(*zip(*known)) if known else (0.0, 0.0)

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
-from ..cycles.pass_store import CYCLES, DENOISED
+from ..cycles.choices import REFERENCE
 from ..runtime.atomic_write import atomic_write
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
@@ -33,6 +33,7 @@ COLUMNS = (
     "bias_low",
     "bias_high",
     "flip",
+    "version",
 )
 
 
@@ -71,7 +72,7 @@ def csv_text(comparison: Comparison) -> str:
     writer = csv.DictWriter(text, COLUMNS)
     writer.writeheader()
     for rung in comparison.rungs:
-        row = {name: getattr(rung, name) for name in COLUMNS if hasattr(rung, name)}
+        row = {name: getattr(rung, name) for name in COLUMNS if hasattr(rung, name)} | {"version": comparison.cycles}
         for name in ("rmse", "bias"):
             estimate = getattr(rung, name)
             row.update({name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high})
@@ -95,7 +96,7 @@ def _images(run, comparison: Comparison, reference: str) -> dict:
             found[f"{job.method}, {job.samples} depth samples"] = done.image
     found[reference] = run.reference_image()
     for job, done in run.job.passes.items():
-        if job.method in (CYCLES, DENOISED):
+        if job.by_cycles and job.method != REFERENCE:
             found[f"{job.method}, {job.samples} samples"] = done.image
         elif not job.by_cycles and job != run.request.layers[0]:
             found[f"{job.method}, {job.samples} depth samples"] = done.image
@@ -116,7 +117,8 @@ def _facts(run, comparison: Comparison) -> dict:
             f"{comparison.noise:.3f} per pixel; {comparison.verdict}"
         ),
         "Cycles": f"{comparison.bounces} bounces, no clamping, no adaptive sampling, no light threshold, filter of one "
-        "point; denoised rungs with OpenImageDenoise. In a separate process; the scene's own settings "
+        "point, where its name says nothing else; rays are marched, but for null scattering; denoised with "
+        "OpenImageDenoise. In a separate process; the scene's own settings "
         f"({own.samples} samples, {own.volume_bounces} volume bounces of {own.max_bounces}, indirect light "
         f"clamped at {own.sample_clamp_indirect:g}) are neither used nor touched",
         "layer": f"{run.settings.model}, seed {run.settings.seed}, {threads} threads",

@@ -16,9 +16,11 @@ from ...inference.evaluation.error_vs_time import (
     judge,
     seconds_on_ladder,
     variance_at_one,
+    variance_on_ladder,
 )
 from ...inference.scene import SceneError
-from ..cycles.pass_store import CYCLES, DENOISED, REFERENCE, Job, Pass
+from ..cycles.choices import CHOICES, CYCLES, LADDERS, REFERENCE
+from ..cycles.pass_store import Job, Pass
 from ..runtime.json_file import write_json
 from .perceptual import flip
 from .plan import Request
@@ -78,7 +80,7 @@ class Comparison:
     layer_seconds: of the judged image. cycles_seconds: of the reference. Wall-clock.
     resolution: (width, height). pixels: those in the mask.
     samples: per pixel in each half. bounces: most scattering events. cycles: Blender's version.
-    rungs: every candidate. equal: against Cycles with and without denoising. path_tracing: convergence law by clock.
+    rungs: every candidate. equal: against each ladder of Cycles. path_tracing: convergence law by method and clock.
     marks: caveats about fairness or certainty. warnings: what the layer leaves out.
     """
 
@@ -98,7 +100,7 @@ class Comparison:
     judged: Rung
     verdict: Verdict
     equal: list[Equal] = field(default_factory=list)
-    path_tracing: dict[str, PathTracing] = field(default_factory=dict)
+    path_tracing: dict[str, dict[str, PathTracing]] = field(default_factory=dict)
     marks: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -123,8 +125,9 @@ class Comparison:
         return "\n".join(lines + [f"  note: {mark}" for mark in self.marks])
 
     def sentences(self) -> list[str]:
-        """Equal error and equal time, as sentences."""
-        return [str(one) for one in self.equal if one.clock == self.clock]
+        """Equal error and equal time, as sentences; of Cycles' two ways through volumes the quicker one first."""
+        own = [one for one in self.equal if one.clock == self.clock]
+        return [str(one) for one in sorted(own, key=lambda one: (CHOICES[one.method].denoised, one.ratio))]
 
     @property
     def clock(self) -> str:
@@ -242,31 +245,27 @@ def _rung(job: Job, done: Pass, a, b, mask) -> Rung:
 
 
 def _add_equal(result: Comparison, references, variance: float) -> None:
-    """Equal-error and equal-time figures by both clocks."""
-    ladders = {method: [r for r in result.rungs if r.method == method] for method in (CYCLES, DENOISED)}
+    """Equal-error and equal-time figures by both clocks. variance: of the references, which are marched."""
     for clock in CLOCKS:
-        known = [(r.samples, getattr(r, clock)) for r in ladders[CYCLES]]
-        # The reference may be older, rendered under another load.
-        if len(known) < MIN_RUNGS:
-            known += [(job.samples, getattr(done, clock)) for job, done in references]
-        law = PathTracing(*cost(*zip(*known)), variance, max(n for n, _ in known))
-        result.path_tracing[clock] = law
         seconds = getattr(result.judged, clock)
         frame = seconds - (result.judged.once if clock == CLOCKS[0] else result.judged.once_cpu)
-        result.equal.append(
-            Equal(CYCLES, clock, seconds, frame, law.seconds_for(result.judged.error), law.error_after(seconds))
-        )
-        if ladders[DENOISED]:
-            result.equal.append(
-                Equal(
-                    DENOISED,
-                    clock,
-                    seconds,
-                    frame,
-                    seconds_on_ladder(ladders[DENOISED], result.judged.error, clock),
-                    error_on_ladder(ladders[DENOISED], seconds, clock),
-                )
-            )
+        for method in LADDERS:
+            rungs = [r for r in result.rungs if r.method == method]
+            if CHOICES[method].denoised and rungs:
+                needed = seconds_on_ladder(rungs, result.judged.error, clock)
+                error = error_on_ladder(rungs, seconds, clock)
+            elif method == CYCLES or rungs:
+                known = [(r.samples, getattr(r, clock)) for r in rungs]
+                # The references may be older, rendered under another load.
+                if method == CYCLES and len(known) < MIN_RUNGS:
+                    known += [(job.samples, getattr(done, clock)) for job, done in references]
+                noise = variance if method == CYCLES else variance_on_ladder(rungs)
+                law = PathTracing(*cost(*zip(*known)), noise, max(n for n, _ in known))
+                result.path_tracing.setdefault(method, {})[clock] = law
+                needed, error = law.seconds_for(result.judged.error), law.error_after(seconds)
+            else:
+                continue
+            result.equal.append(Equal(method, clock, seconds, frame, needed, error))
 
 
 def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:

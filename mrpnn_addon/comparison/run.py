@@ -13,13 +13,14 @@ import numpy as np
 from ...inference import available_models
 from ...inference.network.baselines import OCTAVES, SINGLE, register_baselines
 from ...inference.scene import SceneError, Settings
+from ..cycles.choices import has_null_scattering
 from ..cycles.pass_store import Job, PassStore, scene_key
 from ..cycles.process import CyclesProcess
 from ..cycles.reference import read_image, volumes_and_lights
 from ..scene.reader import read_scene, require_volumes
 from . import report as comparison_report
 from .job import ComparisonJob
-from .plan import Request
+from .plan import Request, ladders, usual_jobs
 from .results import Comparison, compare, halves
 
 REPORT_FOLDER = "//mrpnn-comparison"
@@ -30,15 +31,17 @@ POLL_INTERVAL = 0.02
 
 @dataclass
 class Options:
-    """samples, seconds, ladder, denoised: see Request. all_models: every network, not only the scene's. models: names
-    of further ones. depths: of the judged network. bounces: of Cycles. scale: per cent of the resolution.
-    reference_path: an .exr, or "". folder: of the report, as a Blender path.
+    """samples, seconds, ladder: see Request. denoised: whether Cycles is measured with denoising too; usual: as artists
+    set it. all_models: every network, not only the scene's. models: names of further ones. depths: of the judged
+    network. bounces: of Cycles. scale: per cent of the resolution. reference_path: an .exr, or "". folder: of the
+    report, as a Blender path.
     """
 
     samples: int = 32
     seconds: float = 0.0
     ladder: int = 64
     denoised: bool = True
+    usual: bool = False
     all_models: bool = False
     models: tuple[str, ...] = ()
     depths: tuple[int, ...] = DEPTHS
@@ -71,11 +74,13 @@ class ComparisonRun:
                 options.bounces,
                 context.scene.world if self.description.environment else None,
             )
+        null = has_null_scattering(context.scene)
         self.request = Request(
             layers,
             options.samples,
             options.ladder if self.given is None else 0,
-            options.denoised,
+            ladders(options.denoised, null),
+            usual_jobs(null) if options.usual and self.given is None else (),
             options.seconds,
             self.given is not None,
         )

@@ -11,17 +11,16 @@ import numpy as np
 
 from ...inference.scene.sparse_grid import SparseGrid
 from ..runtime.atomic_write import atomic_write
+from .choices import CHOICES
 
 # Version of the files and of how they are rendered; files of other versions are ignored.
 FORMAT = 1
 
-REFERENCE, CYCLES, DENOISED = "reference", "cycles", "cycles denoised"
-
 
 @dataclass(frozen=True)
 class Job:
-    """One image to render. method: REFERENCE, CYCLES, DENOISED, or a network's name. samples: per pixel, or depth
-    samples. seed: distinguishes independent images.
+    """One image to render. method: of CHOICES, or a network's name. samples: per pixel, or depth samples. seed:
+    distinguishes independent images.
     """
 
     method: str
@@ -30,7 +29,7 @@ class Job:
 
     @property
     def by_cycles(self) -> bool:
-        return self.method in (REFERENCE, CYCLES, DENOISED)
+        return self.method in CHOICES
 
     @property
     def name(self) -> str:

@@ -10,7 +10,8 @@ import bpy
 
 from ...inference.scene import SceneError
 from ..runtime.blender_process import blender_command
-from .pass_store import DENOISED, REFERENCE, Job, Pass
+from .choices import CHOICES, REFERENCE, Choice
+from .pass_store import Job, Pass
 from .reference import read_image, require_box_alpha
 from .reference_scene import PathTracing, box_scene, view_scene
 
@@ -33,7 +34,7 @@ class CyclesProcess:
 
     def __init__(self, scene, objects, bounces: int, world=None):
         self._folder = tempfile.TemporaryDirectory(prefix="mrpnn-")
-        self._process, self._asked, self._checked = None, None, False
+        self._process, self._asked, self._checked, self._bounces = None, None, False, bounces
         try:
             tracing = PathTracing(1, bounces)
             with view_scene(scene, objects, tracing, world) as view, box_scene(self._folder.name) as box:
@@ -50,9 +51,9 @@ class CyclesProcess:
         """Start a pass; `answer` returns it."""
         if self._process is None:
             self._start()
-            self._send(CHECK, self._box, 64, 0, False)
+            self._send(CHECK, self._box, 64, 0, Choice())
         seed = job.seed + (REFERENCE_SEED if job.method == REFERENCE else 0)
-        self._send(job.name, self._view, job.samples, seed, job.method == DENOISED)
+        self._send(job.name, self._view, job.samples, seed, CHOICES[job.method])
         self._asked = job.name
 
     def answer(self) -> Pass | None:
@@ -98,8 +99,9 @@ class CyclesProcess:
         with open(self._path("log.txt"), "w") as log:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
 
-    def _send(self, name, scene, samples, seed, denoise):
-        ask = {"name": name, "scene": scene, "samples": samples, "seed": seed, "denoise": denoise}
+    def _send(self, name, scene, samples, seed, choice: Choice):
+        settings = {"samples": samples, "seed": seed, **choice.settings(self._bounces)}
+        ask = {"name": name, "scene": scene, "settings": settings}
         try:
             self._process.stdin.write(json.dumps(ask) + "\n")
             self._process.stdin.flush()

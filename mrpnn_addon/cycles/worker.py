@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders scenes of one .blend file, pass by pass; runs in a separate Blender process without the extension.
 
-Arguments, the last two: the .blend file and a folder. Each line of standard input requests an image: {"scene",
-"samples", "seed", "denoise", "name"}. The process writes FOLDER/NAME.exr and then FOLDER/NAME.json, with wall-clock and
-processor seconds or an error. It ends with its input.
+Arguments, the last two: the .blend file and a folder. Each line of standard input requests an image: {"scene", "name",
+"settings"}, where settings are Cycles' by name, without those that this version lacks. The process writes
+FOLDER/NAME.exr and then FOLDER/NAME.json, with wall-clock and processor seconds or an error. It ends with its input.
 """
 
 import json
@@ -34,10 +34,9 @@ def render(ask, path):
     # Cycles renders the first file of a volume sequence in a scene that no window has shown at its frame.
     bpy.context.window.scene = scene
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-    settings = scene.cycles
-    settings.samples, settings.seed, settings.use_denoising = ask["samples"], ask["seed"], ask["denoise"]
-    if ask["denoise"]:
-        settings.denoiser = "OPENIMAGEDENOISE"
+    for name, value in ask["settings"].items():
+        if hasattr(scene.cycles, name):
+            setattr(scene.cycles, name, value)
     scene.render.filepath = path
     wall, processor = time.perf_counter(), time.process_time()
     bpy.ops.render.render(scene=scene.name, write_still=True)

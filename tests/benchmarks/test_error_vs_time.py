@@ -10,7 +10,7 @@ pytestmark = pytest.mark.blender
 
 from benchmarks.error_vs_time.cases import Case, cases
 from benchmarks.error_vs_time.page import csv_table, filtered, headline, page, scenes, times_as_long
-from benchmarks.error_vs_time.plots import save_headline
+from benchmarks.error_vs_time.plots import save_headline, save_ladders
 
 
 def rung(method, samples, seconds, error, spread=0.1, once=0.0):
@@ -54,10 +54,10 @@ def result(error=0.1, spread=0.1, **case):
         "case": asdict(Case(**case)),
         "judged": judged,
         "rungs": rungs,
-        "path_tracing": {"cpu_seconds": law},
+        "path_tracing": {"cycles": {"cpu_seconds": law}},
         "equal": equal,
         "verdict": {"good": True, "more": 1.0, "seconds": 1.0},
-        "cycles": "4.5",
+        "cycles": "4.5 LTS",
         "bounces": 1024,
     }
 
@@ -82,11 +82,11 @@ def test_a_goal_is_reached_where_upper_bounds_reach_it(error, spread, said):
 def test_larger_images_use_their_own_seconds_and_the_small_ones_samples():
     large = result(error=0.5, growth="image", size=512)
     large["judged"].update(cpu_seconds=10.0, once_cpu=2.0)
-    large["path_tracing"]["cpu_seconds"] = {"start": 0.0, "each": 32.0, "variance": 7.0, "largest": 4}
+    large["path_tracing"]["cycles"]["cpu_seconds"] = {"start": 0.0, "each": 32.0, "variance": 7.0, "largest": 4}
     small = result()
     assert times_as_long(small, "cycles", False, None, large) == pytest.approx(1000 * 32 / 10)
     assert times_as_long(small, "cycles", True, None, large) == pytest.approx(1000 * 32 / 8)
-    rows = [line for line in headline([small], [small, large]).splitlines() if line.startswith("| 512² | cycles |")]
+    rows = [line for line in headline([small], [small, large]).splitlines() if line.startswith("| 512² | Cycles 4.5 |")]
     assert ["3.2e+03" in rows[0], "4e+03" in rows[1]] == [True, True]
 
 
@@ -96,8 +96,36 @@ def test_denoised_images_count_only_where_measured():
     rows = filtered([small, large]).splitlines()[-2:]
     assert "| 64² |" in rows[0] and "4.5 / 18 ×" in rows[0] and "1: 0.400, 4: 0.200" in rows[0]
     assert "| 256² |" in rows[1] and "4: 0.050" in rows[1]
-    assert "512² | cycles denoised" not in headline([small], [small, result(growth="image", size=512)])
+    assert "512² | Cycles 4.5, denoised" not in headline([small], [small, result(growth="image", size=512)])
     assert filtered([small]) == ""
+
+
+def of_two_ways(**case):
+    """As `result`, by a Cycles that takes twice as long, and ten times as long by null scattering."""
+    other = result(**case)
+    other["cycles"] = "5.2"
+    law = other["path_tracing"]["cycles"]["cpu_seconds"]
+    for method, factor in (("cycles", 2.0), ("cycles null scattering", 10.0)):
+        slower = {**law, "start": factor * law["start"], "each": factor * law["each"]}
+        other["path_tracing"][method] = {"cpu_seconds": slower}
+    other["rungs"].append(rung("cycles null scattering", 4, 30.0, 1.58))
+    other["equal"].append({**other["equal"][0], "method": "cycles null scattering"})
+    return other
+
+
+def test_ratios_are_told_against_the_quickest_way_with_the_others_beside_it(tmp_path):
+    several = [result(), of_two_ways(), result(volume="smoke")]
+    rows = [line.split(" | ") for line in headline(several, several).splitlines() if "first" in line]
+    means = {row[1]: float(row[3]) for row in rows if "denoised" not in row[1] and row[0] == "| 64²"}
+    assert means["the quickest of these"] == means["Cycles 4.5"] == pytest.approx(501 / 2, rel=0.01)
+    assert means["Cycles 5.2"] == pytest.approx(501, rel=0.01)
+    assert means["Cycles 5.2, null scattering"] == pytest.approx(2505, rel=0.01)
+    told = [line.split(" | ")[1] for line in scenes(several, "mrpnn").splitlines() if line.startswith("| cloud")]
+    assert told == ["Cycles 4.5", "Cycles 5.2", "Cycles 5.2, null scattering"]
+    found = page(several, 27)
+    assert "2 of 27 scenes measured" in found and "by Cycles 4.5 and Cycles 5.2 in a process" in found
+    save_ladders(several, tmp_path / "ladders.png")
+    assert (tmp_path / "ladders.png").exists()
 
 
 def test_the_headline_shows_scenes_timed_at_both_sizes(tmp_path):

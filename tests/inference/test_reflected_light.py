@@ -6,7 +6,8 @@ import pytest
 
 from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
 from inference.image.reflected_light import open_volume
-from inference.occluders.seen_surfaces import behind, open_sky, see_surfaces, vantage
+from inference.occluders.seen_surfaces import ROWS, behind, open_sky, see_surfaces, vantage
+from inference.scene.environment import PlaceWeight, pixel_solid_angles
 from tests.support.surfaces import rectangle
 from tests.support.volumes import box, camera, cloud
 
@@ -100,8 +101,8 @@ def test_even_light_over_a_mirror_of_itself_is_even_light():
 
 def test_ground_hides_the_sky_below_it():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    sky = open_sky([ground(size=1000.0)], corners, np.zeros(3))
-    assert sky[:15].min() == 1.0 and sky[17:].max() == 0.0
+    [sky] = open_sky([ground(size=1000.0)], corners, np.zeros(3))
+    assert sky.share[:15].min() == 1.0 and sky.share[17:].max() == 0.0
     hidden = behind(Environment(np.ones((4, 8, 3), np.float32)), sky)
     assert np.all(hidden.radiance[:2] == 1.0) and np.all(hidden.radiance[2:] == 0.0)
 
@@ -132,9 +133,38 @@ def test_even_light_passes_a_mesh_in_the_middle():
     assert with_cube.rgb.mean() == pytest.approx(without.rgb.mean(), rel=0.15)
 
 
-def test_a_roof_close_above_makes_places_differ():
+def test_places_below_the_edge_of_a_roof_see_different_skies():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    assert open_sky([rectangle(-0.3, 0.3, -0.3, 0.3, 0.55)], corners, np.zeros(3)) is None
+    roof = rectangle(-9.0, 0.0, -9.0, 9.0, 0.6)
+    skies = open_sky([roof], corners, np.zeros(3))
+    places = np.array([[-0.25, 0.0, 0.25], [0.25, 0.0, 0.25], [0.25, 0.0, -0.25]])
+    shares = np.stack([sky.weight(places) for sky in skies])
+    assert shares.sum(axis=0) == pytest.approx(1.0)
+    up = np.stack([sky.share[0].mean() for sky in skies]) @ shares
+    assert up[0] < 0.2 and up[1] > 0.8
+    seen = np.einsum("kp,krc->prc", shares, [sky.share for sky in skies])
+    open_to = (seen * pixel_solid_angles(ROWS) / (2.0 * np.pi))[:, : ROWS // 2].sum(axis=(1, 2))
+    # Of the upper half of the sphere, the angle between the roof's edge and the opposite horizon.
+    expected = 0.5 + np.arctan2(places[:, 0], 0.6 - places[:, 2]) / np.pi
+    assert open_to == pytest.approx(expected, abs=0.08)
+
+
+def test_no_few_skies_stand_for_many_slits():
+    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
+    slats = [rectangle(x, x + 0.12, -9.0, 9.0, 0.51) for x in np.arange(-1.0, 1.0, 0.25)]
+    walls = [rectangle(-9.0, -0.51, -9.0, 9.0, 0.51), rectangle(0.51, 9.0, -9.0, 9.0, 0.51)]
+    assert not open_sky(slats + walls, corners, np.zeros(3))
+
+
+def test_light_that_reaches_places_in_parts_is_the_same_light():
+    light = np.random.default_rng(0).uniform(0.0, 1.0, (8, 16, 3)).astype(np.float32)
+    ends = (-0.3, 0.2), (0.2, -0.3)
+    parts = [Environment(light, weight=PlaceWeight((x, None, z))) for x in ends for z in ends]
+    whole, divided = picture([Environment(light)], []), picture(parts, [])
+    assert divided.rgb == pytest.approx(whole.rgb, rel=2e-3, abs=2e-3 * whole.rgb.max())
+    half = picture(parts[:2], []).rgb.sum(axis=2)
+    left, right = np.array_split(half, 2, axis=1)
+    assert min(left.sum(), right.sum()) < 0.6 * max(left.sum(), right.sum())
 
 
 def test_volumes_are_opened_where_surfaces_hide_them():

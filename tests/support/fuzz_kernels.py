@@ -238,7 +238,7 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
     if random.random() < 0.3:
         linear += random.normal(size=(3, 3))
     spoil_blocks(random, grid)
-    depth = LampOpticalDepth(grid, linear, random.normal(size=3), random.normal(size=3), 60, kernels=kernels)
+    depth = LampOpticalDepth(grid, linear, random.normal(size=3), random.normal(size=3), kernels=kernels)
     for pyramid in depth.pyramids:
         if random.random() < 0.3:
             spoil(random, pyramid.depths)

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from inference import Environment
+from benchmarks.fidelity.environments import cameras
+from benchmarks.fidelity.shaded_environments import rectangle
+from inference import Environment, Medium, Settings, Surface, render
 from inference.network.environment_network import load_environment_network
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
 from training import export_environment, train_environment
 from training.data import environment_targets
-from training.data.seeded_volume import seeded_volume
+from training.data.seeded_volume import cube_volume, seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import _encode, decode_directions, optical_depths, trace_camera_exits, trace_exits
 from training.tracer.path_tracer import Sampling
@@ -70,7 +72,7 @@ def test_unscattered_paths_follow_the_phase_function_and_the_transmittance(ball)
 
 def test_camera_paths_scatter_as_often_as_the_medium_is_opaque(ball):
     camera = PinholeCamera((0.0, -2.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0, 4)
-    exits, hit = trace_camera_exits(ball, camera, 2.0, 0.5, Sampling(4096, 1))
+    exits, _, hit = trace_camera_exits(ball, camera, 2.0, 0.5, Sampling(4096, 1))
     assert hit.mean() == pytest.approx(1.0 - math.exp(-2.0 * 0.8), abs=0.02)
     assert np.all(exits.scatterings[~hit] == 0)
 
@@ -120,3 +122,28 @@ def test_a_run_trains_resumes_and_is_exported(folder, tmp_path):
     assert (tmp_path / "net.sha256").exists()
     checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     assert checkpoint["configuration"]["volumes"] == 1
+
+
+def test_a_world_beside_a_wall_is_that_of_traced_paths():
+    """The wall, black and endless in y and upwards, hides nearly half of the sky from one side of a ball of fog."""
+    axis = (np.arange(32) + 0.5) / 32 - 0.5
+    density = (np.sqrt(sum(values**2 for values in np.meshgrid(axis, axis, axis))) < 0.4).astype(np.float32)
+    volume, albedo, sigma, at, low = cube_volume(density), 0.9, 10.0, 0.55, -0.2
+    wall = rectangle(0, at, (-50.0, low), (50.0, 50.0))
+    camera, pinhole = cameras((0.0, -2.2, 0.15), 16)
+    exits, places, hit = trace_camera_exits(prepare(density), pinhole, sigma, 0.4, Sampling(512, 1))
+    towards = decode_directions(exits.directions)
+    with np.errstate(divide="ignore"):
+        height = places[..., 2] + (at - places[..., 0]) / towards[..., 0] * towards[..., 2]
+    seen = hit & ~((towards[..., 0] > 0.0) & (height > low))
+    expected = (seen * albedo ** (exits.scatterings + 1.0)).mean(axis=1).reshape(16, 16)
+    even = Environment(np.ones((8, 16, 3), np.float32))
+    settings = Settings(depth_samples=8, threads=1)
+    layer = render([(volume, Medium(sigma, albedo, 0.4))], [even], camera, settings, surfaces=[Surface(wall, "wall")])
+    assert layer.report.counts["suns"] == 0
+    found = layer.rgb[..., 0]
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.05)
+    # Each half of the picture: the wall is on the right.
+    for columns in (slice(0, 8), slice(8, 16)):
+        assert found[:, columns].mean() == pytest.approx(expected[:, columns].mean(), rel=0.08)
+    assert expected[:, 8:].mean() < 0.8 * expected[:, :8].mean()

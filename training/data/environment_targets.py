@@ -82,14 +82,14 @@ def _kernels() -> Kernels | None:
         return None
 
 
-def make_rows(seed: int) -> dict:
-    """The arrays of one volume."""
+def make_rows(seed: int, sigma_hat_range: tuple[float, float] = SIGMA_HAT_RANGE) -> dict:
+    """The arrays of one volume. sigma_hat_range: of its media, log-uniform."""
     volume, random = seeded_volume(seed)
     cube, grid = fit_cube(volume), prepare(volume.density)
     environments = np.stack([random_environment(random) for _ in range(ENVIRONMENTS)])
     radiance = ordinate_radiance(np.moveaxis(environments, 0, -1))
 
-    low, high = np.log(SIGMA_HAT_RANGE)
+    low, high = np.log(sigma_hat_range)
     sigmas = np.exp(low + (high - low) * random.permutation((np.arange(MEDIA) + random.random(MEDIA)) / MEDIA))
     media = np.stack([sigmas, draw_anisotropy(random, MEDIA)], axis=1)
     medium = np.sort(random.integers(MEDIA, size=POINTS))
@@ -131,6 +131,7 @@ def main(options=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True)
     parser.add_argument("--volumes", type=parse_range, required=True, help="seeds, FIRST-LAST")
+    parser.add_argument("--sigma-hat", type=float, nargs=2, default=SIGMA_HAT_RANGE, metavar=("LOW", "HIGH"))
     arguments = parser.parse_args(options)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for seed in arguments.volumes:
@@ -138,7 +139,7 @@ def main(options=None):
         if path.exists():
             continue
         start = time.process_time()
-        rows = make_rows(seed)
+        rows = make_rows(seed, tuple(arguments.sigma_hat))
         with complete_file(path) as file:
             np.savez(file, **rows)
         print(f"{path.name}: {len(rows['sigma_hat'])} points in {time.process_time() - start:.1f} s", flush=True)

@@ -45,6 +45,22 @@ class EnvironmentNet(nn.Module):
         self.mean.copy_(x.mean(dim=0))
         self.deviation.copy_(x.std(dim=0) + 1e-2)
 
+    @torch.no_grad()
+    def restore(self, layers):
+        """Load the weights of an exported graph: its fully connected layers, weights and biases, in the graph's order.
+
+        The means and deviations stay; the graph's, folded into its first layer, are replaced by them. Of a narrower
+        network the outputs are kept, too: nothing is read yet of what its layers lack.
+        """
+        (weight, bias), *hidden, shares, mixed = layers
+        first = weight * self.deviation, bias + weight @ self.mean
+        last = torch.cat([shares[0], mixed[0]]), torch.cat([shares[1], mixed[1]])
+        for module, (weight, bias) in zip((self.first, *self.hidden, self.last), (first, *hidden, last), strict=True):
+            rows, columns = weight.shape
+            module.weight[:rows] = 0.0
+            module.weight[:rows, :columns] = weight
+            module.bias[:rows] = bias
+
     def weights(self, x):
         """Shares (N, orders) of the scattering orders and weights (N, groups, CANDIDATES) within groups."""
         h = torch.relu(self.first((x - self.mean) / self.deviation))

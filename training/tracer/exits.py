@@ -149,6 +149,7 @@ def _camera_exits_kernel(grid, origin, rays, sigma, anisotropy, paths, seed):
     count = rays.shape[0]
     codes = np.zeros((count, paths), np.uint16)
     scatterings = np.zeros((count, paths), np.uint16)
+    places = np.zeros((count, paths, 3), np.float32)
     hit = np.zeros((count, paths), np.bool_)
     medium = GridMedium(padded, majorant, sigma, anisotropy)
     for p in numba.prange(count):
@@ -171,16 +172,26 @@ def _camera_exits_kernel(grid, origin, rays, sigma, anisotropy, paths, seed):
                 n += 1
             codes[p, k] = _encode(ray.dx, ray.dy, ray.dz)
             scatterings[p, k] = n
-    return codes, scatterings, hit
+            places[p, k, 0], places[p, k, 1], places[p, k, 2] = ray.x, ray.y, ray.z
+    return codes, scatterings, places, hit
 
 
-def trace_camera_exits(grid, camera: PinholeCamera, sigma: float, anisotropy: float, sampling: Sampling):
-    """Paths from where a camera's rays scatter first: Exits (pixels, K) and whether each path scattered, bool.
+class CameraExits(NamedTuple):
+    """Where K paths from each pixel of a camera leave.
 
-    sigma: extinction per cube edge. Paths that do not scatter hold nothing.
+    exits: (pixels, K). places: float32 (pixels, K, 3), on each path's last way, in the cube. hit: bool (pixels, K),
+    whether it scattered; the others hold nothing.
     """
+
+    exits: Exits
+    places: np.ndarray
+    hit: np.ndarray
+
+
+def trace_camera_exits(grid, camera: PinholeCamera, sigma: float, anisotropy: float, sampling: Sampling) -> CameraExits:
+    """Paths from where a camera's rays scatter first. sigma: extinction per cube edge."""
     cells = np.float32(grid.cells)
-    codes, scatterings, hit = _camera_exits_kernel(
+    codes, scatterings, places, hit = _camera_exits_kernel(
         grid,
         (np.asarray(camera.position, np.float64) + 0.5) * float(cells),
         camera.rays().reshape(-1, 3),
@@ -189,4 +200,4 @@ def trace_camera_exits(grid, camera: PinholeCamera, sigma: float, anisotropy: fl
         int(sampling.paths),
         int(sampling.seed),
     )
-    return Exits(codes, scatterings), hit
+    return CameraExits(Exits(codes, scatterings), places / cells - _HALF, hit)

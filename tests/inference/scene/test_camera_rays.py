@@ -7,7 +7,7 @@ import pytest
 from benchmarks.stability.scenes import camera, placed, rotation
 from inference import Camera
 from inference.grids.grid import Grid
-from inference.scene.camera_rays import camera_rays, window_around
+from inference.scene.camera_rays import camera_rays, pixels_around, window_around
 
 SIZE = 60, 40
 
@@ -60,3 +60,37 @@ def test_the_window_is_little_larger_than_the_volume(projection):
     expected = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
     assert 0 < found.mean() < 0.5
     assert np.abs(np.subtract(window_around(view, grid.corners()), expected)).max() <= 3
+
+
+@pytest.mark.parametrize("seed", [9, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (10, 11))])
+def test_no_pixel_that_shows_density_is_skipped(seed):
+    random, met, skipped = np.random.default_rng(seed), 0, 0
+    for _ in range(70):
+        volume = placed((random.random((9, 7, 8)) < 0.02).astype(np.float32))
+        volume.density[tuple(random.integers(0, volume.density.shape))] = 1.0
+        volume.world_from_index[:3, :3] += 0.1 * random.normal(size=(3, 3))
+        view, grid = random_view(random), Grid(volume)
+        origins, directions, near, far = camera_rays(view)
+        enter, leave = grid.interval(origins, directions)
+        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
+        seen = np.zeros(len(enter), bool)
+        for place in random.random(100):
+            position = origins + (enter + place * (leave - enter))[:, None] * directions
+            seen |= (enter < leave) & (grid.sample_density(grid.index(position).T.astype(np.float32)) > 0.0)
+        shown = pixels_around(view, *grid.support).ravel()
+        assert not (seen & ~shown).any()
+        met, skipped = met + seen.any(), skipped + ((enter < leave) & ~shown).any()
+    assert met > 5 and skipped > 3
+
+
+def test_pixels_are_those_around_filled_cells():
+    """Of two balls, not those in between."""
+    axis = np.arange(60)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    balls = [(x - centre) ** 2 + (y - 30) ** 2 + (z - 30) ** 2 < 81 for centre in (11, 48)]
+    view = camera((0.0, 0.0, 6.0), pixels=200, projection="orthographic", ortho_scale=1.2)
+    grid = Grid(placed(np.logical_or(*balls).astype(np.float32)))
+    seen = hits(view, grid)[0]
+    shown = pixels_around(view, *grid.support)
+    assert shown.sum() < 0.85 * seen.sum()
+    assert not shown[:, 100].any() and shown[:, :100].any() and shown[:, 100:].any()

@@ -28,7 +28,12 @@ def kept(addon):
 
 
 @pytest.fixture
-def planted(kept):
+def choices(addon):
+    return importlib.import_module("mrpnn.mrpnn_addon.cycles.choices")
+
+
+@pytest.fixture
+def planted(kept, choices):
     """A layer 5 % brighter than a noisy reference of two passes, and Cycles at three sample counts."""
     from mrpnn.mrpnn_addon.comparison.plan import Request
 
@@ -46,9 +51,11 @@ def planted(kept):
 
     layer = kept.Job("mrpnn", 8)
     passes = {layer: kept.Pass(image(1.05 * truth), 1.5, 1.5, 0.5, 0.5, ["a mesh is left out"])}
-    passes |= {kept.Job(kept.REFERENCE, 1000, seed): kept.Pass(traced(1000), 101.0, 200.0) for seed in range(2)}
-    passes |= {kept.Job(kept.CYCLES, n): kept.Pass(traced(n), 1.0 + 0.1 * n, 2.0 + 0.2 * n) for n in (1, 4, 16)}
-    passes |= {kept.Job(kept.DENOISED, n): kept.Pass(traced(64 * n), 1.0 + 0.1 * n, 2.0 + 0.2 * n) for n in (1, 4, 16)}
+    passes |= {kept.Job(choices.REFERENCE, 1000, seed): kept.Pass(traced(1000), 101.0, 200.0) for seed in range(2)}
+    passes |= {kept.Job(choices.CYCLES, n): kept.Pass(traced(n), 1.0 + 0.1 * n, 2.0 + 0.2 * n) for n in (1, 4, 16)}
+    passes |= {
+        kept.Job(choices.DENOISED, n): kept.Pass(traced(64 * n), 1.0 + 0.1 * n, 2.0 + 0.2 * n) for n in (1, 4, 16)
+    }
     return passes, Request((layer,), samples=1000, largest=16)
 
 
@@ -87,11 +94,32 @@ def test_equal_error_and_equal_time_follow_from_noise_and_cost(comparison, plant
     assert len(result.sentences()) == 2 and "cycles needs" in result.sentences()[0]
 
 
-def test_the_same_image_as_layer_and_reference_has_no_error(comparison, kept, planted):
+def test_the_quicker_way_through_volumes_is_told_first_and_the_other_beside_it(comparison, kept, planted, choices):
+    passes, request = planted
+    alone = comparison.compare(passes, request, 1024, "5.2.3")
+    rng = np.random.default_rng(4)
+    truth = np.mean([passes[kept.Job(choices.REFERENCE, 1000, seed)].image for seed in range(2)], axis=0)
+    for samples in (1, 4, 16):
+        # Four times the variance, and twice the seconds of a sample.
+        noise = rng.gamma(samples / 40, 40 / samples, (SIZE, SIZE, 1))
+        image = np.concatenate([truth[..., :3] * noise, truth[..., 3:]], axis=-1).astype(np.float32)
+        passes[kept.Job(choices.NULL, samples)] = kept.Pass(image, 1.0 + 0.2 * samples, 2.0 + 0.4 * samples)
+    result = comparison.compare(passes, request, 1024, "5.2.3")
+    told = [line.partition(" needs ")[0] for line in result.sentences()]
+    assert told == [choices.CYCLES, choices.NULL, choices.DENOISED]
+    by = {(one.method, one.clock): one for one in result.equal}
+    for clock in ("seconds", "cpu_seconds"):
+        assert by[choices.NULL, clock].ratio == pytest.approx(8 * by[choices.CYCLES, clock].ratio, rel=0.35)
+    assert [str(one) for one in alone.equal if one.method == choices.CYCLES] == [
+        str(one) for one in result.equal if one.method == choices.CYCLES
+    ]
+
+
+def test_the_same_image_as_layer_and_reference_has_no_error(comparison, kept, planted, choices):
     passes, request = planted
     layer = passes[request.layers[0]]
     for seed in range(2):
-        passes[kept.Job(kept.REFERENCE, 1000, seed)] = layer
+        passes[kept.Job(choices.REFERENCE, 1000, seed)] = layer
     result = comparison.compare(passes, request, 1024, "4.5.15")
     assert result.rmse.value == result.rmse.high == result.bias.value == 0.0
     given = comparison.compare(passes, request, 1024, "4.5.15", given=layer.image)
@@ -174,6 +202,31 @@ def test_operator_measures_a_thin_cloud_right_and_leaves_the_scene_alone(scene, 
     assert np.allclose(layer[..., :3] - cycles[..., :3], error[..., :3], atol=1e-6)
     assert "relative bias" in bpy.data.texts["MRPNN comparison"].as_string()
     assert (tmp_path / "comparison" / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_operator_measures_every_way_through_volumes_and_what_artists_set(scene, tmp_path, choices):
+    make.cloud_scene(scene, tmp_path, density=40.0)
+    scene.camera.location.z = 4.0
+    assert bpy.ops.mrpnn.compare(**small(tmp_path, samples=64, scale=25, ladder=4, usual=True)) == {"FINISHED"}
+    found = json.loads((tmp_path / "comparison" / "figures.json").read_text())
+    bias = {(rung["method"], rung["samples"]): rung["bias"]["value"] for rung in found["rungs"]}
+    null = choices.has_null_scattering(scene)
+    ladders = [name for name in choices.LADDERS if null or not choices.CHOICES[name].null]
+    assert {key for key in bias if key[0] in choices.LADDERS} == {(name, n) for name in ladders for n in (1, 4)}
+    assert {one["method"] for one in found["equal"]} == set(ladders)
+    usual = {(choice.name, samples) for choice, samples in choices.USUAL if null or not choice.null}
+    assert usual <= set(bias)
+    # The fewer bounces, the darker; path guiding and adaptive sampling do not add any.
+    dark = [bias[choices.usual(bounces).name, 32] for bounces in (0, 4, 12)]
+    assert dark[0] < dark[1] - 0.1 < dark[2] - 0.2 < -0.2
+    for others in ({"guided": True}, {"adaptive": True}):
+        choice = choices.usual(12, **others)
+        assert bias[choice.name, 32 if choice.guided else 128] == pytest.approx(dark[2], abs=0.1)
+    # The scene's own settings are its own.
+    assert scene.cycles.volume_bounces == 0 and "as artists set it" in (
+        tmp_path / "comparison" / "report.html"
+    ).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
