@@ -187,12 +187,15 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
     suns = [scene.plan.suns[l] for l in channel_pass.suns]
-    linked = scene.plan.linking(suns)
+    linked, known = scene.plan.linking(suns), {}
     for c in indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
-        light = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns]
-        single = marched.single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,vl,r->r", single, light, weight))
+        light, place = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns], channel_pass.scattering_place(c)
+        # Channels may be lit alike.
+        key = place, light.tobytes()
+        if key not in known:
+            known[key] = np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight)
+        add_at(framebuffer.single[:, c], pixel, known[key])
     if not channel_pass.first:
         return
     if emission is not None:
