@@ -18,9 +18,10 @@ from ..plan.resolution import BAND
 # fraction of the light there over the root of the number of depth samples. In smaller squares a difference concerns
 # fewer pixels.
 LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
-# The same for squares as large as a voxel, in proportion for smaller and larger ones: nothing within a voxel varies
-# so much, but for the noise of depth sampling.
-VOXEL_DIFFERENCE = 0.06
+# The same for squares as large as a voxel, by their edge in pixels, in proportion for smaller and larger ones: nothing
+# within a voxel varies so much, but for the noise of depth sampling. Most pixels are in the largest squares, whose
+# differences are what flickers in films.
+VOXEL_DIFFERENCE = {8: 0.04, 4: 0.06, 2: 0.06}
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0

@@ -422,9 +422,9 @@ def evaluate_adaptively(
         mean[:, seen] = estimate.radiance.take(seen, axis=1) / divisor.take(seen, axis=-1)
         error[seen] = estimate.error[seen] / safe[seen]
 
-    tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
+    voxel = estimate.pixels_per_voxel()
     for stride, least in LEVELS:
-        difference = np.maximum(least, tolerance / stride)
+        difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
