@@ -43,6 +43,7 @@ COMMANDS = (
     "benchmarks.cycles.settings",
     "benchmarks.cycles.baked_speed",
     "benchmarks.cycles.baked_speed --size 512",
+    "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
     "benchmarks.fidelity.baked_directions",
     "benchmarks.cycles.baked_picture --size 360 270 --cells 96 --samples 2",
     "benchmarks.cycles.baked_ways",

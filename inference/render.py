@@ -136,9 +136,8 @@ def _render_passes(
     for number, (channels, suns) in enumerate(passes):
         channel_pass = _channel_pass(context, scene, channels, suns)
         work.survey(channel_pass)
-        for tile in _tiles(context, scene, channel_pass, camera, emission):
+        for tile in _tiles(context, scene, channel_pass, camera, framebuffer, emission):
             window = tile.camera.window
-            framebuffer.add(camera.window, tile.framebuffer, window)
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
             if number == len(passes) - 1:
@@ -156,9 +155,10 @@ def _tiles(
     scene: PreparedScene,
     channel_pass: ChannelPass,
     camera: Camera,
+    framebuffer: Framebuffer,
     emission: Mapping[int, ScatteredEmission],
 ) -> Iterator[Tile]:
-    """The tiles of a pass, each rendered on one thread. Raises Cancelled."""
+    """The tiles of a pass, each rendered on one thread and added to the framebuffer. Raises Cancelled."""
 
     shown = shown_pixels(scene, camera)
 
@@ -172,6 +172,7 @@ def _tiles(
                 add_scattered_emission(context, scene, channel_pass, tile, samples, emission)
             add_multiple_scattering(context, sources, tile, samples)
             add_environment_light(context, environments, tile, samples)
+        framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
         return tile
 
     # Those that show most first, so that no thread waits long for the last one.

@@ -32,7 +32,7 @@ from training.train import start_from
 
 STEPS, LEARNING_RATE, WARM_UP, WEIGHT_DECAY = 8000, 2e-3, 300, 0.05
 #: Views in a step, rows of each, and what the square of their biases counts beside that of the points' errors.
-VIEWS, VIEW_ROWS, VIEW_WEIGHT = 64, 32, 8.0
+VIEWS, VIEW_ROWS, VIEW_WEIGHT = 64, 32, 16.0
 AVERAGING = 0.999
 #: Of a row's albedos the first is 1.
 ALBEDOS = 4

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light in EEVEE, from the baked camera and from one turned by 40 degrees, against layers.
 
-    python -m benchmarks.cycles.baked_eevee [--blender COMMAND] [--folder FOLDER] [--size 64]
+    python -m benchmarks.cycles.baked_eevee [--blender COMMAND] [--folder FOLDER] [--size 64] [--window]
 
-COMMAND starts a Blender that has a graphics driver, and sees the folder under the same name. Needs bpy, which makes the
+COMMAND starts a Blender that has a graphics driver, and sees the folder under the same name. With --window it has a
+display, too, and frames per second of the viewport are measured while the camera turns. Needs bpy, which makes the
 scene and reads the pictures.
 """
 
@@ -18,6 +19,8 @@ from pathlib import Path
 
 DISTANCE, DEGREES = 6.0, {"compiling": 0.0, "baked view": 0.0, "beside": 40.0}
 SAMPLES, STEPS, THICKNESS = 16, 128, 20.0
+# Redraws of the viewport along the orbit, and before they are timed.
+FRAMES, BEFORE = 6, 2
 
 
 def turn(camera, name: str) -> None:
@@ -52,11 +55,50 @@ def pictures() -> None:
         )
 
 
+def viewport() -> None:
+    """Turn the camera in the viewport and end Blender: what the other Blender runs in its window."""
+    import bpy
+
+    window = bpy.context.window_manager.windows[0]
+    area = max(window.screen.areas, key=lambda one: one.width * one.height)
+    area.type = "VIEW_3D"
+    space, scene = area.spaces.active, bpy.context.scene
+    space.shading.type, space.overlay.show_overlays = "RENDERED", False
+    space.shading.use_scene_lights_render = space.shading.use_scene_world_render = True
+    space.region_3d.view_perspective = "CAMERA"
+    region = next(one for one in area.regions if one.type == "WINDOW")
+    # Blender's usual values.
+    for name in ("volumetric_tile_size", "volumetric_samples", "volumetric_shadow_samples"):
+        scene.eevee.property_unset(name)
+    for lit in True, False:
+        for shown in scene.objects:
+            if "mrpnn_light" in shown:
+                shown.hide_viewport = not lit
+        with bpy.context.temp_override(window=window, screen=window.screen, area=area, region=region):
+            for number in range(BEFORE + FRAMES):
+                if number == BEFORE:
+                    start, processor = time.perf_counter(), time.process_time()
+                angle = math.radians(DEGREES["beside"]) * number / (BEFORE + FRAMES - 1)
+                scene.camera.location = DISTANCE * math.sin(angle), 0.0, DISTANCE * math.cos(angle)
+                scene.camera.rotation_euler = 0.0, angle, 0.0
+                bpy.ops.wm.redraw_timer(type="DRAW_SWAP", iterations=1)
+        seconds, processor = (
+            now() - then for now, then in ((time.perf_counter, start), (time.process_time, processor))
+        )
+        print(
+            f"EEVEE's viewport of {region.width} x {region.height} pixels, {'with' if lit else 'without'} baked light: "
+            f"{FRAMES / seconds:.2f} frames per second, {processor / FRAMES:.2f} processor seconds per frame",
+            flush=True,
+        )
+    bpy.ops.wm.quit_blender()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--blender", default="blender")
     parser.add_argument("--folder", type=Path, default=None)
     parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--window", action="store_true")
     options = parser.parse_args()
     from ..support.extension import extension
     from ..support.provenance import commit, weights_checksum
@@ -79,11 +121,13 @@ def main() -> None:
         bpy.ops.mrpnn.bake_light(folder=str(folder))
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / "lit.blend"))
         script = folder / "pictures.py"
-        script.write_text(Path(__file__).read_text().replace('__name__ == "__main__"', "False") + "\n\npictures()\n")
-        started = [*shlex.split(options.blender), "-b", "--factory-startup", "--gpu-backend", "opengl"]
+        calls = "\n\npictures()\n" + "viewport()\n" * options.window
+        script.write_text(Path(__file__).read_text().replace('__name__ == "__main__"', "False") + calls)
+        started = [*shlex.split(options.blender), *["-b"][options.window :]]
+        started += ["--factory-startup", "--gpu-backend", "opengl"]
         started += [str(folder / "lit.blend"), "--python-exit-code", "1", "--python", str(script)]
         said = subprocess.run(started, capture_output=True, text=True, check=True).stdout
-        print("\n".join(re.findall("EEVEE of .*", said)), flush=True)
+        print("\n".join(re.findall("EEVEE.*: .*", said)), flush=True)
         for name in list(DEGREES)[1:]:
             turn(scene.camera, name)
             described = read_scene(scenes.depsgraph())

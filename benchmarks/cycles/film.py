@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A film of a volume sequence, and how far its frames are from Cycles: makes docs/film.md.
+"""A film of a volume sequence with sky and ground, and how far its frames are from Cycles: makes docs/film.md.
 
-    python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--compare 3]
+    python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--frames 11] [--compare 3]
 
-Renders one frame for each numbered .vdb file of a folder, by the extension in Blender, to OUT/NNNN.exr and
-OUT/NNNN.png, puts them together as OUT/film.webp, and compares some of them with Cycles. Measures how much the film
-flickers, and by how much a frame changes where nothing in the scene does. Figures go to OUT/film.json. Without --files
-it takes the plume that benchmarks/data/README.md names, which the repository may not contain.
+Renders one frame for each numbered .vdb file of a folder: the volumes by the extension to OUT/NNNN.exr, and composited
+over ground and sky by Cycles to OUT/NNNN.png. Puts these together as OUT/film.webp, and compares some of the layers
+with Cycles. Measures how much the film flickers, and by how much a frame changes where nothing in the scene does.
+Figures go to OUT/film.json. Without --files it takes the plume that benchmarks/data/README.md names, which the
+repository may not contain.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from PIL import Image
 
 from ..demo import scene as demo_scene
 from ..support import pictures
@@ -25,62 +27,83 @@ from ..support.data import EXTRA_VOLUMES
 from ..support.extension import ROOT, extension
 from ..support.pages import replace
 from ..support.provenance import made_by
+from ..support.shaders import add_shader, add_sky
 
 PROGRAM = "benchmarks.cycles.film"
 PLUME = EXTRA_VOLUMES / "plume"
 PAGE = ROOT / "docs" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
 FRAMES_PER_SECOND = 12
+# Half an edge of the ground, its corners and its colour; Cycles' samples for what is no volume.
+GROUND, CORNERS, GROUND_COLOUR = 50.0, ((-1, -1), (1, -1), (1, 1), (-1, 1)), (0.25, 0.22, 0.17)
+GROUND_SAMPLES = 16
+# Colour, heights and radiance of the sky, brighter at the horizon.
+SKY = (0.45, 0.65, 1.0), (0.0, 0.5), (0.7, 0.25)
 #: Depth samples of a converged layer.
 CONVERGED = 64
+
+
+def stage(files, options, read_scene):
+    """The scene: the sequence over ground, in one sun and under a sky."""
+    scene, volume, shader = demo_scene.make_scene(files[0], options.size, options.grid, y_up=True)
+    shader.inputs["Anisotropy"].default_value = 0.5
+    # Every frame is framed, and as dense, as the last and largest file asks for.
+    volume.data.filepath = str(files[-1])
+    demo_scene.fit(scene, volume, shader, read_scene, options.optical_depth)
+    (grid, _), *_ = read_scene(bpy.context.evaluated_depsgraph_get()).volumes
+    ground = bpy.data.meshes.new("Ground")
+    z = float(demo_scene.corners_of(grid)[:, 2].min())
+    ground.from_pydata([(x * GROUND, y * GROUND, z) for x, y in CORNERS], [], [range(4)])
+    add_shader(ground, "Ground", "BsdfDiffuse", "Surface").inputs["Color"].default_value = (*GROUND_COLOUR, 1.0)
+    demo_scene.link(scene, "Ground", ground)
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.use_nodes = True
+    add_sky(scene.world, *SKY)
+    volume.data.filepath = str(files[0])
+    first = int(re.search(r"(\d+)$", files[0].stem).group())
+    volume.data.is_sequence, volume.data.frame_duration = True, len(files)
+    volume.data.frame_start, volume.data.frame_offset = 1, first - 1
+    scene.frame_start, scene.frame_end = 1, min(len(files), options.frames)
+    scene.mrpnn.depth_samples = options.depth_samples
+    cycles = scene.cycles
+    cycles.samples, cycles.use_denoising, cycles.max_bounces = GROUND_SAMPLES, True, 2
+    return scene
 
 
 def make_film(files, options) -> dict:
     """Render and compare; gives the figures by frame, and of steadiness."""
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
-    scene, volume, shader = demo_scene.make_scene(files[0], options.size, options.grid, y_up=True)
-    # The sun alone: each direction of a World's light would take as long as the sun.
-    scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
-    shader.inputs["Anisotropy"].default_value = 0.5
-    # Every frame is framed, and as dense, as the last and largest file asks for.
-    volume.data.filepath = str(files[-1])
-    demo_scene.fit(scene, volume, shader, read_scene, options.optical_depth)
-    volume.data.filepath = str(files[0])
-    first = int(re.search(r"(\d+)$", files[0].stem).group())
-    volume.data.is_sequence, volume.data.frame_duration = True, len(files)
-    volume.data.frame_start, volume.data.frame_offset = 1, first - 1
-    scene.frame_start, scene.frame_end = 1, len(files)
-    scene.mrpnn.depth_samples = options.depth_samples
-    compared = set(np.linspace(1, len(files), options.compare).round().astype(int)) if options.compare else ()
-    results, shown, strip = {}, [], []
-    for frame in range(1, len(files) + 1):
+    scene = stage(files, options, read_scene)
+    frames = range(scene.frame_start, scene.frame_end + 1)
+    compared = set(np.linspace(1, len(frames), options.compare).round().astype(int)) if options.compare else ()
+    still = steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)
+    flickers = flicker(scene, read_scene, options)
+    results, shown = {}, []
+    for frame in frames:
         scene.frame_set(frame)
-        start = time.perf_counter()
+        start = time.process_time()
         bpy.ops.mrpnn.render(filepath=str(options.out / f"{frame:04}.exr"))
-        found = {"file": files[frame - 1].name, "seconds": time.perf_counter() - start}
-        picture = pictures.view_transformed(pictures.over_sky(pictures.pixels("MRPNN")), scene)
-        picture.save(options.out / f"{frame:04}.png")
-        shown.append(picture)
+        layer = time.process_time() - start
+        found = {"file": files[frame - 1].name, "seconds": layer}
         if frame in compared:
             found.update(_compare(options, frame))
-            strip += [(f"{frame}, ours", picture), (f"{frame}, Cycles", _cycles_picture(scene))]
+        bpy.ops.mrpnn.composite()
+        scene.render.filepath, scene.render.image_settings.file_format = str(options.out / f"{frame:04}.png"), "PNG"
+        start = time.process_time()
+        bpy.ops.render.render(write_still=True)
+        found["seconds with ground and sky"] = time.process_time() - start
+        bpy.ops.mrpnn.composite_remove()
         results[frame] = found
+        shown.append(Image.open(scene.render.filepath).convert("RGB"))
         print(f"frame {frame}: {found}", file=sys.stderr, flush=True)
+    duration = round(1000 / FRAMES_PER_SECOND)
     shown[0].save(
-        options.out / "film.webp",
-        save_all=True,
-        append_images=shown[1:],
-        loop=0,
-        duration=round(1000 / FRAMES_PER_SECOND),
-        lossless=True,
+        options.out / "film.webp", save_all=True, append_images=shown[1:], loop=0, duration=duration, quality=90
     )
-    if strip:
-        pictures.row(strip, STRIP_HEIGHT).save(STRIP)
-    still = steadiness(read_scene(bpy.context.evaluated_depsgraph_get()), options)
-    return {"frames": results, "flicker": flicker(scene, read_scene, options), "steadiness": still}
+    chosen = np.unique(np.linspace(1, len(frames), 3).round().astype(int))
+    pictures.row([(f"{frame}", shown[frame - 1]) for frame in chosen], STRIP_HEIGHT).save(STRIP)
+    return {"frames": results, "flicker": flickers, "steadiness": still}
 
 
 def flicker(scene, read_scene, options) -> dict:
@@ -94,13 +117,15 @@ def flicker(scene, read_scene, options) -> dict:
 
     usual = inference.Settings(depth_samples=options.depth_samples)
     exact = inference.Settings(depth_samples=CONVERGED, leave_out=ALL - {"shared_pixels"})
-    scene.render.resolution_percentage = options.scale
+    scene.render.resolution_percentage = options.flicker_scale
     beyond, itself, mean, pixels, last = 0.0, 0.0, 0.0, 0, None
     for frame in range(scene.frame_start, scene.frame_end + 1):
         scene.frame_set(frame)
         described = read_scene(bpy.context.evaluated_depsgraph_get())
         layer, converged = (
-            inference.render(described.volumes, described.lights, described.camera, settings)
+            inference.render(
+                described.volumes, described.lights, described.camera, settings, surfaces=described.surfaces
+            )
             for settings in (usual, exact)
         )
         if last:
@@ -131,7 +156,11 @@ def steadiness(described, options) -> dict:
     def image(values):
         pairs = [(inference.Volume(values, volume.world_from_index, volume.name), medium)]
         return inference.render(
-            pairs, described.lights, described.camera, inference.Settings(depth_samples=options.depth_samples)
+            pairs,
+            described.lights,
+            described.camera,
+            inference.Settings(depth_samples=options.depth_samples),
+            surfaces=described.surfaces,
         )
 
     first = image(density)
@@ -150,10 +179,6 @@ def steadiness(described, options) -> dict:
     return found
 
 
-def _cycles_picture(scene):
-    return pictures.view_transformed(pictures.over_sky(pictures.pixels("MRPNN Cycles")), scene)
-
-
 def _compare(options, frame: int) -> dict:
     folder = options.out / f"{frame:04}-comparison"
     bpy.ops.mrpnn.compare(samples=options.samples, scale=options.scale, ladder=0, budget=0.0, folder=str(folder))
@@ -165,20 +190,25 @@ def page(found, options) -> str:
     """The page's text."""
     frames, compared = found["frames"], [frame for frame in found["frames"].values() if "rmse" in frame]
     width, height = options.size
+    seconds, whole = (
+        np.median([frame[name] for frame in frames.values()]) for name in ("seconds", "seconds with ground and sky")
+    )
     lines = [
         "# A film",
         "",
         found["made_by"],
         "",
-        "A sequence of `.vdb` files, rendered by the extension in Blender. Some of its frames are compared with Cycles",
-        f"{bpy.app.version_string} at {options.scale} % of the size, in two renders with {options.samples} samples",
-        "per pixel each, so that Cycles' own noise does not count.",
-        "Any scene renders as a film with `blender -b scene.blend -E MRPNN -a`.",
+        "A sequence of `.vdb` files over ground and under a sky: the volumes by the extension, the rest by *Composite",
+        f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Some layers are compared",
+        f"with Cycles at {options.scale} % of the size, without the ground, in two renders of {options.samples}",
+        "samples per pixel each, so that Cycles' own noise does not count. Any scene renders as a film with `blender",
+        "-b scene.blend -E MRPNN -a`.",
         "",
-        "![Frames of the plume, ours and Cycles'](images/film.png)",
+        "![Frames of the plume over ground](images/film.png)",
         "",
-        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples, "
-        f"{np.median([frame['seconds'] for frame in frames.values()]):.1f} s per frame (median).",
+        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. The layer of a",
+        f"frame, with reading the scene and writing the file, takes {seconds:.1f} processor seconds (median), and the",
+        f"whole frame {whole:.1f}, with the layer.",
         "",
         "| file | relative RMSE | bias | alpha bias |",
         "|---|---|---|---|",
@@ -190,7 +220,7 @@ def page(found, options) -> str:
     lines += [
         "",
         f"How much more a pixel changes from frame to frame than in a layer of {CONVERGED} depth samples without any",
-        f"approximation, root mean square over the mean, at {options.scale} % of the size: "
+        f"approximation, root mean square over the mean, at {options.flicker_scale} % of the size: "
         f"**{found['flicker']['beyond a converged layer']:.2%}**, where",
         f"the film itself changes by {found['flicker']['the film itself']:.1%}.",
     ]
@@ -212,11 +242,13 @@ def parse(arguments):
     parser.add_argument("--files", type=Path, default=PLUME, help="folder of numbered .vdb files")
     parser.add_argument("--grid", default="density", help="name of the density grid (density)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "film")
-    parser.add_argument("--size", type=int, nargs=2, default=(144, 192), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--size", type=int, nargs=2, default=(1280, 720), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--depth-samples", type=int, default=8)
     parser.add_argument("--optical-depth", type=float, default=40.0, help="of the longest edge at its densest (40)")
     parser.add_argument("--compare", type=int, default=3, help="frames to compare with Cycles (3)")
-    parser.add_argument("--scale", type=int, default=50, help="size of the comparison in per cent (50)")
+    parser.add_argument("--frames", type=int, default=1000, help="at most (all)")
+    parser.add_argument("--scale", type=int, default=10, help="size of the comparison in per cent (10)")
+    parser.add_argument("--flicker-scale", type=int, default=50, help="size at which flicker is measured (50)")
     parser.add_argument("--samples", type=int, default=24, help="per pixel in each of two Cycles renders (24)")
     return parser.parse_args(arguments)
 

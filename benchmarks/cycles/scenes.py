@@ -58,7 +58,11 @@ def main(arguments=None) -> int:
             results[name]["made_by"] = source
             replace(file, json.dumps(results, indent=1) + "\n")
             print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
-    replace(PAGE, page(results))
+    if options.only:
+        chosen = {name: found for name, found in results.items() if any(words in name for words in options.only)}
+        replace(PAGE, with_rows(PAGE.read_text(), chosen))
+    else:
+        replace(PAGE, page(results))
     return 0
 
 
@@ -180,20 +184,7 @@ def page(results) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for name in scene_features.MEASURED:
-        found = results.get(name)
-        if found is None:
-            lines.append(f"| {name} | not measured yet | | | | | | |")
-            continue
-        if "refused" in found:
-            lines.append(f"| {name} | refused: {found['refused']} | | | | | | |")
-            continue
-        rmse, low, high = found["whole rmse"]
-        lines.append(
-            f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
-            f"| {rmse:.3f} ({low:.3f}–{high:.3f}) | {found['whole bias'][0]:+.1%} "
-            f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
-            f"| ![](images/scenes/{picture(name).name}) |"
-        )
+        lines.append(row(name, results.get(name)))
     notes = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
     if notes:
         lines += ["", "What the extension says of these:", ""] + [f"- {name}: {text}" for name, text in notes]
@@ -213,6 +204,37 @@ def page(results) -> str:
             said = said.replace(str(ROOT) + os.sep, "")
             lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {said} |")
     return "\n".join(lines) + "\n"
+
+
+def row(name: str, found: dict | None) -> str:
+    """A measured scene's row of the table."""
+    if found is None:
+        return f"| {name} | not measured yet | | | | | | |"
+    if "refused" in found:
+        return f"| {name} | refused: {found['refused']} | | | | | | |"
+    rmse, low, high = found["whole rmse"]
+    return (
+        f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
+        f"| {rmse:.3f} ({low:.3f}–{high:.3f}) | {found['whole bias'][0]:+.1%} "
+        f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
+        f"| ![](images/scenes/{picture(name).name}) |"
+    )
+
+
+def with_rows(text: str, results: dict) -> str:
+    """A page with the rows of some scenes in the place of older ones, and a sentence on what made them."""
+    lines, head = text.splitlines(), "| scene | alpha bias "
+    rows = {f"| {name} |": row(name, found) for name, found in results.items() if name in scene_features.MEASURED}
+    before = {key: number for number, line in enumerate(lines) for key in rows if line.startswith(key)}
+    for key, number in before.items():
+        lines[number] = rows[key]
+    names = {source: [] for source in sources(results)}
+    for name, found in results.items():
+        if f"| {name} |" in before:
+            names[found["made_by"]].append(f"*{name}*")
+    said = [f"Newer are the rows {', '.join(some)}. {source}" for source, some in names.items() if some]
+    table = next(number for number, line in enumerate(lines) if line.startswith(head))
+    return "\n".join(lines[:table] + [part for sentence in said for part in (sentence, "")] + lines[table:]) + "\n"
 
 
 def _single(found) -> str:

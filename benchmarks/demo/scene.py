@@ -52,18 +52,18 @@ def make_scene(path: Path, size, grid_name: str, y_up: bool):
 
     data = bpy.data.volumes.new(path.stem)
     data.filepath = str(path)
-    volume = _link(scene, path.stem, data)
+    volume = link(scene, path.stem, data)
     if y_up:
         volume.rotation_euler.x = np.pi / 2
     shader = _fog(data, grid_name)
 
     lamp = bpy.data.lights.new("Sun", "SUN")
     lamp.energy, lamp.color, lamp.angle = 14.0, (1.0, 0.95, 0.88), 0.0
-    _link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat("Z", "Y").to_euler()
+    link(scene, "Sun", lamp).rotation_euler = SUN_FROM.to_track_quat("Z", "Y").to_euler()
 
     lens = bpy.data.cameras.new("Camera")
     lens.angle = np.radians(LENS_DEGREES)
-    scene.camera = _link(scene, "Camera", lens)
+    scene.camera = link(scene, "Camera", lens)
     return scene, volume, shader
 
 
@@ -74,7 +74,7 @@ def fit(scene, volume, shader, read_scene, optical_depth: float) -> None:
     optical_depth: of EDGE at the grid's densest (99.9th percentile of the voxels above 0).
     """
     grid, _ = read_scene(bpy.context.evaluated_depsgraph_get()).volumes[0]
-    corners = _corners(grid)
+    corners = corners_of(grid)
     extent = corners.max(axis=0) - corners.min(axis=0)
     scale = EDGE / extent.max()
     centre = Vector((corners.max(axis=0) + corners.min(axis=0)) / 2)
@@ -102,7 +102,7 @@ def frame(scene, corners) -> None:
     camera.location = VIEW_FROM.normalized() * float(distance.max())
 
 
-def _corners(grid) -> np.ndarray:
+def corners_of(grid) -> np.ndarray:
     """World corners (8, 3) of the box around a Volume's voxels."""
     ends = [(-0.5, n - 0.5) for n in grid.density.shape]
     index = np.array([(*corner, 1.0) for corner in itertools.product(*ends)])
@@ -117,7 +117,7 @@ def _fog(data, grid_name: str):
     return shader
 
 
-def _link(scene, name, data):
+def link(scene, name, data):
     item = bpy.data.objects.new(name, data)
     scene.collection.objects.link(item)
     return item

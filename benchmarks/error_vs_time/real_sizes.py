@@ -72,22 +72,13 @@ def stage(scene: RealScene, folder: Path):
     import bpy
 
     from ..cycles.baked_light import stage as staged
+    from ..support.shaders import add_sky
 
     made = staged(scene.view(), folder)
     made.render.resolution_y = scene.rows
     made.render.threads_mode, made.render.threads = "FIXED", 1
     if scene.sky:
-        tree = made.world.node_tree
-        background = tree.nodes["Background"]
-        background.inputs["Color"].default_value = (*SKY_COLOUR, 1.0)
-        place, parts, strength = (
-            tree.nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "SeparateXYZ", "MapRange")
-        )
-        tree.links.new(place.outputs["Generated"], parts.inputs[0])
-        tree.links.new(parts.outputs["Z"], strength.inputs["Value"])
-        for name, value in zip(("From Min", "From Max", "To Min", "To Max"), SKY_HEIGHTS + SKY_RADIANCE):
-            strength.inputs[name].default_value = value
-        tree.links.new(strength.outputs[0], background.inputs["Strength"])
+        add_sky(made.world, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE)
     bpy.context.view_layer.update()
     return made
 

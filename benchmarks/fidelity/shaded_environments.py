@@ -54,7 +54,7 @@ def meets(places: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> 
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = 1.0 / (p @ (b - a))
             u, v, t = (away * p).sum(axis=1) * scale, (q * directions).sum(axis=1) * scale, (q @ (c - a)) * scale
-        found |= (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
+            found |= (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
     return found
 
 
@@ -74,7 +74,7 @@ def main(options=None):
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--size", type=int, default=24, help="pixels per edge")
-    parser.add_argument("--paths", type=int, default=256, help="per pixel")
+    parser.add_argument("--paths", type=int, default=2048, help="per pixel")
     arguments = parser.parse_args(options)
     volume, _ = seeded_volume(SEED)
     grid, (camera, pinhole) = prepare(volume.density), cameras(VIEWS["level"], arguments.size)

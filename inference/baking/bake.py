@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
-from ..numerics.small_matmul import product
 from ..plan.lights import Light
 from ..plan.plan import Channels, in_range, last_albedo, make_plan
 from ..render import load_compiled, prepare_scene
@@ -19,11 +18,12 @@ from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
 from ..scene.settings import Settings
-from .directions import fit_directions, make_lobe
+from .directional_factor import DETAIL_SHARPNESS, BakedView
+from .directions import DirectionFit, make_lobe
 from .environment_radiance import EnvironmentRadiance
 from .lamp_radiance import LampRadiance
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
-from .lit_volume import DETAIL_SHARPNESS, BakedView, LitVolume
+from .lit_volume import LitVolume
 from .point_radiance import PointRadiance
 from .smooth_light import continued, importance_of, radiance_in_voxels
 
@@ -31,6 +31,8 @@ from .smooth_light import continued, importance_of, radiance_in_voxels
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
+# Points predicted for other directions, as the progress expects them: of a voxel, of at most so many voxels.
+DIRECTIONAL_POINTS, DIRECTIONAL_VOXELS = 30.0, 20000.0
 
 Source = PointRadiance | LampRadiance | EnvironmentRadiance
 
@@ -94,10 +96,11 @@ def baked_view(camera: Camera | None) -> BakedView:
     """The rays along which light is baked for a camera, or for none."""
     if camera is None:
         return BakedView()
+    up, axis = (camera.world_matrix[:3, column] for column in (1, 2))
+    up = up / np.linalg.norm(up)
     if camera.projection == "orthographic":
-        axis = camera.world_matrix[:3, 2]
-        return BakedView(direction=-axis / np.linalg.norm(axis))
-    return BakedView(position=camera.world_matrix[:3, 3].copy())
+        return BakedView(direction=-axis / np.linalg.norm(axis), up=up)
+    return BakedView(position=camera.world_matrix[:3, 3].copy(), up=up)
 
 
 class _Bake:
@@ -166,9 +169,10 @@ class _Bake:
         progress, plan = self.context.progress, self.scene.plan
         lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
         jobs = lights * len(plan.channels)
-        points = sum(float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices)))
+        wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
+        points = sum(wanted)
         if self.context.settings.directional:
-            points += 26.0 * 3000.0 * len(self.lattices)
+            points += DIRECTIONAL_POINTS * sum(min(one, DIRECTIONAL_VOXELS) for one in wanted)
         needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
         progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
         progress.expect("lattices", jobs * len(plan.groups))
@@ -266,15 +270,11 @@ class _Bake:
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
                 radiance = np.sum([source(positions, directions) for source in sources], axis=0)
-                if volume.scattering is None:
-                    return product(coefficient / np.float32(3.0), radiance)
-                return (self._coefficient(v, positions).T * radiance).sum(axis=0) / np.float32(3.0)
+                return (coefficient if volume.scattering is None else self._coefficient(v, positions)) * radiance.T
 
             lobe = make_lobe([one.sun for one in self.scene.plan.predicted_suns()], medium.anisotropy)
-            sharpness = DETAIL_SHARPNESS * medium.anisotropy**2
             with report.stage("directions"):
-                directional = fit_directions(
-                    lattice, scattered, steady, self.visibilities[v], lobe, self.view, sharpness, predict
-                )
+                fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, predict)
+                directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)
         scattered = continued(scattered, self._wanted(v))
         return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)

@@ -2,15 +2,24 @@
 """How baked light depends on the direction that it is seen from."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..scene.description import Sun
+from .directional_factor import (
+    ANCHORS,
+    BakedView,
+    DirectionalFactor,
+    Lobe,
+    NodeGrid,
+    anchor_terms,
+    directional_terms,
+)
 from .lattice import DIRECTIONS, BakeLattice, Visibility
-from .lit_volume import COEFFICIENTS, BakedView, DirectionalFactor, Lobe, directional_terms
 
-# Nodes along the longest edge of the grid of coefficients, at most.
-NODES = 48
+# Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
+NODES, FINE_NODES = 48, 112
 # Suns about which the lobe is, the brightest.
 MAX_LIGHTS = 4
 # Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
@@ -24,6 +33,8 @@ MIN_IMPORTANCE = 0.1
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
+# Logarithms of the ratios of colours that differ less from direction to direction are all alike.
+SAME_COLOUR = 1e-3
 
 
 def make_lobe(suns: Sequence[Sun], anisotropy: float) -> Lobe:
@@ -62,78 +73,161 @@ def _ring(axis: np.ndarray, degrees: float, count: int) -> np.ndarray:
     return np.cos(np.radians(degrees)) * axis + np.sin(np.radians(degrees)) * ring
 
 
-def fit_directions(
-    lattice: BakeLattice,
-    scattered: np.ndarray,
-    steady: np.ndarray,
-    visibility: Visibility,
-    lobe: Lobe,
-    view: BakedView,
-    sharpness: float,
-    predict: Callable[[np.ndarray, np.ndarray], np.ndarray],
-) -> DirectionalFactor | None:
-    """The DirectionalFactor of one volume; None where nothing scatters.
+@dataclass(frozen=True)
+class _Nodes:
+    """Points of a coarse grid at which light is predicted, and a voxel of each.
+
+    shape: of the grid. places, voxels: int (N, 3). world_from_index: (4, 4) of the grid.
+    """
+
+    shape: tuple[int, ...]
+    places: np.ndarray
+    voxels: np.ndarray
+    world_from_index: np.ndarray
+
+    def grid(self, coefficients: np.ndarray) -> NodeGrid:
+        """Coefficients (N, K) of the nodes on the whole grid."""
+        return NodeGrid(_spread(self.shape, self.places, coefficients), self.world_from_index)
+
+
+@dataclass(frozen=True)
+class DirectionFit:
+    """What the DirectionalFactor of one volume is fitted to.
 
     scattered: (nx, ny, nz, 3), light that density 1 scatters, as baked, 0 in voxels that need none. steady: the part of
-    it, of the same shape, that is taken to be the same in all directions. lobe, view, sharpness: of the factor.
-    predict: the other part (N,), mean over the colours, at world positions (N, 3) along unit directions (N, 3); it may
-    raise Cancelled.
+    it, of the same shape, that is taken to be the same in all directions. lobe, view: of the factor. predict: the other
+    part (N, 3) at world positions (N, 3) along unit directions (N, 3); it may raise Cancelled.
     """
-    stride = max(-(-max(scattered.shape[:3]) // NODES), 1)
-    nodes, voxels = _representatives(scattered, stride)
-    if not len(nodes):
-        return None
-    directions = sampled_directions(lobe, view.directions(lattice.positions(voxels)))
-    # A ray along a direction shows a point to a viewer on the other side of it.
-    seen = visibility.transmittances(voxels, -directions)
-    seen[seen < MIN_TRANSMITTANCE] = 0.0
-    thickness = visibility.extinction(voxels) * np.float32(stride * lattice.voxel)
-    importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
-    if importance.any():
+
+    lattice: BakeLattice
+    scattered: np.ndarray
+    steady: np.ndarray
+    visibility: Visibility
+    lobe: Lobe
+    view: BakedView
+    predict: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def factor(self, sharpness: float) -> DirectionalFactor | None:
+        """The factor, whose detail fades with some sharpness; None where nothing scatters."""
+        if not self.scattered.any():
+            return None
+        smooth, colours = self._smooth()
+        return DirectionalFactor(smooth, self._anchors(smooth), colours, self.lobe, self.view, sharpness)
+
+    def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
+        """Smooth coefficients, and those of the colours."""
+        nodes = self._nodes(NODES)
+        along = self.view.directions(self.lattice.positions(nodes.voxels))
+        directions = sampled_directions(self.lobe, along)
+        nodes, seen = self._important(nodes, directions)
+        positions = self.lattice.positions(nodes.voxels)
+        samples = np.zeros((len(nodes.voxels), len(directions), 3))
+        for number, direction in enumerate(directions):
+            at = np.flatnonzero(seen[:, number])
+            samples[at, number] = self._light(nodes.voxels[at], np.broadcast_to(direction, (len(at), 3)).copy())
+        terms, grey = directional_terms(directions, self.lobe), samples.mean(axis=2)
+        spans = [slice(start, start + NODES_PER_BATCH) for start in range(0, len(grey), NODES_PER_BATCH)]
+        smooth = nodes.grid(np.concatenate([_fit(grey[span], seen[span], terms) for span in spans]))
+        along = self.view.directions(positions)
+        turned = directions[None] - (0.0 if along is None else along[:, None])
+        ratios = _ratios(samples) - _ratios(self.scattered[tuple(nodes.voxels.T)][:, None])
+        ratios[seen == 0.0] = 0.0
+        if np.abs(ratios).max() < SAME_COLOUR:
+            return smooth, None
+        return smooth, nodes.grid(_slopes(ratios, seen * grey, np.broadcast_to(turned, ratios.shape)))
+
+    def _anchors(self, smooth: NodeGrid) -> NodeGrid:
+        """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
+        nodes = self._nodes(FINE_NODES)
+        baked, positions = self.scattered[tuple(nodes.voxels.T)].mean(axis=1), self.lattice.positions(nodes.voxels)
+        logarithms, frames = _logarithm(baked), self.view.frames(positions)
+        if frames is None:
+            return nodes.grid(logarithms[:, None])
+        corrections = self._corrections(nodes, frames, smooth)
+        # Along the baked ray, light is known at every node.
+        fitted = np.einsum("nk,nk->n", smooth.sample(positions), directional_terms(frames[:, 2], self.lobe))
+        fitted += corrections @ anchor_terms(ANCHORS[:1])[0]
+        corrections[:, 0] += logarithms - fitted
+        return nodes.grid(np.concatenate([logarithms[:, None], corrections], axis=1))
+
+    def _corrections(self, nodes: _Nodes, frames: np.ndarray, smooth: NodeGrid) -> np.ndarray:
+        """Corrections (N, K) of nodes in whose frames (N, 3, 3) the anchors are; unimportant nodes take others'."""
+        middle = frames[np.linalg.norm(frames - frames.mean(axis=0), axis=(1, 2)).argmin()]
+        some, _ = self._important(nodes, ANCHORS @ middle)
+        positions = self.lattice.positions(some.voxels)
+        turned, coefficients = self.view.frames(positions), smooth.sample(positions)
+        assert turned is not None
+        light, fitted = np.zeros((2, len(positions), len(ANCHORS)))
+        for k, anchor in enumerate(ANCHORS):
+            directions = np.einsum("j,nji->ni", anchor, turned)
+            light[:, k] = self._light(some.voxels, directions).mean(axis=1)
+            fitted[:, k] = np.einsum("nk,nk->n", coefficients, directional_terms(directions, self.lobe))
+        logarithms = _logarithm(np.maximum(light, MIN_RADIANCE * light.mean(axis=1, keepdims=True)))
+        # The same everywhere: anchors turn with the baked ray.
+        corrections = (logarithms - fitted) @ np.linalg.inv(anchor_terms(ANCHORS))
+        return some.grid(corrections).values[tuple(nodes.places.T)].astype(np.float64)
+
+    def _light(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Light (N, 3) that density 1 scatters in voxels (N, 3) along unit directions (N, 3)."""
+        return self.steady[tuple(voxels.T)] + self.predict(self.lattice.positions(voxels), directions)
+
+    def _nodes(self, most: int) -> _Nodes:
+        """Nodes with light, at most so many along an edge, with the voxels next to them."""
+        size, lattice = self.scattered.shape[:3], self.lattice
+        stride = max(-(-max(size) // most), 1)
+        middle, shape = (stride - 1) // 2, tuple(-(-n // stride) for n in size)
+        voxels = np.argwhere(self.scattered.any(axis=3))
+        places = voxels // stride
+        distance = np.abs(voxels - places * stride - middle).sum(axis=1)
+        flat = np.ravel_multi_index(tuple(places.T), shape)
+        order = np.lexsort((distance, flat))
+        first = order[np.flatnonzero(np.diff(flat[order], prepend=-1))]
+        frame = lattice.world_from_index.copy()
+        frame[:3, :3] *= stride
+        frame[:3, 3] = lattice.positions(np.full((1, 3), middle))[0]
+        return _Nodes(shape, places[first], voxels[first], frame)
+
+    def _important(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
+        """Nodes that count where rays go along some of D directions (D, 3), and how clearly each shows them (N, D).
+
+        Transmittances, 0 where nobody sees a node along a direction.
+        """
+        # A ray along a direction shows a point to a viewer on the other side of it.
+        seen = self.visibility.transmittances(nodes.voxels, -directions)
+        seen[seen < MIN_TRANSMITTANCE] = 0.0
+        spacing = np.linalg.norm(nodes.world_from_index[:3, :3], axis=0).max()
+        thickness = self.visibility.extinction(nodes.voxels) * np.float32(spacing)
+        importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
+        if not importance.any():
+            return nodes, np.ones_like(seen)
         some = importance >= MIN_IMPORTANCE * importance.max()
-        nodes, voxels, seen = nodes[some], voxels[some], seen[some]
-    else:
-        seen = np.ones_like(seen)
-    positions = lattice.positions(voxels)
-    same = steady[tuple(voxels.T)].mean(axis=1)
-    samples = np.zeros((len(nodes), len(directions)))
-    for number, direction in enumerate(directions):
-        at = np.flatnonzero(seen[:, number])
-        samples[at, number] = same[at] + predict(positions[at], np.broadcast_to(direction, (len(at), 3)).copy())
-    coefficients = np.zeros((len(nodes), COEFFICIENTS), np.float32)
-    for start in range(0, len(nodes), NODES_PER_BATCH):
-        span = slice(start, start + NODES_PER_BATCH)
-        coefficients[span, :-2] = _fit(samples[span], seen[span], directional_terms(directions, lobe))
-    coefficients[:, -1] = np.log(np.maximum(scattered[tuple(voxels.T)].mean(axis=1), 1e-30))
-    along = view.directions(positions)
-    if along is not None:
-        terms = directional_terms(along, lobe)
-        coefficients[:, -2] = coefficients[:, -1] - np.einsum("nk,nk->n", coefficients[:, :-2], terms)
-    frame = lattice.world_from_index.copy()
-    frame[:3, :3] *= stride
-    frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
-    shape = [-(-n // stride) for n in scattered.shape[:3]]
-    return DirectionalFactor(_spread(shape, nodes, coefficients), frame, lobe, view, sharpness)
+        return replace(nodes, places=nodes.places[some], voxels=nodes.voxels[some]), seen[some]
 
 
-def _representatives(scattered: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes int (N, 3) whose blocks of stride^3 voxels have light, and a voxel of each near the block's middle."""
-    voxels = np.argwhere(scattered.any(axis=3))
-    if not len(voxels):
-        return voxels, voxels
-    blocks = voxels // stride
-    distance = np.abs(voxels - blocks * stride - 0.5 * (stride - 1)).sum(axis=1)
-    flat = np.ravel_multi_index(tuple(blocks.T), [-(-n // stride) for n in scattered.shape[:3]])
-    order = np.lexsort((distance, flat))
-    first = order[np.flatnonzero(np.diff(flat[order], prepend=-1))]
-    return blocks[first], voxels[first]
+def _logarithm(light: np.ndarray) -> np.ndarray:
+    return np.log(np.maximum(light, 1e-30))
+
+
+def _ratios(light: np.ndarray) -> np.ndarray:
+    """Logarithms of the ratios of colours (..., 3) to their mean; those that are hardly there count as equal."""
+    mean = np.maximum(light.mean(axis=-1, keepdims=True), 1e-30)
+    return np.log(np.maximum(light / mean, 1e-3))
+
+
+def _slopes(ratios: np.ndarray, weights: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Slopes (N, 9), three of each colour, that fit ratios (N, D, 3) with weights (N, D) along turned (N, D, 3)."""
+    matrix = np.einsum("nk,nkp,nkq->npq", weights, turned, turned, optimize=True)
+    stiffness = RIDGE * np.trace(matrix, axis1=1, axis2=2) + 1e-30
+    right = np.einsum("nk,nkp,nkc->npc", weights, turned, ratios, optimize=True)
+    found = np.linalg.solve(matrix + stiffness[:, None, None] * np.eye(3), right)
+    return found.transpose(0, 2, 1).reshape(-1, 9)
 
 
 def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray:
-    """Coefficients (N, COEFFICIENTS - 2) from grey light (N, D) along D directions.
+    """Smooth coefficients (N, SMOOTH) from grey light (N, D) along D directions.
 
     seen: (N, D), importance of each direction, 0 where the light is not known, but never for all. terms: of the
-    directions, (D, COEFFICIENTS - 2). Least squares of the logarithm, weighted such that relative errors count by the
+    directions, (D, SMOOTH). Least squares of the logarithm, weighted such that relative errors count by the
     light, then scaled to the right mean.
     """
     mean = samples.sum(axis=1, keepdims=True) / (seen > 0.0).sum(axis=1, keepdims=True)
@@ -153,7 +247,7 @@ def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray
 
 
 def _spread(shape: Sequence[int], nodes: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Coefficients on the whole grid, (nx, ny, nz, COEFFICIENTS): nodes without any take the mean of neighbours."""
+    """Coefficients (N, K) of nodes on the whole grid, (nx, ny, nz, K): others take their neighbours' mean."""
     sums = np.zeros((*shape, coefficients.shape[1]), np.float32)
     counts = np.zeros((*shape, 1), np.float32)
     sums[tuple(nodes.T)], counts[tuple(nodes.T)] = coefficients, 1.0

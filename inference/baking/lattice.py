@@ -14,7 +14,7 @@ from ..scene.camera import Camera
 from ..scene.description import Volume
 from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
-from .lit_volume import BakedView
+from .directional_factor import BakedView
 
 # Optical depth behind which nothing is seen.
 UNSEEN_DEPTH = 20.0

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..numerics.small_matmul import lengths
+
 # Points and mip level of each layer: eight low-frequency layers, then four high-frequency ones.
 LAYER_POINTS = (8, 8, 16, 16, 16, 32, 32, 32, 8, 8, 8, 8)
 LAYER_MIPS = (0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3)
@@ -85,6 +87,6 @@ def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     # The axis least aligned with omega replaces a perpendicular part that vanishes.
     spare = np.eye(3)[np.abs(omega).argmin(axis=1)]
     spare = spare - np.sum(spare * omega, axis=1, keepdims=True) * omega
-    x = np.where(np.linalg.norm(x, axis=1, keepdims=True) < 1e-6, spare, x)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    x = np.where(lengths(x)[:, None] < 1e-6, spare, x)
+    x /= lengths(x)[:, None]
     return np.stack([x, np.cross(omega, x), omega], axis=2)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A grid that stores all its voxels."""
 
+import functools
+
 import numpy as np
 
 from ..numerics.interpolation import pad_with_zeros, sample_padded
@@ -39,6 +41,16 @@ class DenseGrid:
     def sample(self, index: np.ndarray) -> np.ndarray:
         """Values float32 (N,) at continuous indices float32 (3, N), trilinear, 0 outside."""
         return sample_padded(self.padded, index)
+
+    @functools.cached_property
+    def held(self) -> np.ndarray:
+        """uint8, bits of the padded voxels along the last axis, lowest first: 0 where all values are 0 from a voxel to
+        the next along all axes."""
+        held = self.padded != 0.0
+        for axis in range(3):
+            along = np.moveaxis(held, axis, 0)
+            along[:-1] |= along[1:]
+        return np.packbits(held, axis=2, bitorder="little")
 
     def cells(self) -> np.ndarray:
         """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""

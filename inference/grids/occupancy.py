@@ -6,7 +6,7 @@ import numpy as np
 #: Distance in voxels along any axis, within which nothing is missed, including the reach of interpolation.
 REACH = 2
 #: Cells along an edge that are enough to tell which pixels a grid is seen in.
-MOST_CELLS = 64
+MOST_CELLS = 96
 
 
 class Occupancy:

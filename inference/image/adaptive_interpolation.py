@@ -18,9 +18,10 @@ from ..plan.resolution import BAND
 # fraction of the light there over the root of the number of depth samples. In smaller squares a difference concerns
 # fewer pixels.
 LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
-# The same for squares as large as a voxel, in proportion for smaller and larger ones: nothing within a voxel varies
-# so much, but for the noise of depth sampling.
-VOXEL_DIFFERENCE = 0.06
+# The same for squares as large as a voxel, by their edge in pixels, in proportion for smaller and larger ones: nothing
+# within a voxel varies so much, but for the noise of depth sampling. Most pixels are in the largest squares, whose
+# differences are what flickers in films.
+VOXEL_DIFFERENCE = {8: 0.04, 4: 0.06, 2: 0.06}
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0
@@ -48,7 +49,8 @@ def _in_band(first: int, end: int) -> np.ndarray:
 class Squares:
     """The squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
 
-    pixels: int (S, places), of each square. known: int (S, 5), its corners and its centre.
+    pixels: int (places, S), of each square. known: int (5, S), its corners and its centre. What is reduced over comes
+    first, which numpy does many at a time.
     """
 
     def __init__(self, window: tuple[int, int, int, int], stride: int):
@@ -58,16 +60,16 @@ class Squares:
             first + np.flatnonzero((_in_band(first, end) % stride == 0) & (_in_band(first, end) + stride < BAND))
             for first, end in ((x0, max(x1 - stride, x0)), (y0, max(y1 - stride, y0)))
         )
-        first = ((rows - y0)[:, None] * width + (columns - x0)).reshape(-1, 1)
+        first = ((rows - y0)[:, None] * width + (columns - x0)).ravel()
         within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
         centre = within[stride // 2, stride // 2]
-        self.pixels, self.size, self.weights = first + within.ravel(), width * (y1 - y0), _weights(stride)
-        self.known = first + np.append(within[::stride, ::stride], centre)
+        self.pixels, self.size = within.reshape(-1, 1) + first, width * (y1 - y0)
+        self.known, self.weights = np.append(within[::stride, ::stride], centre)[:, None] + first, _weights(stride)
 
     def without(self, excluded: np.ndarray) -> "Squares":
         """The squares none of whose corners and centres is in a mask (P,)."""
-        some, chosen = copy.copy(self), ~excluded[self.known].any(axis=1)
-        some.pixels, some.known = self.pixels[chosen], self.known[chosen]
+        some, chosen = copy.copy(self), np.flatnonzero(~excluded[self.known].any(axis=0))
+        some.pixels, some.known = self.pixels.take(chosen, axis=1), self.known.take(chosen, axis=1)
         return some
 
     def known_pixels(self) -> np.ndarray:
@@ -78,46 +80,45 @@ class Squares:
 
     def centres(self, values: np.ndarray) -> np.ndarray:
         """(S,), values (P,) at the centres."""
-        return values[self.known[:, 4]]
+        return values[self.known[4]]
 
     def centre_error(self, values: np.ndarray) -> np.ndarray:
         """(S,), difference between the centre of each square and the mean of its corners; values: (P,)."""
         known = values[self.known]
-        return np.abs(known[:, 4] - known[:, :4].mean(axis=1))
+        return np.abs(known[4] - known[:4].mean(axis=0))
 
     def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
         """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean."""
         found, seen = values[self.pixels], opacity[self.pixels]
-        largest = (np.abs(found - self._interpolated(values, slice(None))) * seen).max(axis=1, initial=0.0)
-        return largest / np.maximum((found * seen).mean(axis=1), 1e-30)
+        largest = (np.abs(found - self._interpolated(values, self.known)) * seen).max(axis=0, initial=0.0)
+        return largest / np.maximum((found * seen).mean(axis=0), 1e-30)
 
     def all_known(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether corners and centre are all in a mask (P,)."""
-        return chosen[self.known].all(axis=1)
+        return chosen[self.known].all(axis=0)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether any pixel of each square is in a mask (P,)."""
-        return chosen[self.pixels].any(axis=1)
+        return chosen[self.pixels].any(axis=0)
 
     def interior(self, smooth: np.ndarray) -> np.ndarray:
         """bool (P,): pixels of some squares (S,), except those of other squares and known pixels."""
         found = np.zeros(self.size, bool)
-        found[self.pixels[smooth]] = True
-        found[self.pixels[~smooth]] = False
+        found[self.pixels[:, smooth]] = True
+        found[self.pixels[:, ~smooth]] = False
         found[self.known] = False
         return found
 
     def fill(self, values: np.ndarray, smooth: np.ndarray, pixels: np.ndarray) -> None:
         """Interpolate values (P,) in some squares (S,), in place, at the pixels that `interior` gives, bool (P,)."""
-        at = self.pixels[smooth]
+        at = self.pixels[:, smooth]
         wanted = pixels[at]
-        values[at[wanted]] = self._interpolated(values, smooth)[wanted]
+        values[at[wanted]] = self._interpolated(values, self.known[:, smooth])[wanted]
 
-    def _interpolated(self, values: np.ndarray, chosen: np.ndarray | slice) -> np.ndarray:
-        """(S, places), from values (P,) at corners and centres of some squares."""
-        known = values[self.known[chosen]]
+    def _interpolated(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """(places, S), from values (P,) at corners and centres of some squares, int (5, S)."""
         # Added one after another: the same result whatever other squares there are.
-        return sum(known[:, k, None] * self.weights[:, k].astype(known.dtype) for k in range(known.shape[1]))
+        return sum(values[at] * weights[:, None] for at, weights in zip(known, self.weights.astype(values.dtype).T))
 
 
 def interpolable(
@@ -138,7 +139,7 @@ def interpolable(
     fraction = squares.centres(difference)
     centre_error = squares.centre_error(mean)
     tolerance = fraction * squares.centres(single + mean * opacity)
-    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=1)) * squares.centres(opacity)
+    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=0)) * squares.centres(opacity)
     allowed = tolerance + np.minimum(noise, MAX_NOISE * tolerance)
     smooth = squares.all_known(opacity > 0.0) & (centre_error * squares.centres(opacity) < allowed)
     if ahead is not None:

@@ -20,6 +20,7 @@ from ..scene.camera_rays import camera_rays, pixel_rays, pixels_around
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Framebuffer, add_at
+from .lamp_pass import LampMeans, means_around_lamps
 
 # Steps per task: amortises the overhead of calls, and of numpy's arrays fits in cache.
 STEPS_PER_TASK, COMPILED_STEPS_PER_TASK = 200_000, 1_000_000
@@ -91,6 +92,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
     size = _rays_per_task(context, scene, counts)
     shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
+    means = _means_around_lamps(scene, channel_pass, tile, rays) if channel_pass.lamps else []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
         some = slice(start, start + size)
@@ -101,6 +103,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
         _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
         if segment.lamps is not None:
+            for mean in means:
+                mean.replace(segment.lamps.single, start)
             _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment.lamps.single)
             if segment.lamps.features is not None:
                 of_lamps.append(segment.lamps.features.values)
@@ -183,12 +187,15 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
     suns = [scene.plan.suns[l] for l in channel_pass.suns]
-    linked = scene.plan.linking(suns)
+    linked, known = scene.plan.linking(suns), {}
     for c in indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
-        light = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns]
-        single = marched.single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvl,vl,r->r", single, light, weight))
+        light, place = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns], channel_pass.scattering_place(c)
+        # Channels may be lit alike.
+        key = place, light.tobytes()
+        if key not in known:
+            known[key] = np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight)
+        add_at(framebuffer.single[:, c], pixel, known[key])
     if not channel_pass.first:
         return
     if emission is not None:
@@ -217,6 +224,21 @@ def _add_lamps(
         light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.plan.lamps]
         found = single[..., channel_pass.scattering_place(c)]
         add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", found, light, share))
+
+
+def _means_around_lamps(
+    scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: _TileRays
+) -> list[LampMeans]:
+    """As `means_around_lamps`, of the rays of a tile that are all of their pixels."""
+    camera, (x0, y0, x1, _) = tile.camera, tile.camera.window
+    rows, columns = np.divmod(rays.pixel, x1 - x0) + np.array([[y0], [x0]])
+
+    def intervals(origins: np.ndarray, directions: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        clip = [end / cosine for end in camera.clip]
+        return _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)[:2]
+
+    pixels = np.where(rays.share < 1.0, -1, columns), rows
+    return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
 
 
 class _Shading:

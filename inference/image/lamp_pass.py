@@ -1,10 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps whose light camera rays gather."""
+"""Lamps whose light camera rays gather, and pixels within which it varies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
 
 from ..marching.lamp_march import LampMarch
+from ..marching.ray_steps import RayBatch
 from ..plan.plan import Channels
+from ..scene.camera import Camera
+from ..scene.camera_rays import image_rays, pixel_size
 from ..transport.scattered_fluence import ScatteredFluence
-from .context import PreparedScene, RenderContext
+from .context import ChannelPass, PreparedScene, RenderContext
+
+# Pixels whose ray passes a lamp at so many of their widths, from and up to, show the mean over so many rays squared.
+AROUND = ((0.0, 0.75, 16), (0.75, 2.5, 4))
+
+# Where rays, of origins and directions (N, 3) and cosines (N,), meet volumes: near and far (N,).
+Intervals = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: Channels) -> LampMarch | None:
@@ -20,3 +34,65 @@ def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: C
                     fluence[g] = group.predictor.lamp_fluence(sigma_t, scene.lamps, scene.occluders, context.tasks)
     predicted = any(one is not None for one in fluence)
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius)
+
+
+@dataclass(frozen=True)
+class LampMeans:
+    """Single scattering of lamps that M rays pass closely, as means over their pixels.
+
+    rays: int (M,), ascending. lamps: bool (M, K), those that each passes. single: (M, V, K, S), as in LampSegment.
+    """
+
+    rays: np.ndarray
+    lamps: np.ndarray
+    single: np.ndarray
+
+    def replace(self, single: np.ndarray, start: int) -> None:
+        """Put the means in the place of single scattering (R, V, K, S) of rays from a number on."""
+        first, end = np.searchsorted(self.rays, [start, start + len(single)])
+        for ray, lamps, mean in zip(self.rays[first:end] - start, self.lamps[first:end], self.single[first:end]):
+            single[ray][:, lamps] = mean[:, lamps]
+
+
+def means_around_lamps(
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    camera: Camera,
+    batch: RayBatch,
+    pixels: tuple[np.ndarray, np.ndarray],
+    intervals: Intervals,
+) -> list[LampMeans]:
+    """Single scattering of lamps in pixels within which it varies; what each gives does not depend on the others.
+
+    batch: R rays. pixels: columns and rows (R,), int, of the image; -1 for rays that stand for no whole pixel. The rays
+    within a pixel end where its own does, if that is before the volumes do. Raises Cancelled.
+    """
+    columns, rows = pixels
+    beside = np.full((len(columns), len(scene.lamps)), np.inf)
+    for k, lamp in enumerate(scene.lamps):
+        away = lamp.centre - batch.origins
+        along = (away * batch.directions).sum(axis=1)
+        width = np.maximum(pixel_size(camera, np.maximum(along, 0.0)), 1e-30)
+        met = (columns >= 0) & (along > batch.near - width) & (along < batch.far + width)
+        distance = np.linalg.norm(away - along[:, None] * batch.directions, axis=1)
+        beside[met, k] = (distance / width)[met]
+    found = []
+    for least, most, within in AROUND:
+        lamps = (beside >= least) & (beside < most)
+        numbers = np.flatnonzero(lamps.any(axis=1))
+        x, y = np.meshgrid(*[(np.arange(within) + 0.5) / within] * 2)
+        places = (columns[numbers, None] + x.ravel()).ravel(), (rows[numbers, None] + y.ravel()).ravel()
+        origins, directions, cosine = image_rays(camera, *places)
+        near, far = intervals(origins, directions, cosine)
+        _, whole = intervals(batch.origins[numbers], batch.directions[numbers], cosine[:: within**2])
+        ends = np.where(batch.far[numbers] < whole, batch.far[numbers], np.inf)
+        far = np.minimum(far, np.repeat(ends, within**2))
+        hit = np.flatnonzero(near < far)
+        if not len(hit):
+            continue
+        segment = channel_pass.march(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
+        assert segment.lamps is not None
+        single = np.zeros((len(numbers), *segment.lamps.single.shape[1:]))
+        np.add.at(single, hit // within**2, segment.lamps.single / within**2)
+        found.append(LampMeans(numbers, lamps[numbers], single))
+    return found

@@ -265,6 +265,8 @@ class _Estimate:
         self.radiance = np.zeros((len(source.indices), pixels))
         self.error = np.zeros(pixels, np.float32)
         self.deviation = SparseDeviation(tile.camera)
+        # Samples whose error is to be told: numbers, radiance (A, N) and weight (N, C).
+        self._told: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
@@ -273,28 +275,39 @@ class _Estimate:
         parts = np.zeros(len(self.pixel), np.float32)
         for done in sample_batches(points):
             self.context.cancel.check()
-            directions = self.directions[samples.ray[done]]
+            positions, directions = samples.positions(done), self.directions[samples.ray[done]]
             radiance = source.prepared.predict(
-                samples.positions(done), directions, source.albedos.values, samples.jitter(done), self._features(done)
+                positions, directions, source.albedos.values, samples.jitter(done), self._features(done)
             )
             weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            for c, row in source.albedos.by_channel(radiance, samples.positions(done), directions):
+            mean = np.zeros(len(done))
+            for c, row in source.albedos.by_channel(radiance, positions, directions):
                 part = weight[:, c] * row
                 add_at(self.radiance[source.indices.index(c)], pixel, part)
-                parts[done] += part / 3.0
+                mean += part
+            parts[done] = mean / 3.0
             if source.uncertainty is not None:
                 known = np.flatnonzero(self.deviation.known[pixel])
-                self._add_deviation(done[known], radiance[:, known], weight[known])
+                self._told.append((done[known], radiance[:, known], weight[known]))
         if len(points):
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
 
+    def _add_deviations(self) -> None:
+        """Tell the error of what was predicted, all at once."""
+        points, radiance, weight = (
+            np.concatenate(parts, axis=-1) for parts in zip(*((p, r, w.T) for p, r, w in self._told))
+        )
+        order = np.argsort(points)
+        points, radiance, weight = points[order], radiance[:, order], weight.T[order]
+        for start in range(0, len(points), POINTS_PER_TASK):
+            some = slice(start, start + POINTS_PER_TASK)
+            self._add_deviation(points[some], radiance[:, some], weight[some])
+
     def _add_deviation(self, points: np.ndarray, radiance: np.ndarray, weight: np.ndarray) -> None:
         """Tell the error of what was predicted at some samples: radiance (A, N), seen with weight (N, C)."""
-        if not len(points):
-            return
         samples, source = self.samples, self.source
         assert source.uncertainty is not None
         positions, directions = samples.positions(points), self.directions[samples.ray[points]]
@@ -312,6 +325,8 @@ class _Estimate:
         """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
         light, network = self.radiance.sum(axis=0) / 3.0, self.source.uncertainty
         if network is not None:
+            if self._told:
+                self._add_deviations()
             return self.deviation.everywhere(light, network.typical)
         return (MODELS.get(self.context.settings.model, 0.0) * light).astype(np.float32)
 
@@ -393,21 +408,27 @@ def evaluate_adaptively(
     mean, error = estimate.radiance / divisor, estimate.error / safe
     interpolation_error = np.zeros(len(safe), np.float32)
     evaluated, interpolated = np.zeros((2, len(safe)), bool)
-    pixel, report = estimate.pixel[inside], estimate.report
+    report = estimate.report
+    # Samples of a pixel follow each other.
+    counts = np.bincount(estimate.pixel[inside], minlength=len(safe))
+    starts, filled = np.cumsum(counts) - counts, counts > 0
 
     def evaluate(pixels: np.ndarray) -> None:
-        estimate.evaluate(inside[pixels[pixel]])
         evaluated[pixels] = True
-        mean[:, pixels] = estimate.radiance[:, pixels] / divisor[..., pixels]
-        error[pixels] = estimate.error[pixels] / safe[pixels]
+        seen = np.flatnonzero(pixels & filled)
+        some = counts[seen]
+        first = np.repeat(starts[seen] - (np.cumsum(some) - some), some)
+        estimate.evaluate(inside[first + np.arange(len(first))])
+        mean[:, seen] = estimate.radiance.take(seen, axis=1) / divisor.take(seen, axis=-1)
+        error[seen] = estimate.error[seen] / safe[seen]
 
-    tolerance = VOXEL_DIFFERENCE * estimate.pixels_per_voxel()
+    voxel = estimate.pixels_per_voxel()
     for stride, least in LEVELS:
-        difference = np.maximum(least, tolerance / stride)
+        difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
         squares = Squares(window, stride).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
-        smooth, centre_error = np.ones(len(squares.pixels), bool), np.zeros(len(squares.pixels))
+        smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
         for part, weight in zip(estimate.smooth_parts(mean), shown):
             found, part_error = interpolable(
                 squares,
@@ -424,7 +445,7 @@ def evaluate_adaptively(
         for values in (*mean, error):
             squares.fill(values, smooth, interior)
         errors = np.zeros_like(interpolation_error)
-        errors[squares.pixels[smooth]] = centre_error[smooth, None]
+        errors[squares.pixels[:, smooth]] = centre_error[smooth]
         interpolation_error[interior] = errors[interior]
         interpolated |= interior
     evaluate(~(evaluated | interpolated))

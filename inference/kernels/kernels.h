@@ -59,6 +59,8 @@ typedef struct {
 /* One volume as rays traverse it: BoundMedium. */
 typedef struct {
     Grid density;
+    const uint8_t *held;     /* (size[0], size[1], bytes of size[2] bits) of a dense grid's density, lowest bit first: 0
+                                where it is 0 from a voxel to the next along all axes; NULL: unknown */
     Occupancy occupancy;
     const SunColumns *suns;  /* (suns) */
     const float *phase;      /* (2, MRPNN_PHASES + 1), phase function by the square root of 1 - |cosine|, forwards and

@@ -71,7 +71,8 @@ typedef struct {
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
-    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block */
+    int64_t *cells;              /* (volumes, LANES), around blocks that follow each other */
+    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block; 2: no density */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
     float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
@@ -113,13 +114,18 @@ static inline void positions_at(const Line *line, const double *places, Floats *
     }
 }
 
-/* What a grid holds at the samples of one block: SAMPLES values for each of STEPS steps. */
-static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+/* Positions of the samples of one block: SAMPLES for each of STEPS steps. */
+static inline void positions_in_block(const Line *line, double place, double size, Floats *position) {
     const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
-    Floats position[3];
     for (int axis = 0; axis < 3; axis++) {
         position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
     }
+}
+
+/* What a grid holds at the samples of one block. */
+static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+    Floats position[3];
+    positions_in_block(line, place, size, position);
     return sample_grid(grid, position);
 }
 
@@ -130,13 +136,11 @@ typedef struct {
     int64_t empty;   /* coarse blocks behind this one that are known to be empty */
 } Nearby;
 
-/* Whether a volume may hold something in a block. nearby: what is known of other volumes, to which this one is added. */
-static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
-                             Nearby *nearby) {
+/* Whether a volume may hold something in a block whose middle lies in a cell. nearby: what is known of other volumes, to
+which this one is added. */
+static inline int cell_near(const Scene *scene, const Medium *medium, const Line *line, int64_t cell, Nearby *nearby) {
     const Occupancy *cells = &medium->occupancy;
-    float position[3];
-    position_at(line, place + 0.5 * STEPS * size, position);
-    int64_t cell = cell_around(cells, position), clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
+    int64_t clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
     if (clearance > 1) {
         /* Blocks are judged by the cells of their middles, which are rounded. */
         double blocks = ((double)clearance - 1.01) * line->blocks_per_cell;
@@ -147,6 +151,14 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     nearby->near = 1;
     nearby->peak += (double)cells->peaks[cell] * medium->sigma_t;
     return 1;
+}
+
+/* As cell_near, for a block anywhere. */
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
+                             Nearby *nearby) {
+    float position[3];
+    position_at(line, place + 0.5 * STEPS * size, position);
+    return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
 }
 
 /* What is known of all volumes around a block; near: (volumes), whether each may hold something there. */
@@ -180,7 +192,7 @@ static inline Steps step_means(Floats samples, const Ray *ray, double place, dou
 
 /* Extinction and optical thickness of the steps of a block, which are left as those from `at` on.
 
-near: (volumes), which of them may hold something there. */
+near: (volumes), 1 for those that may hold density there. */
 static inline void sample_media(const Scene *scene, const Ray *ray, double place, double size, const uint8_t *near,
                                 int64_t at, Work *work) {
     float *sums = work->within + at;
@@ -188,7 +200,7 @@ static inline void sample_media(const Scene *scene, const Ray *ray, double place
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
         Steps sigma = {0.0f};
-        if (near[v] && medium->sigma_t > 0.0) {
+        if (near[v] == 1 && medium->sigma_t > 0.0) {
             Floats samples = sample_block(&medium->density, work->lines + v, place, size);
             sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
         }
@@ -220,24 +232,60 @@ static int parts_of(const Scene *scene, const float *tau, double reached, double
     return parts;
 }
 
+/* Whether a volume may hold density at any sample of a coarse block. */
+static inline int block_held(const Medium *medium, const Line *line, double place) {
+    Floats position[3];
+    if (!medium->held) return 1;
+    positions_in_block(line, place, 1.0, position);
+    return any_held(medium, position);
+}
+
 /* Coarse blocks that may hold something, one after another. */
 typedef struct {
     int64_t count, used;
     double from;          /* place from which on the next ones are looked for */
     double place[AHEAD], peak[AHEAD];
+    int64_t before[AHEAD], passed;  /* blocks near density that turned out to hold none: in front of each, and since */
 } Coming;
 
 /* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
-static int look_ahead(const Scene *scene, const Ray *ray, double whole, Work *work, Coming *coming) {
+static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep_empty, Work *work, Coming *coming) {
     coming->count = coming->used = 0;
     while (coming->count < AHEAD && coming->from < whole) {
-        int64_t n = coming->count;
-        Nearby nearby = look_around(scene, work, coming->from, 1.0, work->near + n * scene->volumes);
-        coming->place[n] = coming->from;
-        coming->peak[n] = nearby.peak;
-        coming->count += nearby.near;
-        coming->from += STEPS;
-        if (nearby.empty > 0 && nearby.empty < INT64_MAX) coming->from += (double)(STEPS * nearby.empty);
+        /* The cells of blocks that follow each other, of which some are then leapt over. */
+        double middle[LANES];
+        FOR_LANES(n) middle[n] = coming->from + STEPS * (n + 0.5);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            Floats position[3];
+            positions_at(work->lines + v, middle, position);
+            Longs cells = cells_around(&scene->media[v].occupancy, position);
+            memcpy(work->cells + LANES * v, &cells, sizeof cells);
+        }
+        for (int64_t n = 0; n < LANES && coming->count < AHEAD && coming->from < whole;) {
+            int64_t number = coming->count;
+            int held = keep_empty;
+            Nearby nearby = {0, 0.0, INT64_MAX};
+            for (int64_t v = 0; v < scene->volumes; v++) {
+                const Medium *medium = scene->media + v;
+                const Line *line = work->lines + v;
+                uint8_t *near = work->near + number * scene->volumes + v;
+                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
+                if (*near && !block_held(medium, line, coming->from)) *near = 2;
+                held |= *near == 1;
+            }
+            int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
+            if (nearby.near && held) {
+                coming->place[number] = coming->from;
+                coming->peak[number] = nearby.peak;
+                coming->before[number] = coming->passed;
+                coming->passed = 0;
+                coming->count++;
+            } else {
+                coming->passed += nearby.near;
+            }
+            coming->from += (double)(STEPS * next);
+            n = next < LANES ? n + next : LANES;
+        }
     }
     for (int64_t n = 0; n < coming->count; n++) {
         const uint8_t *near = work->near + n * scene->volumes;
@@ -270,7 +318,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
     double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
     int level = 0;
-    Coming coming = {0, 0, 0.0, {0.0}, {0.0}};
+    Coming coming = {0};
     for (int64_t v = 0; v < scene->volumes; v++) {
         work->lines[v] = line_through(scene->media + v, ray);
     }
@@ -282,7 +330,11 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         int64_t at = STEPS * work->blocks;
         int near = 1;
         if (level == 0) {
-            if (coming.used == coming.count && !look_ahead(scene, ray, whole, work, &coming)) break;
+            if (coming.used == coming.count && !look_ahead(scene, ray, whole, keep_empty, work, &coming)) {
+                work->looked_at += coming.passed;
+                break;
+            }
+            work->looked_at += coming.before[coming.used];
             /* Blocks in between are empty. */
             if (coming.place[coming.used] > place) gap = step;
             place = coming.place[coming.used], peak = coming.peak[coming.used];
@@ -729,7 +781,7 @@ static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray
         int64_t s = n < steps ? n : work->sample_step[n - steps];
         double inside = n < steps ? 0.5 : (double)work->sample_inside[n - steps], point[3], given = 0.0, most = 0.0;
         if (n < steps && !(work->total[s] > 0.0f)) {
-            work->given[s] = work->reference[s] = 0.0;
+            work->given[s] = work->reference[s] = 0.0, work->received[s] = 0.0f;
             continue;
         }
         double distance = ray->near + place_in(work, s, inside) * ray->dt;
@@ -882,6 +934,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
+    TAKE(cells, int64_t, LANES * volumes)
     TAKE(near, uint8_t, (AHEAD + 1) * volumes)
     TAKE(sample_step, int64_t, scene->depth_samples)
     TAKE(sample_inside, float, scene->depth_samples)

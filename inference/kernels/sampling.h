@@ -41,14 +41,19 @@ static inline Floats trilinear(const Pairs *pairs, const Floats *part) {
     return lerp_lanes(y0, y1, part[0]);
 }
 
-static inline Floats sample_dense(const Grid *grid, const Floats *position) {
-    Ints cell[3];
-    Floats part[3];
+/* The voxels below positions in a dense grid, counted in its padding, and the places of positions after them. */
+static inline void voxels_below(const Grid *grid, const Floats *position, Ints *cell, Floats *part) {
     for (int axis = 0; axis < 3; axis++) {
         Floats at = clamped_to(position[axis] + 1.0f, in_all(0.0f), in_all((float)(grid->size[axis] - 2)));
         cell[axis] = to_ints(at);
         part[axis] = at - to_floats(cell[axis]);
     }
+}
+
+static inline Floats sample_dense(const Grid *grid, const Floats *position) {
+    Ints cell[3];
+    Floats part[3];
+    voxels_below(grid, position, cell, part);
     /* Whole rows: their number fits into 32 bits, which that of voxels may not. */
     Ints row = cell[0] * (int32_t)grid->size[1] + cell[1];
     int64_t length = grid->size[2], slab = length * grid->size[1], first[LANES];
@@ -121,6 +126,33 @@ static inline int64_t cell_around(const Occupancy *cells, const float *position)
         base = base * cells->size[axis] + (int32_t)clamped(cell, 0.0f, (float)(cells->size[axis] - 1));
     }
     return base;
+}
+
+/* As cell_around, of several positions. */
+static inline Longs cells_around(const Occupancy *cells, const Floats *position) {
+    Longs base = {0};
+    for (int axis = 0; axis < 3; axis++) {
+        Floats cell = (position[axis] + (float)cells->first[axis]) * (float)cells->scale;
+        Ints whole = to_ints(clamped_to(cell, in_all(0.0f), in_all((float)(cells->size[axis] - 1))));
+        base = base * cells->size[axis] + to_longs(whole);
+    }
+    return base;
+}
+
+/* Whether the density may differ from 0 at any of some positions. */
+static inline int any_held(const Medium *medium, const Floats *position) {
+    const Grid *grid = &medium->density;
+    if (!medium->held) return 1;
+    Ints cell[3];
+    Floats part[3];
+    voxels_below(grid, position, cell, part);
+    int64_t bytes = (grid->size[2] + 7) >> 3, first[LANES];
+    Longs byte = to_longs(cell[0] * (int32_t)grid->size[1] + cell[1]) * bytes + to_longs(cell[2] >> 3);
+    Ints bit = cell[2] & 7;
+    memcpy(first, &byte, sizeof first);
+    int found = 0;
+    FOR_LANES(n) found |= medium->held[first[n]] >> bit[n];
+    return found & 1;
 }
 
 static inline int may_hold(const Occupancy *cells, const float *position) {

@@ -2,6 +2,7 @@
 """The structures of kernels.h."""
 
 import ctypes
+import functools
 from ctypes import c_double, c_int64, c_void_p
 from typing import Any
 
@@ -19,7 +20,7 @@ class Shared(ctypes.Structure):
         """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers."""
         super().__init__()
         self.kept: list[Any] = []
-        types: dict[str, Any] = {field[0]: field[1] for field in self._fields_}
+        types = _types(type(self))
         for name, value in fields.items():
             if types[name] is c_void_p:
                 value = self._pointer(value)
@@ -39,6 +40,12 @@ class Shared(ctypes.Structure):
             assert value.flags.c_contiguous
             return value.ctypes.data
         return ctypes.addressof(value)
+
+
+@functools.cache
+def _types(structure: type[Shared]) -> dict[str, Any]:
+    """Types of a structure's fields, by name."""
+    return {field[0]: field[1] for field in structure._fields_}
 
 
 class Grid(Shared):
@@ -88,6 +95,7 @@ class SunColumns(Shared):
 class Medium(Shared):
     _fields_ = [
         ("density", Grid),
+        ("held", c_void_p),
         ("occupancy", Occupancy),
         ("suns", c_void_p),
         ("phase", c_void_p),

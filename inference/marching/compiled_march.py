@@ -9,6 +9,7 @@ from ctypes import addressof, c_int32, c_void_p
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
+from ..grids.dense_grid import DenseGrid
 from ..grids.described import describe_grid, describe_occupancy
 from ..grids.sparse_columns import SparseColumns
 from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
@@ -234,6 +235,7 @@ def _medium(medium: BoundMedium, channels: Sequence[int], scattering: Sequence[i
     density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
         density=density,
+        held=grid.density.held if isinstance(grid.density, DenseGrid) else None,
         occupancy=occupancy,
         suns=structures.array_of([_sun_columns(depth, medium.sigma_t) for depth in medium.sun_depths]),
         phase=_phase_table(medium.medium) if lamps else None,

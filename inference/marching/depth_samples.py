@@ -77,8 +77,7 @@ class DepthSamples:
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
     each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), share of each
     volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps.
-    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. number: int32 (M,), of each sample on its
-    ray.
+    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None.
     """
 
     pixel: np.ndarray
@@ -96,7 +95,6 @@ class DepthSamples:
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
         counts = np.diff(starts, append=len(self.ray))
-        self.number = (np.arange(len(self.ray)) - np.repeat(starts, counts)).astype(np.int32)
         self.starts, self.counts = starts, counts
         # The sampled ray of each sample.
         self.sampled = np.repeat(np.arange(len(starts)), counts)
@@ -126,7 +124,8 @@ class DepthSamples:
 
     def jitter(self, samples: np.ndarray) -> np.ndarray:
         """Jitter (N, 3) in [-1/2, 1/2) of the samples' lookups: a rank-1 lattice along each ray, shifted by pixel."""
-        along = self.number[samples, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
+        number = samples - self.starts[self.sampled[samples]]
+        along = number[:, None] * [0.8191725133961645, 0.6710436067037893, 0.5497004779019703]
         # Large odd factors decorrelate the three components.
         along += self.offsets[self.ray[samples], None] * [1571.0, 5717.0, 9371.0]
         return along - np.floor(along) - 0.5

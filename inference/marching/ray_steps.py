@@ -15,7 +15,7 @@ import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.occupancy import REACH
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import lengths, product
 
 # Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
 STEPS_PER_EDGE = 128
@@ -73,7 +73,7 @@ def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
 def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
     """Number of coarse steps int (R,) per ray, as the medium that needs most requires."""
     crossed = [
-        np.linalg.norm(product(rays.directions, medium.linear.T), axis=1) * (rays.far - rays.near)
+        lengths(product(rays.directions, medium.linear.T)) * (rays.far - rays.near)
         for medium in media
         if medium.matters
     ]

@@ -6,15 +6,14 @@ nearby is not: it falls with the square of the distance, comes from all around, 
 leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
 itself holds the light: with its fluence phi and flux F, what scatters towards the camera is
 
-    (phi - 3 G F . omega) / (4 pi) + q(omega . l) E (exp(-(1 - w G^2) tau) - exp(-tau)),
+    (phi - 3 G F . omega) / (4 pi)
+        + E sum_l (2 l + 1) / (4 pi) P_l(omega . l) G^l (exp(-(1 - w G^2 f_l) tau) - exp(-tau)),
 
 where the second term is the light of the lamp, of irradiance E behind an optical depth tau, that has scattered into the
-phase function's forward peak, which the transport counts as unscattered. With its phase function
-
-    q(mu) = (p(mu; G^2) - (1 - G^2) (1 + 3 G G' mu) / (4 pi)) / G^2
-
-both terms together are exact, in all directions, for light that has scattered twice on one line from the lamp: what the
-transport knows to the first order is taken from what two Henyey-Greenstein functions of G make, one of G^2.
+phase function's forward peak, which the transport counts as unscattered. The more often it has, the further it spreads:
+what the delta scaling leaves of the phase function for the peak has the Legendre moments f_0 = f_1 = 1 and
+f_l = G^(l - 2), and after n scatterings their n-th powers (Goudsmit and Saunderson, "Multiple Scattering of Electrons",
+1940); the last scattering, towards the camera, has the moments G^l.
 """
 
 from collections.abc import Mapping
@@ -22,9 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.phase_function import henyey_greenstein
-from ..transport.discrete_ordinates import reduced_anisotropy
-from ..transport.scattered_fluence import MIN_SHARE, PROBES, FluenceLattice
+from ..transport.scattered_fluence import PROBES, FluenceLattice
 
 # Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
 # its multiple scattering, and from which on it is what networks predict: at a mean cosine of 0.857 the transport of a
@@ -34,6 +31,8 @@ NEAR, FAR = 0.0, 0.15
 MIN_FLUENCE = 1e-12
 # Square of the anisotropy below which there is no forward peak.
 MIN_FORWARD = 1e-3
+# Terms of Legendre series are summed down to this one, but no more than so many.
+MIN_TERM, MAX_TERMS = 1e-4, 160
 #: Smallest albedo for which the transport is solved.
 MIN_ALBEDO = 1e-3
 
@@ -78,17 +77,27 @@ class LampNearby:
         (light, scale), g = self.lights[albedo], self.anisotropy
         read = light.read(positions, omega, towards, g)
         # The column of the flux along the ray, over the fluence.
-        share = np.maximum(1.0 - 3.0 * g * read[:, PROBES + 1], MIN_SHARE)
+        share = 1.0 - 3.0 * g * read[:, PROBES + 1]
         found = np.exp(read[:, 0].astype(np.float64)) * (scale / (4.0 * np.pi)) * share
-        peak = np.exp(-(1.0 - albedo * g * g) * depth) - np.exp(-depth)
-        return found + _peak_phase((omega * towards).sum(axis=1), g) * irradiance * peak
+        # At wide angles the peaks' light is less than what the transport's few moments have too much.
+        return np.maximum(found + irradiance * _forward_light((omega * towards).sum(axis=1), g, albedo, depth), 0.0)
 
 
-def _peak_phase(cosine: np.ndarray, anisotropy: float) -> np.ndarray:
-    """q of the module's description, 1/sr."""
-    forward = anisotropy**2
+def _forward_light(cosine: np.ndarray, anisotropy: float, albedo: float, depth: np.ndarray) -> np.ndarray:
+    """Light (N,), 1/sr, that has scattered into forward peaks and then towards the camera, of a beam of irradiance 1.
+
+    cosine: (N,), of the angle between the camera ray and the direction to the lamp. depth: (N,), of the medium.
+    """
+    g, forward = anisotropy, anisotropy**2
     if forward < MIN_FORWARD:
-        return henyey_greenstein(cosine, anisotropy)
-    known = 3.0 * anisotropy * reduced_anisotropy(anisotropy)
-    rest = (1.0 - forward) * (1.0 + known * cosine) / (4.0 * np.pi)
-    return np.maximum(henyey_greenstein(cosine, forward) - rest, 0.0) / forward
+        return np.zeros(len(cosine))
+    count = min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS)
+    # Legendre's polynomials by their recurrence.
+    before, here = np.zeros(len(cosine)), np.ones(len(cosine))
+    found, unscattered = np.zeros(len(cosine)), np.exp(-depth)
+    for order in range(count):
+        moment = 1.0 if order < 2 else g ** (order - 2)
+        share = np.exp(-(1.0 - albedo * forward * moment) * depth) - unscattered
+        found += (2 * order + 1) / (4.0 * np.pi) * g**order * share * here
+        before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
+    return found

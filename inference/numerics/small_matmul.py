@@ -18,6 +18,12 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     return rows / (a * rows[0]).sum()
 
 
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Lengths (N,) of vectors (N, 3); numpy's own function is slow along short axes."""
+    x, y, z = vectors.T
+    return np.sqrt(x * x + y * y + z * z)
+
+
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a @ b for a (..., M, K) and b (K,) or (K, N), in blocks of rows that are small enough to stay on this thread."""
     if not a.size or not b.size:

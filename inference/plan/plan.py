@@ -52,7 +52,7 @@ DENSITY_RANGE = (2.0**-20, 2.0**20)
 SAME_ALBEDO = 1e-6
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
-TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 12
+TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
 # Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
 # their depth samples are held meanwhile.
 VIEW_PIXELS = 1 << 16

@@ -7,7 +7,7 @@ import secrets
 from dataclasses import dataclass, field
 
 from ... import inference
-from ...inference.baking.lit_volume import DirectionalFactor
+from ...inference.baking.directional_factor import DirectionalFactor
 from ...inference.plan.overlap import overlapping
 from ...inference.scene import SceneError, Settings
 from ..runtime.background import Worker

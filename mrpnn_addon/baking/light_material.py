@@ -7,11 +7,18 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...inference.baking.lit_volume import MAX_LOGARITHM, SHARPNESS, BakedView, DirectionalFactor, Lobe
-from ..vdb.light_file import DENSITY, DIRECTIONS, LIGHT
+from ...inference.baking.directional_factor import (
+    ANCHORS,
+    MAX_LOGARITHM,
+    SHARPNESS,
+    BakedView,
+    DirectionalFactor,
+    Lobe,
+)
+from ..vdb.light_file import COLOURS, DENSITY, LIGHT, anchor_grids, smooth_grids
 
 #: Nodes whose values change from frame to frame.
-SCALE, VIEW, SUN = "Brightness", "Baked From", "Sun {}"
+SCALE, VIEW, UP, SUN = "Brightness", "Baked From", "Baked Upwards", "Sun {}"
 
 
 # Rays that see the light. Cycles follows rays that volumes scatter one step even at 0 volume bounces, and would add the
@@ -43,10 +50,9 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
         ray = build.vector("SCALE", geometry.outputs["Incoming"], scale=-1.0)
         baked = _baked_ray(build, geometry, directional.view)
         cosine = None if baked is None else build.vector("DOT_PRODUCT", ray, baked)
-        factor = _factor(build, ray, cosine, light, directional)
-        other = build.emission(light, build.math("MULTIPLY", strength, factor))
+        other = _other(build, ray, baked, cosine, light, directional)
         same = 0.0 if cosine is None else build.math("GREATER_THAN", cosine, SAME_DIRECTION)
-        shader = build.mix(same, other, shader)
+        shader = build.mix(same, build.emission(other, strength), shader)
     rays, seen = build.node("ShaderNodeLightPath"), None
     for ray_kind in RAYS:
         found = rays.outputs[ray_kind]
@@ -62,7 +68,9 @@ def set_frame(material, scale: float, directional: DirectionalFactor | None, fra
         return
     nodes = material.node_tree.nodes
     place = directional.view.position if directional.view.position is not None else directional.view.direction
-    vectors = {VIEW: place} | {SUN.format(n + 1): d for n, d in enumerate(directional.lobe.directions)}
+    vectors = {VIEW: place, UP: directional.view.up} | {
+        SUN.format(n + 1): d for n, d in enumerate(directional.lobe.directions)
+    }
     for name, vector in vectors.items():
         node = nodes.get(name)
         if node is None or vector is None:
@@ -72,49 +80,63 @@ def set_frame(material, scale: float, directional: DirectionalFactor | None, fra
             socket.keyframe_insert("default_value", frame=frame)
 
 
-def _factor(build: "_Nodes", ray, cosine, light, directional: DirectionalFactor):
-    """The socket of a DirectionalFactor along a ray; cosine: between it and the baked view's ray, or None."""
+def _other(build: "_Nodes", ray, baked, cosine, light, directional: DirectionalFactor):
+    """The socket of the light along a ray.
+
+    baked: the baked view's ray, or None. cosine: between both, or None. light: along the baked ray.
+    """
     mean = build.vector("DOT_PRODUCT", light, build.combine(*[1.0 / 3.0] * 3))
     fine = build.math("LOGARITHM", build.math("MAXIMUM", mean, DARK), math.e)
-    separate = build.node("ShaderNodeSeparateXYZ")
-    build.link(ray, separate.inputs[0])
-    x, y, z = separate.outputs
-    linear, quadratic, lobe, view, *cubic = map(build.attribute, DIRECTIONS)
-    products = build.combine(build.math("MULTIPLY", x, y), build.math("MULTIPLY", y, z), build.math("MULTIPLY", x, z))
-    squares = build.combine(
-        build.math("SUBTRACT", build.math("MULTIPLY", x, x), build.math("MULTIPLY", y, y)),
-        build.math("MULTIPLY_ADD", build.math("MULTIPLY", z, z), 3.0, -1.0),
-        _lobe(build, ray, directional.lobe),
-    )
-    constants = build.node("ShaderNodeSeparateXYZ")
-    build.link(view, constants.inputs[0])
-    constant, correction, coarse = constants.outputs
-    logarithm = build.math("SUBTRACT", constant, fine)
-    vectors = ((linear, ray), (quadratic, products), (lobe, squares), *zip(cubic, _cubic(build, x, y, z)))
-    for coefficients, terms in vectors:
-        logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", coefficients, terms))
     share: Any = math.exp(-directional.sharpness)
     if cosine is not None:
-        fading = build.math("EXPONENT", build.math("MULTIPLY_ADD", cosine, SHARPNESS, -SHARPNESS))
-        logarithm = build.math("MULTIPLY_ADD", correction, fading, logarithm)
-        sharpness = directional.sharpness
-        share = build.math("EXPONENT", build.math("MULTIPLY_ADD", cosine, sharpness, -sharpness))
-    logarithm = build.math("MULTIPLY_ADD", build.math("SUBTRACT", fine, coarse), share, logarithm)
-    logarithm = build.math("MAXIMUM", build.math("MINIMUM", logarithm, MAX_LOGARITHM), -MAX_LOGARITHM)
-    return build.math("EXPONENT", logarithm)
+        share = build.exponential(cosine, directional.sharpness)
+    # Of the light's own logarithm, to which the smooth terms give the rest.
+    logarithm = build.math("MULTIPLY", fine, build.math("SUBTRACT", share, 1.0))
+    coefficients = [*smooth_grids(), *anchor_grids(directional)]
+    terms = [*_smooth(build, ray, directional.lobe), *_anchors(build, ray, baked, share, directional.view)]
+    for name, three in zip(coefficients, terms):
+        logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", build.attribute(name), three))
+    if directional.colours is None:
+        return build.vector("SCALE", light, scale=build.limited_exponential(logarithm))
+    turned = ray if baked is None else build.vector("SUBTRACT", ray, baked)
+    slopes = [build.vector("DOT_PRODUCT", build.attribute(name), turned) for name in COLOURS]
+    factors = [build.limited_exponential(build.math("ADD", logarithm, slope)) for slope in slopes]
+    return build.vector("MULTIPLY", light, build.combine(*factors))
+
+
+def _smooth(build: "_Nodes", ray, lobe: Lobe) -> list:
+    """The sockets of `directional_terms`, three to a vector."""
+    x, y, z = build.separate(ray)
+    xy, yz, xz = build.math("MULTIPLY", x, y), build.math("MULTIPLY", y, z), build.math("MULTIPLY", x, z)
+    squares = build.math("SUBTRACT", build.math("MULTIPLY", x, x), build.math("MULTIPLY", y, y))
+    axial = build.math("MULTIPLY_ADD", build.math("MULTIPLY", z, z), 3.0, -1.0)
+    terms = [1.0, x, y, z, xy, yz, xz, squares, axial, *_cubic(build, x, y, z), _lobe(build, ray, lobe)]
+    return build.triples(terms)
+
+
+def _anchors(build: "_Nodes", ray, baked, share, view: BakedView) -> list:
+    """The sockets of what the coefficients of anchors multiply, three to a vector."""
+    terms = [build.math("MULTIPLY", share, -1.0)]
+    if baked is not None:
+        up = build.combine(*map(float, view.up), name=UP)
+        across = build.vector("NORMALIZE", build.vector("CROSS_PRODUCT", baked, up))
+        axes = across, build.vector("CROSS_PRODUCT", across, baked), baked
+        local = build.combine(*(build.vector("DOT_PRODUCT", ray, axis) for axis in axes))
+        cosines = (build.vector("DOT_PRODUCT", local, build.combine(*map(float, anchor))) for anchor in ANCHORS)
+        terms += [build.exponential(cosine, SHARPNESS) for cosine in cosines]
+    return build.triples(terms)
 
 
 def _cubic(build: "_Nodes", x, y, z) -> list:
-    """The sockets of `cubic_terms`, three to a vector."""
+    """The sockets of `cubic_terms`."""
     xx, yy, zz = (build.math("MULTIPLY", value, value) for value in (x, y, z))
     # x^2 - 3 y^2, 3 x^2 - y^2, x^2 - y^2 and 5 z^2 - 1.
     first = build.math("MULTIPLY_ADD", yy, -3.0, xx)
     second = build.math("SUBTRACT", build.math("MULTIPLY", xx, 3.0), yy)
     squares, axial = build.math("SUBTRACT", xx, yy), build.math("MULTIPLY_ADD", zz, 5.0, -1.0)
-    terms = ((x, first), (y, second), (z, squares)), ((build.math("MULTIPLY", x, y), z), (x, axial), (y, axial))
-    found = [build.combine(*(build.math("MULTIPLY", *factors) for factors in three)) for three in terms]
-    # A grid of numbers gives a vector of three equal ones.
-    return [*found, build.combine(build.math("MULTIPLY", z, build.math("SUBTRACT", axial, 2.0)), 0.0, 0.0)]
+    terms = (x, first), (y, second), (z, squares), (build.math("MULTIPLY", x, y), z), (x, axial), (y, axial)
+    last = build.math("SUBTRACT", axial, 2.0)
+    return [build.math("MULTIPLY", *factors) for factors in (*terms, (z, last))]
 
 
 def _lobe(build: "_Nodes", ray, lobe: Lobe):
@@ -191,14 +213,32 @@ class _Nodes:
             self.link(value, socket)
         return made.outputs[0]
 
-    def vector(self, operation: str, *values, scale: float = 1.0):
+    def vector(self, operation: str, *values, scale=1.0):
         made = self.node("ShaderNodeVectorMath")
         made.operation = operation
         for value, socket in zip(values, made.inputs):
             self.link(value, socket)
         if operation == "SCALE":
-            made.inputs["Scale"].default_value = scale
+            self.link(scale, made.inputs["Scale"])
         return made.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
+
+    def exponential(self, cosine, sharpness: float):
+        """exp(sharpness (cosine - 1))."""
+        return self.math("EXPONENT", self.math("MULTIPLY_ADD", cosine, sharpness, -sharpness))
+
+    def limited_exponential(self, logarithm):
+        limited = self.math("MAXIMUM", self.math("MINIMUM", logarithm, MAX_LOGARITHM), -MAX_LOGARITHM)
+        return self.math("EXPONENT", limited)
+
+    def separate(self, vector):
+        made = self.node("ShaderNodeSeparateXYZ")
+        self.link(vector, made.inputs[0])
+        return made.outputs
+
+    def triples(self, values) -> list:
+        """Vectors of three values each, the last filled up with zeros."""
+        values = [*values, *[0.0] * (-len(values) % 3)]
+        return [self.combine(*values[start : start + 3]) for start in range(0, len(values), 3)]
 
     def combine(self, *values, name: str = ""):
         made = self.node("ShaderNodeCombineXYZ", name)

@@ -16,9 +16,9 @@ from ..objects.workload import Workload
 
 # Seconds on two cores of a 2020 desktop. Per step evaluated, and per step, light and volume; the second value applies
 # where light is integrated within optically thick voxels.
-STEP, STEP_LIGHT, STEP_LIGHT_THICK = 6.0e-8, 3.0e-8, 7.0e-8
+STEP, STEP_LIGHT, STEP_LIGHT_THICK = 2.0e-8, 1.0e-8, 2.5e-8
 # Seconds per pixel and per point, for each light.
-PIXEL, POINT = 1.7e-6, 2.8e-6
+PIXEL, POINT = 0.9e-6, 1.6e-6
 # Seconds per volume, and per volume and light.
 VOLUME, FIELD = 0.25, 0.3
 # Optical thickness of a voxel above which light is integrated within it.

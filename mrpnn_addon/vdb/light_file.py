@@ -3,21 +3,29 @@
 
 import os
 import secrets
+from collections.abc import Sequence
 
 import numpy as np
 
 from ...inference import LitVolume
-from ...inference.baking.lit_volume import MAX_LOGARITHM
+from ...inference.baking.directional_factor import MAX_LOGARITHM, SMOOTH, DirectionalFactor, NodeGrid
 from .density_grid import VOXEL_CENTRE
 from .openvdb_module import load_openvdb
 
-#: Grids of a file: density, the light that it scatters, and the coefficients of other directions, at most three each.
-DENSITY, LIGHT = "light_density", "light"
-DIRECTIONS = tuple(f"light_{name}" for name in ("linear", "quadratic", "lobe", "view", "x3", "xyz", "z3"))
-# Which of a DirectionalFactor's coefficients each grid holds.
-COEFFICIENTS = ((1, 2, 3), (4, 5, 6), (7, 8, 16), (0, 17, 18), (9, 10, 11), (12, 13, 14), 15)
+#: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three in each grid.
+DENSITY, LIGHT, COLOURS = "light_density", "light", ("light_red", "light_green", "light_blue")
 # Largest value of a half float, and of what is written.
 MAX_HALF = 65504.0
+
+
+def smooth_grids() -> list[str]:
+    """Names of the grids with the smooth coefficients of a DirectionalFactor."""
+    return [f"light_smooth{n}" for n in range(-(-SMOOTH // 3))]
+
+
+def anchor_grids(factor: DirectionalFactor) -> list[str]:
+    """Names of the grids with what a DirectionalFactor knows of its anchors."""
+    return [f"light_anchors{n}" for n in range(-(-factor.anchors.values.shape[3] // 3))]
 
 
 def brightness(lit: LitVolume) -> float:
@@ -36,17 +44,14 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
     light = np.minimum(lit.scattered * np.float32(most / scale), np.float32(MAX_HALF))
     grids = [_grid(openvdb, DENSITY, lit.density / np.float32(most), lit.world_from_index)]
     grids.append(_grid(openvdb, LIGHT, light, lit.world_from_index))
-    if lit.directional is not None:
-        values = lit.directional.coefficients.copy()
+    factor = lit.directional
+    if factor is not None:
         # The logarithms of the light as it is written.
-        values[..., [0, -1]] += np.float32(np.log(most / scale))
-        # Any larger coefficient only meets the limit of the factor.
-        values = np.clip(np.nan_to_num(values), -64.0 * MAX_LOGARITHM, 64.0 * MAX_LOGARITHM)
-        # One more node beyond each face, so that interpolation does not meet the 0 outside.
-        values = np.pad(values, [(1, 1)] * 3 + [(0, 0)], mode="edge")
-        frame = lit.directional.world_from_index
-        for name, numbers in zip(DIRECTIONS, COEFFICIENTS):
-            grids.append(_grid(openvdb, name, np.ascontiguousarray(values[..., numbers]), frame, (-1, -1, -1)))
+        shift = np.float32(np.log(most / scale))
+        grids += _coefficients(openvdb, smooth_grids(), factor.smooth, shift)
+        grids += _coefficients(openvdb, anchor_grids(factor), factor.anchors, shift)
+        if factor.colours is not None:
+            grids += _coefficients(openvdb, COLOURS, factor.colours, np.float32(0.0))
     unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
     try:
         openvdb.write(unfinished, grids=grids)
@@ -56,6 +61,19 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
     finally:
         if os.path.exists(unfinished):
             os.unlink(unfinished)
+
+
+def _coefficients(openvdb, names: Sequence[str], nodes: NodeGrid, shift: np.float32) -> list:
+    """Grids of three coefficients each, the last filled up with zeros; the first coefficient is shifted."""
+    values = nodes.values.copy()
+    values[..., 0] += shift
+    # Any larger coefficient only meets the limit of the factor.
+    values = np.clip(np.nan_to_num(values), -64.0 * MAX_LOGARITHM, 64.0 * MAX_LOGARITHM)
+    # One more node beyond each face, so that interpolation does not meet the 0 outside.
+    values = np.pad(values, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+    values = np.pad(values, [(0, 0)] * 3 + [(0, -values.shape[3] % 3)])
+    parts = np.split(values, len(names), axis=3)
+    return [_grid(openvdb, name, part, nodes.world_from_index, (-1, -1, -1)) for name, part in zip(names, parts)]
 
 
 def _grid(openvdb, name: str, values: np.ndarray, world_from_index: np.ndarray, low=(0, 0, 0)):

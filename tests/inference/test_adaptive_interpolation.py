@@ -23,7 +23,7 @@ STRIDES = [stride for stride, _ in LEVELS]
 @pytest.mark.parametrize("window", WINDOWS)
 def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
     squares = Squares(window, stride)
-    shared = np.ones(len(squares.known), bool)
+    shared = np.ones(squares.known.shape[1], bool)
     look, between = squares.known_pixels(), squares.interior(shared)
     inside = np.zeros(squares.size, bool)
     inside[squares.pixels] = True
@@ -32,9 +32,9 @@ def test_pixels_are_evaluated_or_lie_between_evaluated_ones(window, stride):
     # No square leaves the window, its band, or its place in the whole image.
     width = window[2] - window[0]
     row, column = squares.pixels // width + window[1], squares.pixels % width + window[0]
-    assert np.all(np.ptp(column, axis=1) == stride) and np.all(np.ptp(row, axis=1) == stride)
-    assert np.all(np.ptp(row // BAND, axis=1) == 0) and np.all(np.ptp(column // BAND, axis=1) == 0)
-    assert np.all(column[:, 0] % BAND % stride == 0)
+    assert np.all(np.ptp(column, axis=0) == stride) and np.all(np.ptp(row, axis=0) == stride)
+    assert np.all(np.ptp(row // BAND, axis=0) == 0) and np.all(np.ptp(column // BAND, axis=0) == 0)
+    assert np.all(column[0] % BAND % stride == 0)
 
 
 def test_pixels_outside_interpolated_squares_are_evaluated():
@@ -50,7 +50,7 @@ def test_squares_with_known_corners_or_middles_are_skipped():
     settled = np.zeros(81, bool)
     # A corner of two squares, another's middle, and a pixel on an edge.
     settled[[4, 6 * 9 + 2, 5 * 9 + 4]] = True
-    np.testing.assert_array_equal(squares.without(settled).pixels, squares.pixels[3:])
+    np.testing.assert_array_equal(squares.without(settled).pixels, squares.pixels[:, 3:])
 
 
 @pytest.mark.parametrize("stride", STRIDES)
@@ -58,7 +58,7 @@ def test_linear_functions_are_interpolated_exactly(stride):
     squares = Squares((2, 3, 45, 60), stride)
     y, x = np.mgrid[3:60, 2:45].astype(np.float32)
     values = (5.0 + 0.25 * x - 0.5 * y + 40.0).ravel()
-    shared = np.ones(len(squares.known), bool)
+    shared = np.ones(squares.known.shape[1], bool)
     between = squares.interior(shared)
     found = np.where(between, np.float32(np.nan), values)
     squares.fill(found, shared, between)
@@ -71,23 +71,23 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     squares = Squares((0, 0, 21, 21), 4)
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
-    mean[squares.known[7, 4]] = 1.2
+    mean[squares.known[4, 7]] = 1.2
     shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
     # Differences at low opacity, beside much more light, or within the noise do not count.
     assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03 * ones)[0].all()
     assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07 * ones)[0].all()
     assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03 * ones)[0].all()
-    mean[squares.known[7, 4]] = 1.02
+    mean[squares.known[4, 7]] = 1.02
     assert interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)[0].all()
     assert not interpolable(squares, mean, dark, ones, dark, None, 0.01 * ones)[0].all()
     # A shadow's edge between evaluated pixels.
     ahead = ones.copy()
-    ahead[squares.pixels[3, 2]] = 0.3
+    ahead[squares.pixels[2, 3]] = 0.3
     assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03 * ones)[0])) == [3]
     # A pixel that does not show the volume does not count.
     opacity = ones.copy()
-    opacity[squares.known[12, 4]] = 0.0
+    opacity[squares.known[4, 12]] = 0.0
     assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03 * ones)[0])) == [12]
 
 

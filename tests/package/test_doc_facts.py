@@ -140,7 +140,13 @@ FACTS = [
         "docs/method.md",
         r"squares of (\d+) × \d+ pixels first.{0,120} within (\d+ %)",
         "inference.image.adaptive_interpolation",
-        ("LEVELS[0][0]", "VOXEL_DIFFERENCE"),
+        ("LEVELS[0][0]", "VOXEL_DIFFERENCE[8]"),
+    ),
+    (
+        "docs/method.md",
+        r"squares of (\d+) × \d+ pixels are tried, with (\d+ %) and at least (\d+ %)",
+        "inference.image.adaptive_interpolation",
+        ("LEVELS[1][0]", "VOXEL_DIFFERENCE[4]", "LEVELS[1][1]"),
     ),
     (
         "docs/method.md",

@@ -7,7 +7,7 @@ from torch import nn
 
 from inference.network.environment_features import CANDIDATES, COLUMNS
 
-WIDTH, HIDDEN_LAYERS = 128, 3
+WIDTH, HIDDEN_LAYERS = 192, 3
 #: Scattering orders n after the point: the radiance is a sum of albedo^n; the first is single scattering.
 ORDERS = (0, 1, 2, 3, 4, 6, 9, 14, 24, 48, 100, 250, 800)
 #: Orders that share their weights of the candidates: the first of each group.

@@ -23,9 +23,10 @@ from inference import (
     predict_multiple,
     render,
 )
+from inference.baking.bake import baked_view
+from inference.baking.directional_factor import ANCHORS, cubic_terms, quadratic_terms
 from inference.baking.directions import make_lobe, sampled_directions
 from inference.baking.lattice import DIRECTIONS, WEIGHTS
-from inference.baking.lit_volume import cubic_terms, quadratic_terms
 from inference.grids.grid import Grid
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import SUN, box, camera, cloud
@@ -286,7 +287,7 @@ def test_joined_voxels_stay_within_their_budget():
 
 
 def test_the_factor_of_other_directions_is_one_along_the_baked_view():
-    volume, view = cloud(), camera()
+    volume, view = cloud(voxels=16), camera()
     [lit] = bake([(volume, MEDIUM)], [SUN], view)
     filled = lit.emission.any(axis=3)
     positions, baked = centres(lit)[filled.reshape(-1)], lit.scattered[filled].mean(axis=1)
@@ -307,6 +308,33 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
     truth = truth.emission.reshape(-1, 3)
     assert relative(found, truth) < error
     assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
+
+
+def test_each_colour_of_a_coloured_volume_has_its_own_directions():
+    volume, medium = cloud(voxels=16), Medium(40.0, (0.6, 0.9, 1.0), 0.85)
+    [lit] = bake([(volume, medium)], [SUN], looking((0.0, 0.0, -1.0)), replace(EXACT, directional=True))
+    other = np.array([0.0, np.sin(np.radians(40)), -np.cos(np.radians(40))])
+    [truth] = bake([(volume, medium)], [SUN], looking(other), EXACT)
+    positions = centres(lit)
+    found, truth = lit.towards(positions, np.tile(other, (len(positions), 1))), truth.emission.reshape(-1, 3)
+    filled = truth.mean(axis=1) > 0.1 * truth.mean()
+    ratios, expected = (light[filled] / light[filled].mean(axis=1, keepdims=True) for light in (found, truth))
+    baked = lit.emission.reshape(-1, 3)[filled]
+    unturned = baked / baked.mean(axis=1, keepdims=True)
+    assert np.abs(ratios - expected).mean() < 0.7 * np.abs(unturned - expected).mean()
+
+
+def test_light_along_the_anchors_about_the_baked_view_is_what_is_predicted_there():
+    volume, medium = cloud(voxels=16), Medium(20.0, 1.0, 0.85)
+    view = looking((0.0, 0.0, -1.0))
+    [lit] = bake([(volume, medium)], [SUN], view, replace(EXACT, directional=True))
+    positions = centres(lit)
+    for anchor in ANCHORS[[2, 9]]:
+        direction = anchor @ baked_view(view).frames(positions[:1])[0]
+        [truth] = bake([(volume, medium)], [SUN], looking(direction), EXACT)
+        found = lit.towards(positions, np.tile(direction, (len(positions), 1)))
+        # Every voxel is a point of its own, but those that hardly count.
+        assert relative(found, truth.emission.reshape(-1, 3)) < 0.05
 
 
 def test_terms_of_other_directions_are_orthogonal_harmonics():

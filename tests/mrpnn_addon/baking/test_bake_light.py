@@ -59,7 +59,9 @@ def test_cycles_shows_the_layer_after_baking_and_single_scattering_before(addon,
     assert image[..., :3].mean() == pytest.approx(layer.rgb.mean(), rel=0.04)
 
 
-def test_another_camera_sees_its_own_light(addon, scene, cloud, tmp_path):
+def test_another_camera_sees_its_own_light_in_its_colours(addon, scene, cloud, tmp_path):
+    shader = next(node for node in cloud.data.materials[0].node_tree.nodes if node.type == "PRINCIPLED_VOLUME")
+    shader.inputs["Color"].default_value, shader.inputs["Anisotropy"].default_value = (0.6, 0.8, 1.0, 1.0), 0.8
     assert bake(tmp_path) == {"FINISHED"}
     angle = np.radians(40.0)
     scene.camera.location = 6.0 * np.sin(angle), 0.0, 6.0 * np.cos(angle)
