@@ -8,8 +8,8 @@ Henyey-Greenstein's phase function at the midpoints of equal probabilities, a fe
     reduced   = integral of exp(-a (tau + tau_sun)) a dtau,
     scattered = integral of exp(-tau) (phi - 3 G' F . w) dtau,
 
-and the transmittance exp(-tau) of all steps. tau counts from the point, phi and F are the coarse transport's fluence and
-flux.
+and the transmittance exp(-tau) of all steps. tau counts from the point, phi and F are the coarse
+transport's fluence and flux.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,6 @@ import numpy as np
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import LightGather
 from ..kernels.library import Kernels
-from ..kernels.structures import Grid
 from ..transport.discrete_ordinates import reduced_anisotropy
 from .stencil import frames
 
@@ -52,17 +51,21 @@ def gather_directions(anisotropy: float) -> np.ndarray:
     return np.ascontiguousarray(np.stack(vectors).reshape(3, RAYS), np.float32)
 
 
+def _shifts() -> np.ndarray:
+    """float32 (3, RAYS) in [-1/2, 1/2): where rays look up the nearest cell, so that not all leave it at once."""
+    return np.mod(np.outer([0.819, 0.671, 0.549], np.arange(RAYS) + 0.5), 1.0).astype(np.float32) - np.float32(0.5)
+
+
 @dataclass(frozen=True)
 class FinalGather:
     """Gathers the light of one sun of irradiance 1 in one medium.
 
-    density, depth: float32 (n + 3, n + 3, n + 3), of a level of the density pyramid with one cell more below and two
-    above along each axis: of density zeros, and of the optical depth towards the sun, for sigma_hat = 1, the outermost
-    cells. light: fluence and flux float32 (4, m + 3, m + 3, m + 3), likewise. kernels: compiled ones, or None.
+    media: float32 (n + 3, n + 3, n + 3, 2), a level of the density pyramid and the optical depth towards the sun, for
+    sigma_hat = 1, with one cell more below and two above along each axis: zeros, and the outermost depths. light: float32
+    (m, m, m, 4), fluence and flux of the coarse transport. kernels: compiled ones, or None.
     """
 
-    density: np.ndarray
-    depth: np.ndarray
+    media: np.ndarray
     light: np.ndarray
     sigma_hat: float
     anisotropy: float
@@ -82,13 +85,8 @@ class FinalGather:
         sun: (3,) unit vector in the cube's frame. medium: sigma_hat and mean cosine.
         """
         depth = sun_optical_depth(density, sun, 1.0 / len(density), kernels)
-        return cls(
-            np.pad(density, (1, 2)),
-            np.pad(depth, (1, 2), mode="edge"),
-            np.pad(light, ((0, 0), *[(1, 2)] * 3), mode="edge"),
-            *medium,
-            kernels,
-        )
+        media = np.stack([np.pad(density, (1, 2)), np.pad(depth, (1, 2), mode="edge")], axis=-1)
+        return cls(media, np.ascontiguousarray(np.moveaxis(light, 0, -1)), *medium, kernels)
 
     def __call__(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
         """float32 (N, DIRECTIONS, VALUES) at positions, seen along omega, (N, 3) each in the cube's frame.
@@ -116,34 +114,34 @@ class FinalGather:
             steps=STEPS,
             thickness=THICKNESS,
             growth=GROWTH,
-            density=_described(self.density),
-            depth=_described(self.depth),
+            shifts=_shifts(),
+            media=self.media,
+            edge=len(self.media),
+            light=self.light,
+            light_edge=len(self.light),
             sigma=self.sigma_hat,
             scale=SCALE,
             flux=3.0 * reduced_anisotropy(self.anisotropy),
         )
-        for k, values in enumerate(self.light):
-            data.light[k] = _described(values)
         data.out = found.ctypes.data
         kernels.prepare("gather_light", data)
 
     def _gather(self, positions: np.ndarray, turned: np.ndarray, found: np.ndarray) -> None:
         """Twin of the kernel."""
         towards = np.einsum("nij,jr->nri", turned, gather_directions(self.anisotropy))
-        cells, coarse = len(self.density) - 3, self.light.shape[1] - 3
+        cells, coarse = np.float32(len(self.media) - 3), len(self.light)
         flux = np.float32(3.0 * reduced_anisotropy(self.anisotropy))
         sigma, scale = np.float32(self.sigma_hat), np.float32(SCALE)
-        start = positions[:, None] + np.float32(0.5)
+        start, least = positions[:, None] + np.float32(0.5), np.float32(1e-6)
         distance, tau, single, reduced, scattered = np.zeros((5, *towards.shape[:2]), np.float32)
-        extinction = sigma * _sample(self.density, start * np.float32(cells))
-        step = np.minimum(np.float32(1.0 / cells), THICKNESS / np.maximum(extinction, np.float32(1e-6)))
-        step = np.broadcast_to(step, tau.shape)
+        extinction = sigma * _sample(self.media, start * cells)[..., 0]
+        step = np.broadcast_to(np.minimum(1 / cells, THICKNESS / np.maximum(extinction, least)), tau.shape)
         for _ in range(STEPS):
             place = start + (distance + np.float32(0.5) * step)[..., None] * towards
-            extinction = sigma * _sample(self.density, place * np.float32(cells))
-            gained = extinction * step
-            sun = np.maximum(sigma * _sample(self.depth, place * np.float32(cells)), 0.0)
-            fluence, *flow = (_sample(values, place * np.float32(coarse)) for values in self.light)
+            density, sun = np.moveaxis(sigma * _sample(self.media, place * cells), -1, 0)
+            gained, sun = density * step, np.maximum(sun, 0.0)
+            cell = np.clip(place * np.float32(coarse) + _shifts().T, 0.0, coarse - 1).astype(int)
+            fluence, *flow = np.moveaxis(self.light[tuple(np.moveaxis(cell, -1, 0))], -1, 0)
             source = fluence - flux * sum(part * along for part, along in zip(flow, np.moveaxis(towards, -1, 0)))
             passed = np.exp(-tau) * -np.expm1(-gained)
             single += passed * np.exp(-sun)
@@ -151,21 +149,17 @@ class FinalGather:
             reduced += np.exp(-scale * (tau + sun)) * -np.expm1(-scale * gained)
             tau += gained
             distance = distance + step
-            thin = np.float32(THICKNESS) * (1 + tau) / np.maximum(extinction, np.float32(1e-6))
+            thin = np.float32(THICKNESS) * (1 + tau) / np.maximum(density, least)
             step = np.minimum(step * np.float32(GROWTH), np.maximum(thin, step / np.float32(GROWTH)))
         found[...] = np.stack([single, reduced, scattered, np.exp(-tau)], axis=-1)
 
 
-def _described(padded: np.ndarray) -> Grid:
-    return Grid(values=np.ascontiguousarray(padded), size=np.array(padded.shape), shape=np.array(padded.shape) - 3)
-
-
 def _sample(padded: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Trilinear values (...) at places (..., 3) in cells, of which the first, behind the padding, begins at 0."""
+    """Trilinear values (..., 2) at places (..., 3) in cells, of which the first, behind the padding, begins at 0."""
     at = np.clip(cells + np.float32(0.5), 0.0, len(padded) - 2)
     cell = at.astype(int)
     i, j, k = np.moveaxis(cell, -1, 0)
-    x, y, z = np.moveaxis(at - cell, -1, 0)
+    x, y, z = np.moveaxis(at - cell, -1, 0)[..., None]
     rows = [
         padded[i + a, j + b, k] + z * (padded[i + a, j + b, k + 1] - padded[i + a, j + b, k])
         for a in (0, 1)

@@ -247,8 +247,12 @@ typedef struct {
     const float *directions;     /* (3, rays), in the frame of the camera ray */
     int64_t steps;
     double thickness, growth;    /* optical thickness of the first step, and by how much each may be longer */
-    Grid density, depth;         /* depth towards the sun for extinction 1 per edge of the cube */
-    Grid light[4];               /* fluence and flux */
+    const float *shifts;         /* (3, rays), of places at which the light is looked up, in its cells */
+    const float *media;          /* (edge, edge, edge, 2), density and depth towards the sun, for sigma 1, behind a cell of
+                                    padding and before two */
+    int64_t edge;
+    const float *light;          /* (light_edge, light_edge, light_edge, 4), fluence and flux */
+    int64_t light_edge;
     double sigma, scale, flux;   /* of extinction; 3 G' */
     float *out;                  /* (points, rays, 4) */
 } LightGather;
