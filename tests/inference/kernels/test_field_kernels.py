@@ -2,6 +2,7 @@
 """The compiled kernels that prepare fields against their twins in numpy: ordinary, extreme and random contents."""
 
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from inference.grids.merge import merge, resampled
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, fit_cube, level0_density
+from inference.kernels.field_structures import LampSlices
 from inference.kernels.library import Kernels, load_kernels
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
@@ -64,6 +66,13 @@ def variants():
 
 def some_density(kind="lumps", shape=(40, 33, 27), seed=0):
     return random_density(np.random.default_rng(seed), shape, kind)
+
+
+def test_structures_take_numpy_booleans():
+    """Without the warning of numpy versions that will refuse them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert LampSlices(inside=np.bool_(True)).inside == 1
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
