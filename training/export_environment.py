@@ -20,8 +20,9 @@ def main(options=None):
     parser.add_argument("output")
     arguments = parser.parse_args(options)
     checkpoint = torch.load(arguments.checkpoint, map_location="cpu", weights_only=True)
-    net = EnvironmentNet()
-    net.load_state_dict(checkpoint["averaged"])
+    weights = checkpoint["averaged"]
+    net = EnvironmentNet(len(weights["first.bias"]))
+    net.load_state_dict(weights)
     graph = Graph()
     net.graph(graph)
     metadata = {"configuration": json.dumps(checkpoint["configuration"], sort_keys=True)}

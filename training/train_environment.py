@@ -9,8 +9,8 @@ errors are relative to the mean over a medium's points, times what is left of ev
 linear in the targets' noise, and the mean is not biased by what the network cannot know.
 
 A step takes the rows of some views: points of one medium whose rays go roughly one way. To the points' errors it adds
-VIEW_WEIGHT times the square of each view's bias, relative to its mean radiance: of all that is wrong at the points of a
-view, a picture shows most what they have in common.
+the square of each view's bias, relative to its mean radiance, times `--view-weight`: of all that is wrong at the points
+of a view, a picture shows most what they have in common.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from inference.network import environment_features as features
 from inference.transport.blurred_environment import blurred, read_image
 from inference.transport.environment_light import direction_radiance
 from training.files import complete_file
-from training.networks.environment import EnvironmentNet
+from training.networks.environment import WIDTH, EnvironmentNet
 from training.tracer.exits import decode_directions
 from training.train import start_from
 
@@ -211,6 +211,8 @@ def main(options=None):
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--initial", type=pathlib.Path, help="weights to start from, an exported ONNX file")
     parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE)
+    parser.add_argument("--view-weight", type=float, default=VIEW_WEIGHT)
+    parser.add_argument("--width", type=int, default=WIDTH, help="of the network's layers")
     parser.add_argument("--volumes", type=int)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report-every", type=int, default=500)
@@ -223,7 +225,7 @@ def main(options=None):
     rows = len(data["x"])
     print(f"{rows} rows, {len(held['x'])} held back", flush=True)
     means = number_media(data).clamp_min(LEAST_MEAN)
-    net, averaged = EnvironmentNet(), EnvironmentNet()
+    net, averaged = EnvironmentNet(arguments.width), EnvironmentNet(arguments.width)
     net.calibrate(data["x"])
     initial = {"initial": start_from(net, arguments.initial)} if arguments.initial else {}
     order, ends = number_views(data)
@@ -236,7 +238,8 @@ def main(options=None):
         "steps": arguments.steps,
         "views_a_step": VIEWS,
         "rows_a_view": VIEW_ROWS,
-        "view_weight": VIEW_WEIGHT,
+        "view_weight": arguments.view_weight,
+        "width": arguments.width,
         "learning_rate": arguments.learning_rate,
         "weight_decay": WEIGHT_DECAY,
         "seed": arguments.seed,
@@ -255,7 +258,7 @@ def main(options=None):
         y, even = predict(net, data, picked)
         y, t = totals(y), totals(data["targets"][picked].float().mean(dim=1))
         scale = even.clamp_min(LEAST_EVEN)[:, :, None] * means[data["medium"][picked]][:, None]
-        loss = (((y - t) / scale) ** 2).mean() + VIEW_WEIGHT * (view_biases(y, t) ** 2).mean()
+        loss = (((y - t) / scale) ** 2).mean() + arguments.view_weight * (view_biases(y, t) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)

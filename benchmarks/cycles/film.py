@@ -199,20 +199,24 @@ def page(found, options) -> str:
         found["made_by"],
         "",
         "A sequence of `.vdb` files over ground and under a sky: the volumes by the extension, the rest by *Composite",
-        f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Some layers are compared",
-        f"with Cycles at {options.scale} % of the size, without the ground, in two renders of {options.samples}",
-        "samples per pixel each, so that Cycles' own noise does not count. Any scene renders as a film with `blender",
-        "-b scene.blend -E MRPNN -a`.",
+        f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Any scene renders as a film",
+        "with `blender -b scene.blend -E MRPNN -a`.",
         "",
         "![Frames of the plume over ground](images/film.png)",
         "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. The layer of a",
         f"frame, with reading the scene and writing the file, takes {seconds:.1f} processor seconds (median), and the",
         f"whole frame {whole:.1f}, with the layer.",
-        "",
-        "| file | relative RMSE | bias | alpha bias |",
-        "|---|---|---|---|",
     ]
+    if compared:
+        lines += [
+            "",
+            f"Some layers beside Cycles at {options.scale} % of the size, without the ground, in two renders of",
+            f"{options.samples} samples per pixel each, so that Cycles' own noise does not count:",
+            "",
+            "| file | relative RMSE | bias | alpha bias |",
+            "|---|---|---|---|",
+        ]
     lines += [
         f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
         for frame in compared

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light without the noise of a renderer: against independent references, and beside the baked camera.
 
-    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64]
+    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64] [--turn 40]
 
-Prints a row per view: the error and bias of layers, of the baked light where it was baked, both against the view's
-reference, and of the baked light from cameras turned about the volume, against layers rendered from there, at size^2
-pixels; and the processor seconds of the bake, with and without other directions. Baked light is integrated along the
-pixels' rays, and the single scattering is the layer's.
+Prints a row per view: the error and bias of layers and of the baked light where it was baked, against the view's
+reference, and of the baked light from a camera turned by so many degrees about the volume, against a layer rendered
+from there, at size^2 pixels; and the processor seconds of the bake, with and without other directions. Baked light is
+integrated along the pixels' rays, and the single scattering is the layer's.
 """
 
 import argparse
@@ -61,8 +61,8 @@ def seen(view: View, camera: Camera, lit: LitVolume, pixels: np.ndarray) -> np.n
     return image
 
 
-def measure(view: View, size: int) -> str:
-    """One row of the table."""
+def measure(view: View, size: int, degrees: float) -> str:
+    """One row of the table; degrees: by which the camera beside is turned."""
     scene, camera = (view.volumes(), [Sun(view.sun, 1.0)]), view.camera(view.spec.size)
     start = time.process_time()
     bake(*scene, camera, Settings(directional=False))
@@ -78,7 +78,7 @@ def measure(view: View, size: int) -> str:
         f"{relative_rmse(image, a, b, shown).value:.3f} ({100 * relative_bias(image, a, b, shown).value:+.1f} %)"
         for image in (own, baked)
     ]
-    beside = Camera(look_at(turned(view, ORBIT), view.up), resolution=(size, size), fov=camera.fov)
+    beside = Camera(look_at(turned(view, degrees), view.up), resolution=(size, size), fov=camera.fov)
     layer = render(*scene, beside, EXACT)
     shown = layer.alpha > MASK_ALPHA
     change = (seen(view, beside, lit, shown) - layer.multiple)[shown] / layer.rgb[shown].mean()
@@ -90,11 +90,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("views", nargs="*")
     parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--turn", type=float, default=ORBIT, metavar="DEGREES")
     options = parser.parse_args()
     print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
     for view in independent_views():
         if not options.views or view.name in options.views:
-            print(measure(view, options.size), flush=True)
+            print(measure(view, options.size, options.turn), flush=True)
 
 
 if __name__ == "__main__":

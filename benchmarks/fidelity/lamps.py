@@ -19,7 +19,7 @@ from training.data.seeded_volume import cube_volume
 from training.data.volumes import make_volume
 from training.tracer.density_grid import prepare
 from training.tracer.henyey_greenstein import phase_hg, scatter
-from training.tracer.path_tracer import _enter
+from training.tracer.path_tracer import enter_cube
 from training.tracer.random_numbers import draw, seed_state, two_uniforms
 from training.tracer.tracking import GridMedium, Ray, delta_track, ratio_track
 
@@ -54,7 +54,7 @@ def _follow(grid, lamp, coefficients, photons, seed, out):
         flat = np.sqrt(max(_F1 - height * height, _F0))
         ray = Ray(lamp[0], lamp[1], lamp[2], flat * np.cos(angle), flat * np.sin(angle), height)
         if min(lamp[0], lamp[1], lamp[2]) < _F0 or max(lamp[0], lamp[1], lamp[2]) > cells:
-            meets, ray = _enter(ray, cells)
+            meets, ray = enter_cube(ray, cells)
             if not meets:
                 continue
         weight = _F1

@@ -3,16 +3,12 @@
 
 import numpy as np
 
-from ..kernels.field_structures import StencilLookup
-from ..kernels.library import Kernels
-from .mip_lattices import QUANTA, Lattices
+from .mip_lattices import Lattices
 from .phase_features import PhaseFeatures
 from .stencil import LOW_POINTS, POINTS, Stencil, frames
 
-# Points looked up together, so that intermediate results stay in the cache.
+# Points looked up together, so that intermediate results stay in the cache and matrix products small (`small_matmul`).
 POINTS_PER_STEP = 192
-# Points of the stencil that compiled code looks up together.
-LANES = 8
 
 
 def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
@@ -31,9 +27,9 @@ def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, s
 class FieldLookup:
     """Features mu and S at the stencil around points, for one sun, or for light from elsewhere at each point."""
 
-    def __init__(self, stencil: Stencil, lattices: Lattices, sun: np.ndarray, kernels: Kernels | None = None):
-        """sun: (3,) unit vector in the cube's frame. kernels: compiled ones, or None."""
-        self.lattices, self.sun, self.kernels = lattices, np.asarray(sun, np.float64), kernels
+    def __init__(self, stencil: Stencil, lattices: Lattices, sun: np.ndarray):
+        """sun: (3,) unit vector in the cube's frame."""
+        self.lattices, self.sun = lattices, np.asarray(sun, np.float64)
         # Per point of the stencil: fine cells per cube edge, origin in fine cells, strides, and where its mip begins.
         levels = [lattices.levels[m] for m in stencil.mips]
         scale = np.array([level.scale for level in levels], np.float32)
@@ -80,46 +76,19 @@ class FieldLookup:
         for axis, rows in enumerate(turned.transpose(1, 0, 2)):
             point[axis, :, 1:4] = rows.take(view, axis=0)
         features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
-        if self.kernels is not None and self.begin.size % LANES == 0:
-            self._read_compiled(point, features)
-            return features
+        terms = self.terms[:, : point.shape[2]]
         for start in range(0, count, POINTS_PER_STEP):
             span = slice(start, start + POINTS_PER_STEP)
-            fine = [_sums(point[axis, span], self.terms[axis]) for axis in range(3)]
             # Rows and columns of a level are exact in single precision.
-            cell = (np.floor(fine[1]) * self.row + np.floor(fine[2])).astype(np.int32)
-            self.lattices.read(fine[0].astype(np.int32) * self.stride[0] + cell + self.begin, features[span])
+            cell = np.floor(point[1, span] @ terms[1])
+            cell *= self.row
+            cell += np.floor(point[2, span] @ terms[2])
+            index = (point[0, span] @ terms[0]).astype(np.int32)
+            index *= self.stride[0]
+            index += cell.astype(np.int32)
+            index += self.begin
+            self.lattices.read(index, features[span])
         return features
-
-    def _read_compiled(self, point: np.ndarray, features: np.ndarray) -> None:
-        """Fill features (N, points of the stencil, columns) by what points (3, N, terms) say."""
-        assert self.kernels is not None
-        values = self.lattices.values
-        self.kernels.prepare(
-            "read_stencil",
-            StencilLookup(
-                points=point.shape[1],
-                columns=self.begin.size,
-                terms=point.shape[2],
-                point=point,
-                stencil=self.terms,
-                stride=np.ascontiguousarray(self.stride[0]),
-                row=self.row,
-                begin=self.begin,
-                values=values,
-                cells=values.size,
-                features=self.lattices.columns,
-                scales=np.array([self.lattices.density_step, np.float32(1.0 / QUANTA)], np.float64),
-                out=features,
-            ),
-        )
-
-
-def _sums(point: np.ndarray, terms: np.ndarray) -> np.ndarray:
-    """Float32 (N, k), products of points (N, n) and their terms (n or more, k), added one after another: the same in
-    compiled code, whatever other points there are.
-    """
-    return sum(point[:, k, None] * terms[k] for k in range(point.shape[1]))
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,8 +24,6 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t mean_cells_##variant(const CellMeans *data);                                   \
     int64_t halve_##variant(const Halving *data);                                          \
     int64_t fill_lattice_##variant(const LatticePart *data);                               \
-    int64_t read_stencil_##variant(const StencilLookup *data);                             \
-    int64_t read_fluence_##variant(const FluenceLookup *data);                             \
     int64_t resample_##variant(const Resampling *data);                                    \
     int64_t fill_lamp_columns_##variant(const LampSlices *data);                           \
     int64_t lamp_depths_##variant(const LampDepths *data);                                 \
@@ -99,8 +97,6 @@ PREPARE(conjugate_gradients, Diffusion)
 PREPARE(mean_cells, const CellMeans)
 PREPARE(halve, const Halving)
 PREPARE(fill_lattice, const LatticePart)
-PREPARE(read_stencil, const StencilLookup)
-PREPARE(read_fluence, const FluenceLookup)
 PREPARE(resample, const Resampling)
 PREPARE(fill_lamp_columns, const LampSlices)
 PREPARE(lamp_depths, const LampDepths)

@@ -172,40 +172,6 @@ class LatticePart(Shared):
     ]
 
 
-class StencilLookup(Shared):
-    _fields_ = [
-        ("points", c_int64),
-        ("columns", c_int64),
-        ("terms", c_int64),
-        ("point", c_void_p),
-        ("stencil", c_void_p),
-        ("stride", c_void_p),
-        ("row", c_void_p),
-        ("begin", c_void_p),
-        ("values", c_void_p),
-        ("cells", c_int64),
-        ("features", c_int64),
-        ("scales", c_double * 2),
-        ("out", c_void_p),
-    ]
-
-
-class FluenceLookup(Shared):
-    _fields_ = [
-        ("points", c_int64),
-        ("positions", c_void_p),
-        ("along", c_void_p),
-        ("towards", c_void_p),
-        ("towards_stride", c_int64),
-        ("edge", c_int64),
-        ("cells", c_void_p),
-        ("step", c_double),
-        ("flux", c_double),
-        ("least_share", c_double),
-        ("out", c_void_p),
-    ]
-
-
 class Resampling(Shared):
     _fields_ = [
         ("grid", Grid),
@@ -298,8 +264,6 @@ FUNCTIONS = {
     "mean_cells": CellMeans,
     "halve": Halving,
     "fill_lattice": LatticePart,
-    "read_stencil": StencilLookup,
-    "read_fluence": FluenceLookup,
     "resample": Resampling,
     "fill_lamp_columns": LampSlices,
     "lamp_depths": LampDepths,

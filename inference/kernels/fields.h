@@ -155,35 +155,6 @@ typedef struct {
     float *scratch;              /* (2, largest shape[2] of the grids) and (shape[2]) */
 } LatticePart;
 
-/* Lattices read at the stencil around points: descriptors.FieldLookup. */
-typedef struct {
-    int64_t points, columns;     /* and points of the stencil, a multiple of LANES */
-    int64_t terms;               /* 6, or 7 where the light comes from elsewhere at each point */
-    const float *point;          /* (3, points, terms) */
-    const float *stencil;        /* (3, 7, columns) */
-    const int32_t *stride;       /* (columns), cells of a lattice from one to the next along the first axis */
-    const float *row;            /* (columns), and along the second */
-    const int32_t *begin;        /* (columns), where lattices begin */
-    const uint16_t *values;      /* (cells, features) */
-    int64_t cells, features;
-    double scales[2];            /* of the features */
-    float *out;                  /* (points, columns, features) */
-} StencilLookup;
-
-/* Scattered light around points: FluenceLattice.read. */
-typedef struct {
-    int64_t points;
-    const double *positions;     /* (points, 3), in indices */
-    const float *along;          /* (points, 3), directions of the rays, */
-    const float *towards;        /* and towards the light, of which the next is so many floats on */
-    int64_t towards_stride;
-    int64_t edge;
-    const float *cells;          /* (edge, edge, edge, 4) */
-    double step;                 /* to the probes */
-    double flux, least_share;    /* weight of the flux along the ray in the light scattered against it */
-    float *out;                  /* (points, 7) */
-} FluenceLookup;
-
 /* Values of a grid at the voxels of another: merge.resampled. */
 typedef struct {
     Grid grid;

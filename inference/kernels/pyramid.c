@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* The density pyramid, the lattices made of it, and what networks read of them; the twins are grids/working_cube.py,
-features/mip_lattices.py, features/descriptors.py, transport/scattered_fluence.py and grids/merge.py. */
+/* The density pyramid and the lattices made of it; the twins are grids/working_cube.py, features/mip_lattices.py and
+grids/merge.py. */
 
 #include <math.h>
 
@@ -191,90 +191,6 @@ int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
         }
     }
     return part->shape[0];
-}
-
-/* Numbers of fine cells along one axis, of LANES points of the stencil around one point. */
-static inline Floats fine_cells(const StencilLookup *lookup, int axis, const float *point, int64_t column) {
-    const float *stencil = lookup->stencil + axis * 7 * lookup->columns + column;
-    Floats sum = point[0] * load(stencil);
-    for (int64_t k = 1; k < lookup->terms; k++) sum = sum + point[k] * load(stencil + k * lookup->columns);
-    return clamped_to(sum, in_all(-FAR_AWAY), in_all(FAR_AWAY));
-}
-
-int64_t NAMED(read_stencil, VARIANT)(const StencilLookup *lookup) {
-    int64_t columns = lookup->columns, features = lookup->features, terms = lookup->terms;
-    float scales[2] = {(float)lookup->scales[0], (float)lookup->scales[1]};
-    for (int64_t n = 0; n < lookup->points; n++) {
-        float *out = lookup->out + n * columns * features;
-        const float *point[3];
-        for (int axis = 0; axis < 3; axis++) point[axis] = lookup->point + (axis * lookup->points + n) * terms;
-        for (int64_t column = 0; column < columns; column += LANES) {
-            /* Rows and columns of a level are exact in single precision. */
-            Floats cell = to_floats(floors(fine_cells(lookup, 1, point[1], column))) * load(lookup->row + column);
-            cell = cell + to_floats(floors(fine_cells(lookup, 2, point[2], column)));
-            Ints slab = to_ints(fine_cells(lookup, 0, point[0], column)), stride, begin;
-            memcpy(&stride, lookup->stride + column, sizeof stride);
-            memcpy(&begin, lookup->begin + column, sizeof begin);
-            cell = clamped_to(cell, in_all(-FAR_AWAY), in_all(FAR_AWAY));
-            /* Of broken positions the sum may leave the range of 32 bits. */
-            Wholes index = (Wholes)slab * (Wholes)stride + (Wholes)to_ints(cell) + (Wholes)begin;
-            Ints within = ints_within((Ints)index, (int32_t)(lookup->cells - 1));
-            if (features == 1) {
-                Ints steps;
-                FOR_LANES(k) steps[k] = lookup->values[within[k]];
-                store(out + column, to_floats(steps) * scales[0]);
-                continue;
-            }
-            for (int64_t k = 0; k < LANES * features; k++) {
-                uint16_t steps = lookup->values[(int64_t)within[k / features] * features + k % features];
-                out[column * features + k] = (float)steps * scales[k % features];
-            }
-        }
-    }
-    return lookup->points;
-}
-
-/* Trilinear interpolation of the first numbers of cells. */
-static inline void interpolate_cells(const FluenceLookup *lookup, const float *index, int count, float *found) {
-    int64_t base = 0, n = lookup->edge, steps[3] = {4 * n * n, 4 * n, 4};
-    float part[3];
-    for (int axis = 0; axis < 3; axis++) {
-        float at = clamped(index[axis], 0.0f, (float)((double)(n - 1) - 1e-3));
-        int32_t cell = (int32_t)at;
-        part[axis] = at - (float)cell;
-        base += cell * steps[axis];
-    }
-    for (int c = 0; c < count; c++) {
-        float corner[4];
-        for (int k = 0; k < 4; k++) {
-            const float *at = lookup->cells + base + (k >> 1) * steps[0] + (k & 1) * steps[1] + c;
-            corner[k] = lerp(at[0], at[4], part[2]);
-        }
-        found[c] = lerp(lerp(corner[0], corner[1], part[1]), lerp(corner[2], corner[3], part[1]), part[0]);
-    }
-}
-
-int64_t NAMED(read_fluence, VARIANT)(const FluenceLookup *lookup) {
-    float step = (float)lookup->step, flux = (float)lookup->flux, least_share = (float)lookup->least_share;
-    for (int64_t n = 0; n < lookup->points; n++) {
-        const float *along = lookup->along + 3 * n, *towards = lookup->towards + n * lookup->towards_stride;
-        float index[3], probe[3], here[4], *out = lookup->out + 7 * n;
-        for (int axis = 0; axis < 3; axis++) index[axis] = (float)lookup->positions[3 * n + axis];
-        interpolate_cells(lookup, index, 4, here);
-        out[0] = here[0];
-        for (int axis = 0; axis < 3; axis++) probe[axis] = index[axis] + step * along[axis];
-        interpolate_cells(lookup, probe, 1, out + 1);
-        for (int axis = 0; axis < 3; axis++) probe[axis] = index[axis] - step * along[axis];
-        interpolate_cells(lookup, probe, 1, out + 2);
-        for (int axis = 0; axis < 3; axis++) probe[axis] = index[axis] + step * towards[axis];
-        interpolate_cells(lookup, probe, 1, out + 3);
-        float ahead = here[1] * along[0] + here[2] * along[1] + here[3] * along[2];
-        float share = 1.0f - flux * ahead;
-        out[4] = share > least_share ? share : least_share;
-        out[5] = ahead;
-        out[6] = here[1] * towards[0] + here[2] * towards[1] + here[3] * towards[2];
-    }
-    return lookup->points;
 }
 
 int64_t NAMED(resample, VARIANT)(const Resampling *grid) {

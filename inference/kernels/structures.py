@@ -30,6 +30,9 @@ class Shared(ctypes.Structure):
                 value = types[name](*map(self._pointer, value))
             elif isinstance(value, Shared):
                 self.kept.append(value)
+            elif isinstance(value, np.bool_):
+                # Which numpy no longer takes for a whole number.
+                value = bool(value)
             setattr(self, name, value)
 
     def _pointer(self, value: Any) -> int | None:

@@ -82,7 +82,7 @@ class StencilPredictor:
         """What predicts under these conditions. Raises Cancelled."""
         stencil = self.network.points
         visibility = visibility_levels(stencil, conditions.shadow_map) if conditions.shadow_map else None
-        sun = SunLevels(unit_optical_depths(self.padded, conditions.sun, self.kernels), visibility)
+        sun = SunLevels(unit_optical_depths(self.padded, conditions.sun), visibility)
         with tasks.cancel.locked(self._lock):
             earlier = None
             if self._lattices is not None and self._lattices[0] == conditions.bounds_key:
@@ -93,7 +93,7 @@ class StencilPredictor:
                 self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier, self.kernels
             )
             self._lattices = conditions.bounds_key, lattices
-        lookup = FieldLookup(stencil, lattices, conditions.sun, self.kernels)
+        lookup = FieldLookup(stencil, lattices, conditions.sun)
         return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
 
 
@@ -153,8 +153,8 @@ class RayPredictor(StencilPredictor):
         """What predicts under these conditions. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            light = FluenceLattice(self._solve(conditions, tasks.cancel), self.kernels)
-        lookup = FieldLookup(self.network.points, lattices, conditions.sun, self.kernels)
+            light = FluenceLattice(self._solve(conditions, tasks.cancel))
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         return PreparedRays(self.network, lookup, light, self.anisotropy)
 
     def prepare_environment(
@@ -187,7 +187,7 @@ class RayPredictor(StencilPredictor):
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
                 self._environment = key, solved
             depths, (light, absorbed) = self._depths, self._environment[1]
-        lookup = FieldLookup(self.network.points, lattices, conditions.sun, self.kernels)
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         return PreparedEnvironment(
             network,
             lookup,
@@ -231,8 +231,8 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
             cells, scale = self._solve_lamp(conditions, tasks.cancel)
-        lookup = FieldLookup(self.network.points, lattices, conditions.sun, self.kernels)
-        return PreparedLampRays(self.network, lookup, FluenceLattice(cells, self.kernels), scale, self.anisotropy)
+        lookup = FieldLookup(self.network.points, lattices, conditions.sun)
+        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), scale, self.anisotropy)
 
     def lamp_fluence(self, lamps: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several lamps of power 1 for lookups along camera rays. Raises Cancelled."""
@@ -249,7 +249,7 @@ class RayPredictor(StencilPredictor):
         """The transport of the conditions' lamp for some albedos; share: as in LampNearby. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
-        lights = {albedo: (FluenceLattice(cells, self.kernels), scale) for albedo, (cells, scale) in solved.items()}
+        lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
         return LampNearby(share, lights, self.anisotropy)
 
     def varying_albedo(

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grids.working_cube import Cube
-from ..kernels.field_structures import FluenceLookup
-from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
 from ..occluders.cell_boundaries import CellBoundaries
 from .discrete_ordinates import CELLS, reduced_anisotropy
@@ -56,11 +54,11 @@ def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
 class FluenceLattice:
     """Scattered light around points, as networks read it.
 
-    cells: of `fluence_lattice`. kernels: compiled ones, or None.
+    cells: of `fluence_lattice`.
     """
 
-    def __init__(self, cells: np.ndarray, kernels: Kernels | None = None):
-        self._edge, self._kernels = len(cells), kernels
+    def __init__(self, cells: np.ndarray):
+        self._edge = len(cells)
         self._cells = cells.astype(np.float32).reshape(-1, 4)
         # Three of four probes read nothing else.
         self._logs = np.ascontiguousarray(self._cells[:, 0])
@@ -74,10 +72,6 @@ class FluenceLattice:
         the ray and towards the sun.
         """
         out = np.empty((len(positions), COLUMNS), np.float32)
-        if self._kernels is not None:
-            self._read_compiled(self._kernels, (positions + 0.5) * CELLS + 0.5, omega, sun, anisotropy, out)
-            out[:, PROBES] = out[:, 0] + np.log(out[:, PROBES])
-            return out
         at, along = positions.T, np.ascontiguousarray(omega.T, np.float32)
         index = ((at + 0.5) * CELLS + 0.5).astype(np.float32)
         here = _interpolate(self._cells, index, self._edge)
@@ -88,41 +82,11 @@ class FluenceLattice:
         out[:, 1:PROBES] = _interpolate(self._logs, probes, self._edge).reshape(PROBES - 1, -1).T
         flux = here[:, 1:].T
         ahead = flux[0] * along[0] + flux[1] * along[1] + flux[2] * along[2]
-        share = np.float32(1.0) - np.float32(3.0 * reduced_anisotropy(anisotropy)) * ahead
-        share = np.maximum(share, np.float32(MIN_SHARE))
+        share = np.maximum(np.float32(1.0) - np.float32(3.0 * reduced_anisotropy(anisotropy)) * ahead, MIN_SHARE)
         out[:, PROBES] = here[:, 0] + np.log(share)
         out[:, PROBES + 1] = ahead
         out[:, PROBES + 2] = flux[0] * towards[0] + flux[1] * towards[1] + flux[2] * towards[2]
         return out
-
-    def _read_compiled(
-        self,
-        kernels: Kernels,
-        index: np.ndarray,
-        omega: np.ndarray,
-        sun: np.ndarray,
-        anisotropy: float,
-        out: np.ndarray,
-    ) -> None:
-        """Fill the columns of `read`, but for the share of the light scattered towards the camera in place of its
-        logarithm; index: (N, 3), of points.
-        """
-        kernels.prepare(
-            "read_fluence",
-            FluenceLookup(
-                points=len(index),
-                positions=np.ascontiguousarray(index, np.float64),
-                along=np.ascontiguousarray(omega, np.float32),
-                towards=np.ascontiguousarray(sun, np.float32),
-                towards_stride=3 * (np.ndim(sun) - 1),
-                edge=self._edge,
-                cells=self._cells,
-                step=REACH * CELLS,
-                flux=3.0 * reduced_anisotropy(anisotropy),
-                least_share=MIN_SHARE,
-                out=out,
-            ),
-        )
 
 
 def _interpolate(flat: np.ndarray, index: np.ndarray, n: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..runtime.atomic_write import atomic_write
 from .choices import CHOICES
 
 # Version of the files and of how they are rendered; files of other versions are ignored.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)

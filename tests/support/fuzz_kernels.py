@@ -23,7 +23,7 @@ from inference.grids.resampling import Placement, resample
 from inference.grids.sparse_columns import SparseColumns
 from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, level0_density
-from inference.kernels.field_structures import LatticePart, StencilLookup
+from inference.kernels.field_structures import LatticePart
 from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.ray_steps import RayBatch
@@ -33,7 +33,6 @@ from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.lamp_beam import LampInCube
 from inference.transport.radiance_sweep import sweep_radiance
-from inference.transport.scattered_fluence import FluenceLattice
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
@@ -257,39 +256,7 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
     LampInCube(emitters, cube, shadow_maps, b"")(solver)
 
 
-def lookups(kernels: Kernels, random: np.random.Generator) -> None:
-    """Lattices and scattered light, read at points anywhere."""
-    count, terms, features = (int(random.integers(low, high)) for low, high in ((1, 40), (6, 8), (1, 3)))
-    columns = 8 * int(random.integers(1, 7))
-    strides = random.integers(0, 2000, columns).astype(np.int32)
-    begin = random.integers(-5000, 5000, columns).astype(np.int32)
-    for values in (strides, begin):
-        if random.random() < 0.3:
-            spoil(random, values)
-    values = random.integers(0, 1 << 16, (int(random.integers(1, 5000)), features)).astype(np.uint16)
-    data = StencilLookup(
-        points=count,
-        columns=columns,
-        terms=terms,
-        point=spoiled(random, (3, count, terms)),
-        stencil=spoiled(random, (3, 7, columns)),
-        stride=strides,
-        row=spoiled(random, (columns,)),
-        begin=begin,
-        values=values,
-        cells=len(values),
-        features=features,
-        scales=random.random(2),
-        out=np.empty((count, columns, features), np.float32),
-    )
-    kernels.prepare("read_stencil", data)
-    light = FluenceLattice(spoiled(random, (CELLS, CELLS, CELLS, 4)), kernels)
-    positions, omega = (spoiled(random, (count, 3), np.float64) for _ in range(2))
-    light.read(positions, omega, direction(random), float(random.uniform(-0.9, 0.9)))
-    light.read(positions, omega, spoiled(random, (count, 3)), 0.5)
-
-
-KINDS = (march, lamps, columns, transport, pyramid, resampling, lookups)
+KINDS = (march, lamps, columns, transport, pyramid, resampling)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

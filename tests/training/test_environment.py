@@ -113,7 +113,8 @@ def test_training_and_rendering_read_the_same(folder):
 
 
 def test_a_run_trains_resumes_and_is_exported(folder, tmp_path):
-    options = ["--data", str(folder), "--held", str(folder), "--run", str(tmp_path), "--report-every", "2"]
+    options = ["--data", str(folder), "--held", str(folder), "--run", str(tmp_path)]
+    options += ["--report-every", "2", "--width", "64"]
     train_environment.main([*options, "--steps", "2"])
     train_environment.main([*options, "--steps", "4"])
     lines = [json.loads(line) for line in (tmp_path / "progress.jsonl").read_text().splitlines()]

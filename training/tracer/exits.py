@@ -14,7 +14,7 @@ import numpy as np
 
 from .density_grid import interpolate
 from .henyey_greenstein import scatter
-from .path_tracer import Sampling, _enter
+from .path_tracer import Sampling, enter_cube
 from .random_numbers import seed_state
 from .scene import PinholeCamera, Vertices
 from .tracking import GridMedium, Ray, delta_track
@@ -153,7 +153,7 @@ def _camera_exits_kernel(grid, origin, rays, sigma, anisotropy, paths, seed):
     hit = np.zeros((count, paths), np.bool_)
     medium = GridMedium(padded, majorant, sigma, anisotropy)
     for p in numba.prange(count):
-        meets, first = _enter(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
+        meets, first = enter_cube(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
         if not meets:
             continue
         state = seed_state(seed, p)

@@ -175,7 +175,7 @@ def _points_kernel(grid, suns, vertices, sampling):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _enter(ray, cells):
+def enter_cube(ray, cells):
     """A ray from outside, moved to where it enters [0, cells]^3, float32: (whether it meets the cube, ray)."""
     near, far = 0.0, 1e30
     meets = True
@@ -221,7 +221,7 @@ def _scattering_kernel(grid, sigma, directions, tries, seed):
             x = centre + a * (_F1 + sign * dx * dx * q) + b * r - _F2 * radius * dx
             y = centre + a * sign * r + b * (sign + dy * dy * q) - _F2 * radius * dy
             z = centre - a * sign * dx - b * dy - _F2 * radius * dz
-            meets, ray = _enter(Ray(x, y, z, dx, dy, dz), cells)
+            meets, ray = enter_cube(Ray(x, y, z, dx, dy, dz), cells)
             if meets:
                 collided, ray, state = delta_track(ray, medium, state)
                 if collided:
@@ -276,7 +276,7 @@ def _pixels_kernel(grid, coefficients, suns, view, sampling):
     origin, rays = view
     image = np.zeros((rays.shape[0], 4), np.float32)
     for p in numba.prange(rays.shape[0]):
-        meets, ray = _enter(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
+        meets, ray = enter_cube(Ray(origin[0], origin[1], origin[2], rays[p, 0], rays[p, 1], rays[p, 2]), cells)
         if meets and sigma > _F0:
             medium, state = GridMedium(padded, majorant, sigma, g), seed_state(sampling.seed, p)
             image[p] = _trace_pixel(ray, medium, suns, albedo, sampling, state)

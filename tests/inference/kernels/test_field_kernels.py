@@ -2,12 +2,12 @@
 """The compiled kernels that prepare fields against their twins in numpy: ordinary, extreme and random contents."""
 
 import time
+import warnings
 
 import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Surface, Volume, render
-from inference.features.descriptors import FieldLookup
 from inference.features.mip_lattices import (
     SunLevels,
     build_lattices,
@@ -23,6 +23,7 @@ from inference.grids.merge import merge, resampled
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, fit_cube, level0_density
+from inference.kernels.field_structures import LampSlices
 from inference.kernels.library import Kernels, load_kernels
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
@@ -34,7 +35,6 @@ from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.lamp_beam import LampInCube
 from inference.transport.open_depths import OpenDepths, direction_depths
 from inference.transport.radiance_sweep import sweep_radiance
-from inference.transport.scattered_fluence import FluenceLattice
 from tests.support.marches import LAMPS, random_density, random_lamp
 from tests.support.volumes import SUN, cloud
 
@@ -64,12 +64,15 @@ def variants():
     return [Kernels(KERNELS.path, variant) for variant in range(KERNELS.best + 1)]
 
 
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
 def some_density(kind="lumps", shape=(40, 33, 27), seed=0):
     return random_density(np.random.default_rng(seed), shape, kind)
+
+
+def test_structures_take_numpy_booleans():
+    """Without the warning of numpy versions that will refuse them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert LampSlices(inside=np.bool_(True)).inside == 1
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
@@ -153,41 +156,6 @@ def test_open_depths():
     for kernels in variants():
         assert_close(lattice, direction_depths(np.ascontiguousarray(levels[2]), kernels=kernels))
         assert_close(expected, OpenDepths(levels[:2], lattice, kernels)(positions), 1e-4)
-
-
-@pytest.mark.parametrize("sun", [None, (0.6, 0.0, 0.8)])
-def test_lookups_at_the_stencil(sun):
-    """The same numbers from one sun and from light elsewhere, with and without jitter, also of points outside."""
-    random, network = np.random.default_rng(3), load_network("mrpnn")
-    volume = Volume(some_density("lumps"), MATRICES["along the axes"], "cloud")
-    padded = padded_pyramid(volume, fit_cube(volume), network.points, kernels=KERNELS)
-    levels = None if sun is None else SunLevels(unit_optical_depths(padded, np.array(sun), KERNELS))
-    lattices = build_lattices(padded, 80.0, network.points, levels, kernels=KERNELS)
-    positions, omega = random.uniform(-0.5, 0.5, (301, 3)), unit(random.normal(size=(301, 3)))
-    positions[0] = 7.0
-    view, jitter = np.arange(301), random.uniform(-0.5, 0.5, (301, 3))
-    for kernels in variants():
-        for arguments in ((), (jitter,), (jitter, unit(random.normal(size=(301, 3))))):
-            expected, found = (
-                FieldLookup(network.points, lattices, np.array([0.6, 0.0, 0.8]), each)(
-                    positions, omega, view, *arguments
-                )
-                for each in (None, kernels)
-            )
-            assert expected.any()
-            np.testing.assert_array_equal(found, expected)
-
-
-def test_lookups_of_scattered_light():
-    random = np.random.default_rng(4)
-    cells = random.normal(size=(CELLS + 2, CELLS + 2, CELLS + 2, 4)).astype(np.float16)
-    positions, omega = random.uniform(-0.6, 0.6, (301, 3)), unit(random.normal(size=(301, 3)))
-    for kernels in variants():
-        for towards in (omega[0], omega[::-1]):
-            expected, found = (
-                FluenceLattice(cells, each).read(positions, omega, towards, 0.7) for each in (None, kernels)
-            )
-            assert_close(expected, found, 1e-6)
 
 
 @pytest.mark.parametrize("shape", [(12, 20, 9), (1, 1, 7), (16, 16, 16)])
