@@ -22,6 +22,8 @@ from ..kernels.library import Kernels
 from ..transport.discrete_ordinates import reduced_anisotropy
 from .stencil import frames
 
+#: Level of the density pyramid that rays read.
+LEVEL = 1
 # Cones around the camera ray, and directions on each: towards the sun, across, away from it, across.
 RINGS, AZIMUTHS = 4, 4
 RAYS = RINGS * AZIMUTHS
@@ -51,6 +53,11 @@ def gather_directions(anisotropy: float) -> np.ndarray:
     return np.ascontiguousarray(np.stack(vectors).reshape(3, RAYS), np.float32)
 
 
+def unit_sun_depth(density: np.ndarray, sun: np.ndarray, kernels: Kernels | None = None) -> np.ndarray:
+    """Optical depth float32 (n, n, n) of level LEVEL towards a sun for sigma_hat = 1; sun: (3,) in the cube's frame."""
+    return sun_optical_depth(density, sun, 1.0 / len(density), kernels)
+
+
 def _shifts() -> np.ndarray:
     """float32 (3, RAYS) in [-1/2, 1/2): where rays look up the nearest cell, so that not all leave it at once."""
     return np.mod(np.outer([0.819, 0.671, 0.549], np.arange(RAYS) + 0.5), 1.0).astype(np.float32) - np.float32(0.5)
@@ -75,18 +82,17 @@ class FinalGather:
     def of(
         cls,
         density: np.ndarray,
+        depth: np.ndarray,
         light: np.ndarray,
-        sun: np.ndarray,
         medium: tuple[float, float],
         kernels: Kernels | None = None,
     ) -> "FinalGather":
-        """From a level (n, n, n) of the density pyramid and the coarse transport's light (4, m, m, m).
+        """From level LEVEL (n, n, n) of the density pyramid and the coarse transport's light (m, m, m, 4).
 
-        sun: (3,) unit vector in the cube's frame. medium: sigma_hat and mean cosine.
+        depth: (n, n, n), optical depth towards the light for sigma_hat = 1. medium: sigma_hat and mean cosine.
         """
-        depth = sun_optical_depth(density, sun, 1.0 / len(density), kernels)
         media = np.stack([np.pad(density, (1, 2)), np.pad(depth, (1, 2), mode="edge")], axis=-1)
-        return cls(media, np.ascontiguousarray(np.moveaxis(light, 0, -1)), *medium, kernels)
+        return cls(media, np.ascontiguousarray(light, np.float32), *medium, kernels)
 
     def __call__(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
         """float32 (N, DIRECTIONS, VALUES) at positions, seen along omega, (N, 3) each in the cube's frame.

@@ -11,6 +11,7 @@ can be stopped and started again. Everything follows from the volume's seed. A r
 | features | float16 (rows, 2, 192) | density feature mu and scaled transmittance S at the stencil's points (A.2, A.3) |
 | ray | float32 (rows, `ray_features.COLUMNS`) | light along the camera ray |
 | around | float32 (rows, `scattered_fluence.COLUMNS`) | fluence and flux around the point |
+| gathered | float16 (rows, `final_gather.DIRECTIONS`, `VALUES`) | light from directions around the camera ray |
 | position, omega, sun | float32 (rows, 3) | point, ray direction and direction to the sun, in cube units |
 | gamma, anisotropy, sigma_hat | float32 (rows,) | angle to the sun, mean cosine, extinction per cube edge |
 | albedo | float32 (rows, ALBEDOS) | the first is 1 |
@@ -29,6 +30,8 @@ import numpy as np
 
 from inference import Medium
 from inference.features.descriptors import angle_to_sun
+from inference.features.final_gather import DIRECTIONS, VALUES, FinalGather, unit_sun_depth
+from inference.features.final_gather import LEVEL as GATHER_LEVEL
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
@@ -52,10 +55,10 @@ ANISOTROPY_RANGE = (-0.3, 0.95)
 SUNS = 4
 ALBEDOS = 4
 #: Media per volume, each an extinction and a mean cosine.
-MEDIA = 8
+MEDIA = 4
 #: Points per volume, and paths per point.
-POINTS = 1024
-PATHS = 64
+POINTS = 1536
+PATHS = 128
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
 
     x, w, l = cube.positions(at.positions), cube.directions(at.omega), cube.directions(suns)
     pyramid = density_pyramid(level0_density(volume, cube))
-    ray, around = describe_light(volume, cube, pyramid[LEVEL], suns, media, at)
+    ray, around, gathered = describe_light(volume, cube, pyramid, suns, media, at)
     padded = padded_levels(pyramid, stencil)
     sigma_hat = sigma * cube.edge
     rows = []
@@ -160,6 +163,7 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
                 "sigma_hat": sigma_hat.astype(np.float32),
                 "ray": ray[:, k],
                 "around": around[:, k],
+                "gathered": gathered[:, k].astype(np.float16),
                 "albedo": at.albedos.astype(np.float32),
                 "radiance": radiance[:, k].astype(np.float32),
             }
@@ -172,28 +176,33 @@ def sun_depths(density: np.ndarray, suns: np.ndarray) -> np.ndarray:
     return np.stack([sun_optical_depth(density, sun * len(density), 1.0) for sun in suns])
 
 
-def describe_light(volume, cube, coarse, suns, media, points: ScatteringPoints):
-    """What networks read of light: along rays (N, S, RAY_COLUMNS) and around points (N, S, AROUND_COLUMNS), float32.
+def describe_light(volume, cube, pyramid, suns, media, points: ScatteringPoints):
+    """What networks read of light, float32 (N, S, ...): along rays, around points, and gathered around the rays.
 
-    coarse: level `discrete_ordinates.LEVEL` of the volume's density pyramid; suns: (S, 3), and media: (M, 2),
-    extinction per cube edge and mean cosine, in the world.
+    The last axes are RAY_COLUMNS, AROUND_COLUMNS, and DIRECTIONS, VALUES. pyramid: of the volume's density. suns:
+    (S, 3), and media: (M, 2), extinction per cube edge and mean cosine, in the world.
     """
     grid = Grid(volume)
     depths = grid.sun_depths(suns)
     x, w, l = cube.positions(points.positions), cube.directions(points.omega), cube.directions(suns)
     ray = np.empty((len(x), len(suns), RAY_COLUMNS), np.float32)
     around = np.empty((len(x), len(suns), AROUND_COLUMNS), np.float32)
+    gathered = np.empty((len(x), len(suns), DIRECTIONS, VALUES), np.float32)
+    kernels, fine = load_kernels(), pyramid[GATHER_LEVEL]
+    shadows = [unit_sun_depth(fine, sun, kernels) for sun in l]
     for number in np.unique(points.medium):
         sigma, anisotropy = media[number]
         own = np.flatnonzero(points.medium == number)
-        ordinates = DiscreteOrdinates(coarse, sigma * cube.edge, anisotropy, kernels=load_kernels())
+        ordinates = DiscreteOrdinates(pyramid[LEVEL], sigma * cube.edge, anisotropy, kernels=kernels)
         lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(lattices):
             around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)
+            gather = FinalGather.of(fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy), kernels)
+            gathered[own, k] = gather(x[own], w[own], l[k])
         fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in lattices], anisotropy)
         bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, depths)
         ray[own] = ray_features_at(bound, points.positions[own], points.omega[own], fluence).values[:, 0]
-    return ray, around
+    return ray, around, gathered
 
 
 def parse_range(text: str) -> range:
