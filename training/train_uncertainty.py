@@ -49,7 +49,7 @@ def read_rows(files) -> dict:
     index, albedos = bins(data), y.shape[1]
     counts = np.maximum(np.bincount(index), 1)
     noise = np.stack([(np.bincount(index, column) / counts)[index] for column in half_noise.T], axis=1)
-    stencil, ray, g, gamma = (values.numpy() for values in net.inputs(data, rows))
+    stencil, ray, _, g, gamma = (values.numpy() for values in net.inputs(data, rows))
     found = [inputs(stencil, ray, g, gamma, *map(np.asarray, pair)) for pair in zip(data["albedo"].T, y.T)]
     return {
         "x": torch.from_numpy(np.concatenate(found)),

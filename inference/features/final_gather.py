@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that arrives at points from directions around the camera ray (final gathering).
 
-Light that forward scattering turns into the camera ray comes from directions close to it. Along 16 of these, drawn from
-Henyey-Greenstein's phase function at the midpoints of equal probabilities, a few steps gather what reaches the point:
+Light that forward scattering turns into the camera ray comes from directions close to it. Along 8 of these, on
+four cones around the camera ray that stand for quarters of the probability of Henyey-Greenstein's phase function, a few
+steps gather what reaches the point:
 
     single    = integral of exp(-tau - tau_sun) dtau,
     reduced   = integral of exp(-a (tau + tau_sun)) a dtau,
@@ -20,22 +21,26 @@ from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import LightGather
 from ..kernels.library import Kernels
 from ..transport.discrete_ordinates import reduced_anisotropy
-from .stencil import frames
 
 #: Level of the density pyramid that rays read.
 LEVEL = 1
-# Cones around the camera ray, and directions on each: towards the sun, across, away from it, across.
-RINGS, AZIMUTHS = 4, 4
+# Cones around the camera ray. On the first and the third lie the two directions across the sun's, on the second and the
+# fourth those towards it and away from it.
+RINGS, AZIMUTHS = 4, 2
 RAYS = RINGS * AZIMUTHS
-#: Directions that networks tell apart: the two across are averaged; and values per direction.
-DIRECTIONS, VALUES = RINGS * 3, 4
+#: Directions that networks tell apart: two across, on one cone, are averaged; and values per direction.
+DIRECTIONS, VALUES = 6, 4
+#: Which of the values the coarse transport's light gives.
+SCATTERED = 2
 STEPS = 8
 # Optical thickness of a step where tau is 0, and how much longer than the one before a step may be.
 THICKNESS, GROWTH = 0.4, 1.6
-#: a, for light that is scattered forwards.
-SCALE = 0.334
+# a, for light that is scattered forwards; the kernel relies on its value.
+SCALE = 1.0 / 3.0
 # Lower bound of phi - 3 G' F . w over phi.
 MIN_SHARE = 0.02
+# Optical depth that stands for the shadow of surfaces.
+SHADOW_DEPTH = 16.0
 
 
 def gather_directions(anisotropy: float) -> np.ndarray:
@@ -47,7 +52,7 @@ def gather_directions(anisotropy: float) -> np.ndarray:
         s = (1.0 - g * g) / (1.0 - g + 2.0 * g * (1.0 - share))
         cosine = (1.0 + g * g - s * s) / (2.0 * g)
     cosine = np.clip(cosine, -1.0, 1.0)[:, None]
-    azimuth = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    azimuth = np.pi * (np.arange(AZIMUTHS) + 0.5 * (np.arange(RINGS) % 2 == 0)[:, None])
     sine = np.sqrt(1.0 - cosine**2)
     vectors = [sine * np.cos(azimuth), sine * np.sin(azimuth), np.broadcast_to(cosine, (RINGS, AZIMUTHS))]
     return np.ascontiguousarray(np.stack(vectors).reshape(3, RAYS), np.float32)
@@ -56,6 +61,11 @@ def gather_directions(anisotropy: float) -> np.ndarray:
 def unit_sun_depth(density: np.ndarray, sun: np.ndarray, kernels: Kernels | None = None) -> np.ndarray:
     """Optical depth float32 (n, n, n) of level LEVEL towards a sun for sigma_hat = 1; sun: (3,) in the cube's frame."""
     return sun_optical_depth(density, sun, 1.0 / len(density), kernels)
+
+
+def shadowed_depth(depth: np.ndarray, visibility: np.ndarray, sigma_hat: float) -> np.ndarray:
+    """A depth for sigma_hat = 1 with what surfaces take of the light: visibility from 0 to 1, both (n, n, n)."""
+    return depth - np.log(np.maximum(visibility, np.exp(-SHADOW_DEPTH))) / np.float32(max(sigma_hat, 1e-30))
 
 
 def _shifts() -> np.ndarray:
@@ -68,8 +78,8 @@ class FinalGather:
     """Gathers the light of one sun of irradiance 1 in one medium.
 
     media: float32 (n + 3, n + 3, n + 3, 2), a level of the density pyramid and the optical depth towards the sun, for
-    sigma_hat = 1, with one cell more below and two above along each axis: zeros, and the outermost depths. light: float32
-    (m, m, m, 4), fluence and flux of the coarse transport. kernels: compiled ones, or None.
+    sigma_hat = 1, with one cell more below and two above along each axis: zeros, and the outermost depths. light:
+    float32 (m, m, m, 4), fluence and flux of the coarse transport. kernels: compiled ones, or None.
     """
 
     media: np.ndarray
@@ -94,21 +104,22 @@ class FinalGather:
         media = np.stack([np.pad(density, (1, 2)), np.pad(depth, (1, 2), mode="edge")], axis=-1)
         return cls(media, np.ascontiguousarray(light, np.float32), *medium, kernels)
 
-    def __call__(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
-        """float32 (N, DIRECTIONS, VALUES) at positions, seen along omega, (N, 3) each in the cube's frame.
+    def __call__(self, positions: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        """float32 (N, DIRECTIONS, VALUES) at positions (N, 3) in the cube's frame.
 
-        sun: (3,) or (N, 3), unit vectors. Values as in the module's docstring, in its order.
+        turned: (N, 3, 3), of the camera rays and the light, from `stencil.frames`. Values as in the module's docstring,
+        in its order.
         """
         at = np.ascontiguousarray(positions, np.float32)
-        turned = np.ascontiguousarray(frames(omega, sun), np.float32)
+        turned = np.ascontiguousarray(turned, np.float32)
         found = np.empty((len(at), RAYS, VALUES), np.float32)
         if self.kernels is None:
             self._gather(at, turned, found)
         else:
             self._gather_compiled(self.kernels, at, turned, found)
-        rings = found.reshape(len(at), RINGS, AZIMUTHS, VALUES)
-        across = 0.5 * (rings[:, :, 1] + rings[:, :, 3])
-        return np.stack([rings[:, :, 0], across, rings[:, :, 2]], axis=2).reshape(len(at), DIRECTIONS, VALUES)
+        pairs = found.reshape(len(at), RINGS // 2, 2, AZIMUTHS, VALUES)
+        across = pairs[:, :, 0].mean(axis=2, keepdims=True)
+        return np.concatenate([across, pairs[:, :, 1]], axis=2).reshape(len(at), DIRECTIONS, VALUES)
 
     def _gather_compiled(self, kernels: Kernels, positions: np.ndarray, turned: np.ndarray, found: np.ndarray) -> None:
         data = LightGather(
@@ -126,7 +137,6 @@ class FinalGather:
             light=self.light,
             light_edge=len(self.light),
             sigma=self.sigma_hat,
-            scale=SCALE,
             flux=3.0 * reduced_anisotropy(self.anisotropy),
         )
         data.out = found.ctypes.data

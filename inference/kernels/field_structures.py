@@ -247,7 +247,6 @@ class LightGather(Shared):
         ("light", c_void_p),
         ("light_edge", c_int64),
         ("sigma", c_double),
-        ("scale", c_double),
         ("flux", c_double),
         ("out", c_void_p),
     ]

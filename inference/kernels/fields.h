@@ -224,7 +224,7 @@ typedef struct {
     int64_t edge;
     const float *light;          /* (light_edge, light_edge, light_edge, 4), fluence and flux */
     int64_t light_edge;
-    double sigma, scale, flux;   /* of extinction; 3 G' */
+    double sigma, flux;          /* extinction; 3 G' */
     float *out;                  /* (points, rays, 4) */
 } LightGather;
 

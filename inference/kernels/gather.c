@@ -17,93 +17,112 @@ static inline void cells_below(const Floats *place, int64_t size, Ints *cell, Fl
     }
 }
 
-/* Fractions for both floats of each pair. */
-static inline PairsOfFloats twice(Floats x) {
-    return __builtin_shufflevector(x, x, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7);
+/* Four floats in a row for each of four lanes. */
+typedef float Quads __attribute__((vector_size(4 * 4 * LANES / 2)));
+
+static inline Quads quads_at(const float *from, const int64_t *first) {
+    Quads found;
+    for (int lane = 0; lane < LANES / 2; lane++) {
+        memcpy((char *)&found + lane * 4 * sizeof(float), from + first[lane], 4 * sizeof(float));
+    }
+    return found;
 }
 
-static inline PairsOfFloats between(Pairs low, Pairs high, PairsOfFloats part) {
-    PairsOfFloats from = (PairsOfFloats)low;
-    return ((PairsOfFloats)high - from) * part + from;
+static inline Quads between(Quads low, Quads high, Quads part) { return (high - low) * part + low; }
+
+/* Density and depth of four lanes, of two cells beside each other, interpolated between the rows of cells. */
+static inline Quads between_rows(const LightGather *gather, const int64_t *first, Quads x, Quads y) {
+    int64_t n = 2 * gather->edge;
+    const float *from = gather->media;
+    Quads low = between(quads_at(from, first), quads_at(from + n, first), y);
+    from += n * gather->edge;
+    return between(low, between(quads_at(from, first), quads_at(from + n, first), y), x);
 }
 
 /* Density and depth, trilinear; place: in cells. */
 static inline Pairs sample_media_pairs(const LightGather *gather, const Floats *place) {
     int64_t n = gather->edge, first[LANES];
     Ints cell[3];
-    Floats part[3];
+    Floats x, y, z, part[3];
     cells_below(place, n, cell, part);
     Longs at = to_longs((cell[0] * (int32_t)n + cell[1]) * (int32_t)n + cell[2]) * 2;
     memcpy(first, &at, sizeof first);
-    Pairs corner[8];
-    FOR_LANES(lane) {
-        const float *from = gather->media + first[lane];
-        for (int k = 0; k < 8; k++) {
-            corner[k][lane] = pair_at(from + 2 * ((k >> 2) * n * n + (k >> 1 & 1) * n + (k & 1)));
-        }
-    }
-    PairsOfFloats x = twice(part[0]), y = twice(part[1]), z = twice(part[2]);
-    Pairs rows[4];
-    for (int k = 0; k < 4; k++) rows[k] = (Pairs)between(corner[2 * k], corner[2 * k + 1], z);
-    return (Pairs)between((Pairs)between(rows[0], rows[1], y), (Pairs)between(rows[2], rows[3], y), x);
+    x = part[0], y = part[1], z = part[2];
+#define FOUR_TIMES(v, k) __builtin_shufflevector(v, v, k, k, k, k, k + 1, k + 1, k + 1, k + 1, k + 2, k + 2, k + 2, k + 2, \
+                                                 k + 3, k + 3, k + 3, k + 3)
+    Quads here = between_rows(gather, first, FOUR_TIMES(x, 0), FOUR_TIMES(y, 0));
+    Quads there = between_rows(gather, first + LANES / 2, FOUR_TIMES(x, 4), FOUR_TIMES(y, 4));
+#undef FOUR_TIMES
+    PairsOfFloats low = __builtin_shufflevector(here, there, 0, 1, 4, 5, 8, 9, 12, 13, 16, 17, 20, 21, 24, 25, 28, 29);
+    PairsOfFloats high = __builtin_shufflevector(here, there, 2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23, 26, 27, 30, 31);
+    PairsOfFloats both = __builtin_shufflevector(z, z, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7);
+    return (Pairs)((high - low) * both + low);
 }
 
 /* Light scattered against directions, of the nearest cells; place: in cells. */
 static inline Floats sample_source(const LightGather *gather, const Floats *place, const Floats *direction) {
-    int64_t n = gather->light_edge;
+    int64_t n = gather->light_edge, first[LANES];
     Ints cell = {0};
-    Floats fluence, source;
+    Pairs fluence_and_x, y_and_z;
     for (int axis = 0; axis < 3; axis++) {
         Ints along = to_ints(clamped_to(place[axis], in_all(0.0f), in_all((float)(n - 1))));
         cell = cell * (int32_t)n + along;
     }
-    float flux = (float)gather->flux;
+    Longs at = to_longs(cell) * 4;
+    memcpy(first, &at, sizeof first);
     FOR_LANES(lane) {
-        const float *at = gather->light + 4 * (int64_t)cell[lane];
-        fluence[lane] = at[0];
-        source[lane] = at[1] * direction[0][lane] + at[2] * direction[1][lane] + at[3] * direction[2][lane];
+        const float *from = gather->light + first[lane];
+        fluence_and_x[lane] = pair_at(from);
+        y_and_z[lane] = pair_at(from + 2);
     }
-    return larger_of(fluence - flux * source, 0.02f * fluence);
+    Floats fluence = first_of(fluence_and_x);
+    Floats against = second_of(fluence_and_x) * direction[0] + first_of(y_and_z) * direction[1];
+    against = fluence - (against + second_of(y_and_z) * direction[2]) * (float)gather->flux;
+    return larger_of(against, 0.02f * fluence);
 }
 
-/* Gather along LANES rays from one point; direction: of each, in the cube's frame. */
+/* 1 - (1 - x)^3 */
+static inline Floats cubed_rest(Floats x) { return x * (3.0f - x * (3.0f - x)); }
+
+/* Gather along LANES rays from one point; direction: of each, in the cube's frame.
+
+Exponentials are taken of a third of optical depths, which `reduced` needs, and cubed. */
 static inline void gather_rays(const LightGather *gather, const float *position, const Floats *direction,
                                const Floats *shift, float *out) {
-    const float sigma = (float)gather->sigma, scale = (float)gather->scale, thickness = (float)gather->thickness;
-    const float growth = (float)gather->growth;
+    const float sigma = (float)gather->sigma, thickness = (float)gather->thickness;
+    const float growth = (float)gather->growth, shrinkage = 1.0f / growth, third = 1.0f / 3.0f;
     const float cells = (float)(gather->edge - 3), coarse = (float)gather->light_edge;
     Floats distance = in_all(0.0f), tau = in_all(0.0f), single = in_all(0.0f), reduced = in_all(0.0f);
-    Floats scattered = in_all(0.0f), at[3], step;
+    Floats scattered = in_all(0.0f), open = in_all(1.0f), at[3], step;
     for (int axis = 0; axis < 3; axis++) at[axis] = in_all((position[axis] + 0.5f) * cells);
     Floats extinction = first_of(sample_media_pairs(gather, at)) * sigma;
     step = least_of(in_all(1.0f / cells), thickness / larger_of(extinction, in_all(1e-6f)));
     for (int64_t n = 0; n < gather->steps; n++) {
-        Floats place[3], lost, dimmed, kept;
+        Floats place[3], lost;
         Floats middle = distance + 0.5f * step;
-        Ints open = tau < 16.0f;
+        Ints within = tau < 48.0f;
         for (int axis = 0; axis < 3; axis++) {
             place[axis] = position[axis] + 0.5f + middle * direction[axis];
             at[axis] = place[axis] * cells;
-            open &= (place[axis] > -0.1f) & (place[axis] < 1.1f);
+            within &= (place[axis] > -0.1f) & (place[axis] < 1.1f);
         }
-        if (!any_lane(open)) break;
+        if (!any_lane(within)) break;
         Pairs media = sample_media_pairs(gather, at);
         extinction = first_of(media) * sigma;
-        Floats gained = extinction * step, sun = larger_of(second_of(media) * sigma, in_all(0.0f));
+        Floats gained = extinction * step, lit = transmittance(second_of(media) * (sigma * third));
         for (int axis = 0; axis < 3; axis++) at[axis] = place[axis] * coarse + shift[axis];
-        Floats passed = exp_minus(tau, &kept);
-        exp_minus(gained, &lost);
-        passed *= lost;
-        single += passed * transmittance(sun);
+        Floats kept = exp_minus(gained * third, &lost);
+        Floats passed = open * open * open * cubed_rest(lost);
+        single += passed * (lit * lit * lit);
         scattered += passed * sample_source(gather, at, direction);
-        exp_minus(scale * gained, &dimmed);
-        reduced += transmittance(scale * (tau + sun)) * dimmed;
+        reduced += open * lit * lost;
+        open *= kept;
         tau += gained;
         distance += step;
         Floats thin = thickness * (1.0f + tau) / larger_of(extinction, in_all(1e-6f));
-        step = least_of(step * growth, larger_of(thin, step / growth));
+        step = least_of(step * growth, larger_of(thin, step * shrinkage));
     }
-    Floats open = transmittance(tau);
+    open = open * open * open;
     FOR_LANES(n) {
         float *to = out + 4 * n;
         to[0] = single[n], to[1] = reduced[n], to[2] = scattered[n], to[3] = open[n];

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..features.descriptors import FieldLookup, angle_to_sun, describe, distinct_rows
+from ..features.final_gather import LEVEL as GATHER_LEVEL
+from ..features.final_gather import SCATTERED, FinalGather, shadowed_depth, unit_sun_depth
 from ..features.mip_lattices import (
     Lattices,
     SunLevels,
@@ -19,7 +21,7 @@ from ..features.mip_lattices import (
     visibility_levels,
 )
 from ..features.phase_features import PhaseFeatures
-from ..features.stencil import SPARSE, Stencil
+from ..features.stencil import SPARSE, Stencil, frames
 from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
@@ -28,6 +30,7 @@ from ..scene.description import Volume
 from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
+from ..transport.lamp_beam import CubeCells
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
@@ -139,8 +142,10 @@ class RayPredictor(StencilPredictor):
         return Stencil.read(values, SPARSE)
 
     def _read_pyramid(self) -> None:
-        """Take the level that the coarse transport is solved on."""
-        self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
+        """Take the levels that the coarse transport is solved on and that light is gathered through."""
+        self.coarse, self.fine = (
+            np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
+        )
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
@@ -153,9 +158,18 @@ class RayPredictor(StencilPredictor):
         """What predicts under these conditions. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            light = FluenceLattice(self._solve(conditions, tasks.cancel))
+            cells = self._solve(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        return PreparedRays(self.network, lookup, light, self.anisotropy)
+        depth = unit_sun_depth(self.fine, conditions.sun, self.kernels)
+        if conditions.shadow_map:
+            depth = shadowed_depth(depth, conditions.shadow_map.cell_visibility(len(depth)), conditions.sigma_hat)
+        gather = self._final_gather(depth, cells, conditions)
+        return PreparedRays(self.network, lookup, FluenceLattice(cells), gather, self.anisotropy)
+
+    def _final_gather(self, depth: np.ndarray, cells: np.ndarray, conditions: Conditions) -> FinalGather:
+        """Gathers light around camera rays. depth: as for `FinalGather.of`. cells: of `fluence_lattice`."""
+        medium = conditions.sigma_hat, self.anisotropy
+        return FinalGather.of(self.fine, depth, fluence_and_flux(cells), medium, self.kernels)
 
     def prepare_environment(
         self,
@@ -232,7 +246,9 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             cells, scale = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), scale, self.anisotropy)
+        depth = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
+        gather = self._final_gather(depth, cells, conditions)
+        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, scale, self.anisotropy)
 
     def lamp_fluence(self, lamps: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several lamps of power 1 for lookups along camera rays. Raises Cancelled."""
@@ -360,6 +376,7 @@ class PreparedRays:
     network: Any
     lookup: FieldLookup
     light: FluenceLattice
+    gather: FinalGather
     anisotropy: float
 
     def predict(
@@ -400,8 +417,14 @@ class PreparedRays:
         around = self.light.read(positions, omega, sun, self.anisotropy)
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
-        ray = np.concatenate([ray_features, around], axis=1)
-        return {"stencil": stencil, "ray": ray, "view": view, "anisotropy": anisotropy, "gamma": gamma}
+        return {
+            "stencil": stencil,
+            "ray": np.concatenate([ray_features, around], axis=1),
+            "gathered": self.gather(positions, frames(omega[first], sun)[view]),
+            "view": view,
+            "anisotropy": anisotropy,
+            "gamma": gamma,
+        }
 
     @property
     def lattice_cells(self) -> int:
@@ -419,6 +442,7 @@ class PreparedLampRays:
     network: Any
     lookup: FieldLookup
     light: FluenceLattice
+    gather: FinalGather
     scale: float
     anisotropy: float
 
@@ -472,9 +496,18 @@ class PreparedLampRays:
         gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         around = self.light.read(positions, omega, towards, self.anisotropy)
-        around[:, : PROBES + 1] += np.log(self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)[:, None]
-        ray = np.concatenate([ray_features, around], axis=1)
-        return {"stencil": stencil, "ray": ray, "view": view, "anisotropy": anisotropy, "gamma": gamma}
+        of_sun = (self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)
+        around[:, : PROBES + 1] += np.log(of_sun)[:, None]
+        gathered = self.gather(positions, frames(omega, towards))
+        gathered[:, :, SCATTERED] *= of_sun[:, None]
+        return {
+            "stencil": stencil,
+            "ray": np.concatenate([ray_features, around], axis=1),
+            "gathered": gathered,
+            "view": view,
+            "anisotropy": anisotropy,
+            "gamma": gamma,
+        }
 
     @property
     def lattice_cells(self) -> int:

@@ -10,6 +10,7 @@ from ..grids.dense_grid import DenseGrid
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
 from ..kernels import field_structures
+from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.lamps import Emitter
@@ -22,6 +23,28 @@ from .discrete_ordinates import DiscreteOrdinates
 PARTS, NEAR_PARTS, NEAR_CELLS, SOFT = 2, 8, 2.5, 0.4
 # Samples between two polls of cancellation.
 SAMPLES_PER_CALL = 1 << 19
+# Optical depth beyond which no light arrives.
+MAX_DEPTH = 60.0
+# Of the largest irradiance in a cube, below which it counts as dark.
+MIN_SHARE = 1e-6
+
+
+def _centres(n: int) -> np.ndarray:
+    """Centres (n^3, 3) of the cells of a cube from -1/2 to 1/2."""
+    place = (np.arange(n) + 0.5) / n - 0.5
+    return np.stack(np.meshgrid(place, place, place, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class CubeCells:
+    """Cells of the working cube that light is cast into.
+
+    density: float32 (n, n, n). sigma: extinction for density 1, per edge of the cube. kernels: compiled ones, or None.
+    """
+
+    density: np.ndarray
+    sigma: float
+    kernels: Kernels | None = None
 
 
 @dataclass(frozen=True)
@@ -48,17 +71,46 @@ class LampInCube:
 
     def __call__(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
         """Mean of the unscattered light over each cell, and unit vectors (3, x, y, z) towards the lamp."""
+        n, centres = len(solver.density), _centres(len(solver.density))
+        light = self._light(solver, solver.density.ravel() > 0.0, PARTS if len(self.emitters) == 1 else 1, cancel)
+        away = self.cube.positions(self.centre[None])[0] - centres
+        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+        return light.reshape(n, n, n), away.T.reshape(3, n, n, n)
+
+    def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> np.ndarray:
+        """Optical depth float32 (n, n, n) towards the lamp for sigma = 1, what surfaces take of its light included.
+
+        0 in cells that neither hold density nor touch one that does. Raises Cancelled.
+        """
+        n = len(cells.density)
+        near = np.pad(cells.density > 0.0, 1)
+        for axis in range(3):
+            near = np.moveaxis(near, axis, 0)
+            near = np.moveaxis(near[:-2] | near[1:-1] | near[2:], 0, axis)
+        lit, depth = np.flatnonzero(near), np.zeros(n**3, np.float32)
+        open_light = self.irradiance(self.cube.world(_centres(n)[lit]))
+        # Beside the cone of a spot there is no light to take away.
+        least = max(MIN_SHARE * open_light.max(initial=0.0), 1e-30)
+        share = self._light(cells, near.ravel(), 1, cancel)[lit] / np.maximum(open_light, least)
+        depth[lit] = -np.log(np.clip(share, np.exp(-MAX_DEPTH), 1.0)) / max(cells.sigma, 1e-30)
+        return depth.reshape(n, n, n)
+
+    def _light(
+        self, solver: "DiscreteOrdinates | CubeCells", filled: np.ndarray, few: int, cancel: CancelToken
+    ) -> np.ndarray:
+        """Mean of the unscattered light float64 (n^3,) over those cells that are `filled`, bool (n^3,).
+
+        few: parts of an edge of a cell that is not near the lamp.
+        """
         n = len(solver.density)
-        place = (np.arange(n) + 0.5) / n - 0.5
-        centres = np.stack(np.meshgrid(place, place, place, indexing="ij"), axis=-1).reshape(-1, 3)
         grid, linear, offset = DenseGrid(solver.density), n * np.eye(3), np.full(3, 0.5 * n - 0.5)
-        light, filled = np.zeros(len(centres)), solver.density.ravel() > 0.0
+        centres = _centres(n)
+        light = np.zeros(len(centres))
         for e, emitter in enumerate(self.emitters):
             lamp = self.cube.positions(emitter.position[None])[0]
             depth = LampOpticalDepth(grid, linear, offset, lamp, 1.0, cancel, solver.kernels)
             shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
             near = np.abs(centres - lamp).max(axis=1) < NEAR_CELLS / n
-            few = PARTS if len(self.emitters) == 1 else 1
             for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
                 if solver.kernels is not None:
                     self._add_compiled(solver, depth, e, (cells, parts), light, cancel)
@@ -76,13 +128,11 @@ class LampInCube:
                     if shadow_map is not None:
                         found *= shadow_map.visibility(world)
                     light[cells] += found / parts**3
-        away = self.cube.positions(self.centre[None])[0] - centres
-        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
-        return light.reshape(n, n, n), away.T.reshape(3, n, n, n)
+        return light
 
     def _add_compiled(
         self,
-        solver: DiscreteOrdinates,
+        solver: "DiscreteOrdinates | CubeCells",
         depth: LampOpticalDepth,
         number: int,
         samples: tuple[np.ndarray, int],

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from inference import Surface
+from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import Between
 from inference.grids import working_cube
 from inference.grids.dense_grid import DenseGrid
@@ -256,7 +257,16 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
     LampInCube(emitters, cube, shadow_maps, b"")(solver)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling)
+def gathering(kernels: Kernels, random: np.random.Generator) -> None:
+    """Light gathered around camera rays, at points anywhere."""
+    n, m, count = (int(random.integers(1, most)) for most in (24, 12, 40))
+    density, depth = (spoiled(random, (n, n, n)) for _ in range(2))
+    medium = float(10.0 ** random.uniform(-3.0, 8.0)), float(random.uniform(-0.99, 0.99))
+    gather = FinalGather.of(density, depth, spoiled(random, (m, m, m, 4)), medium, kernels)
+    gather(spoiled(random, (count, 3)), spoiled(random, (count, 3, 3)))
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

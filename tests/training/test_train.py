@@ -14,7 +14,8 @@ from scipy.ndimage import map_coordinates
 import inference
 from inference import Medium, Sun
 from inference.features.descriptors import angle_to_sun
-from inference.features.stencil import SPARSE
+from inference.features.final_gather import DIRECTIONS, VALUES
+from inference.features.stencil import SPARSE, frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
@@ -145,7 +146,8 @@ def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
     net.calibrate(*(values[::3] for values in inputs))
     configuration = train.start_from(net, path)
     albedo = np.array([1.0, 0.8], np.float32)
-    feed = dict(zip(("stencil", "ray", "anisotropy", "gamma"), (values.numpy() for values in inputs)))
+    names = "stencil", "ray", "gathered", "anisotropy", "gamma"
+    feed = dict(zip(names, (values.numpy() for values in inputs)))
     feed["view"] = np.arange(len(rows["gamma"]), dtype=np.int32)
     expected = onnxruntime.InferenceSession(path).run(None, {**feed, "albedo": albedo})[0]
     with torch.no_grad():
@@ -242,6 +244,7 @@ def test_the_validation_error_excludes_the_targets_noise():
         "features": torch.rand(count, 2, 192),
         "ray": torch.rand(count, 7),
         "around": torch.randn(count, 7),
+        "gathered": torch.rand(count, DIRECTIONS, VALUES),
         "anisotropy": torch.full((count,), 0.5),
         "gamma": torch.rand(count),
         "albedo": torch.ones(count, 1),
@@ -386,6 +389,8 @@ def test_training_inputs_equal_those_of_rendering():
         around = reader.light.read(x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
+        gathered = reader.gather(x, frames(w, reader.lookup.sun))[0]
+        np.testing.assert_allclose(gathered, rows["gathered"][row], rtol=3e-3, atol=3e-3)
         cells = len(volume.density)
         step = 0.25 / cells
         way = np.arange(0.5 * step, 2.0, step)

@@ -33,6 +33,7 @@ from inference.features.descriptors import angle_to_sun
 from inference.features.final_gather import DIRECTIONS, VALUES, FinalGather, unit_sun_depth
 from inference.features.final_gather import LEVEL as GATHER_LEVEL
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
+from inference.features.stencil import frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
@@ -197,8 +198,10 @@ def describe_light(volume, cube, pyramid, suns, media, points: ScatteringPoints)
         lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(lattices):
             around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)
-            gather = FinalGather.of(fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy), kernels)
-            gathered[own, k] = gather(x[own], w[own], l[k])
+            gather = FinalGather.of(
+                fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy), kernels
+            )
+            gathered[own, k] = gather(x[own], frames(w[own], l[k]))
         fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in lattices], anisotropy)
         bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, depths)
         ray[own] = ray_features_at(bound, points.positions[own], points.omega[own], fluence).values[:, 0]

@@ -8,6 +8,7 @@ import torch
 from onnx import TensorProto
 from torch import nn
 
+from inference.features import final_gather
 from inference.features.stencil import LAYER_POINTS, SPARSE
 from inference.marching import ray_features
 from inference.marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
@@ -27,6 +28,9 @@ LAYERS = [n // SPARSE for n in LAYER_POINTS]
 POINTS = sum(LAYERS)
 # Added before logarithms of layers' mean densities and of the light ahead.
 POOLED_OFFSET, AHEAD_OFFSET = 3e-4, 1e-3
+#: Values gathered around the camera ray: light, whose logarithms enter as well, and transmittance last.
+GATHERED = (final_gather.DIRECTIONS, final_gather.VALUES)
+GATHERED_LIGHTS = final_gather.DIRECTIONS * (final_gather.VALUES - 1)
 #: Light features: values ahead on the ray, logarithms of fluence around the point, and fluxes there.
 AHEAD = ray_features.COLUMNS - 2
 LOGS = scattered_fluence.PROBES + 1
@@ -43,20 +47,20 @@ class RayMRPNN(nn.Module):
     """Multiple-scattered radiance at a point, for a sun of irradiance 1.
 
     Reads the density at every fourth point of A.2's stencil, the optical depths towards the sun and ahead along the
-    camera ray, the light from ahead, and the scattered fluence and flux around the point. The output is a power
-    series in the albedo with weights >= 0: one evaluation serves all albedos, and the radiance is never negative and
-    never falls with albedo.
+    camera ray, the light from ahead and from directions around it, and the scattered fluence and flux around the
+    point. The output is a power series in the albedo with weights >= 0: one evaluation serves all albedos, and the
+    radiance is never negative and never falls with albedo.
     """
 
     name = "mrpnn"
     kind = "ray"
-    columns = ("features", "ray", "around", "anisotropy", "gamma")
+    columns = ("features", "ray", "around", "gathered", "anisotropy", "gamma")
     ranges = {}
 
     def __init__(self, width: int = WIDTH, hidden: int = HIDDEN_LAYERS):
         super().__init__()
         auxiliary = len(LAYERS) + len(SUN_SCALES) + 1 + 2 * AHEAD + 1 + len(AHEAD_SCALES)
-        auxiliary += 2 * LOGS + FLUXES
+        auxiliary += 2 * LOGS + FLUXES + GATHERED_LIGHTS + math.prod(GATHERED)
         angles = 8
         inputs = POINTS + auxiliary + angles
         # Inputs are standardised with the training data's mean and deviation.
@@ -69,7 +73,7 @@ class RayMRPNN(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(hidden))
         self.last = nn.Linear(width, len(ORDERS))
         # Where scattering is nearly even, the answer is close to the light around the point.
-        self.skip = nn.Linear(LOGS, len(ORDERS), bias=False)
+        self.skip = nn.Linear(LOGS + GATHERED_LIGHTS, len(ORDERS), bias=False)
         nn.init.zeros_(self.skip.weight)
         with torch.no_grad():
             self.last.weight *= 0.1
@@ -84,10 +88,12 @@ class RayMRPNN(nn.Module):
 
     @staticmethod
     def inputs(data, rows):
-        """Of training rows: mu at the stencil (N, POINTS), light (N, RAY_INPUTS), anisotropy (N,) and gamma (N,)."""
+        """Of training rows: mu at the stencil (N, POINTS), light (N, RAY_INPUTS), light around rays (N, *GATHERED), and
+        anisotropy and gamma (N,).
+        """
         stencil = data["features"][rows, 0, ::SPARSE].float()
         ray = torch.cat([data["ray"][rows], data["around"][rows]], dim=1)
-        return stencil, ray, data["anisotropy"][rows], data["gamma"][rows]
+        return stencil, ray, data["gathered"][rows].float(), data["anisotropy"][rows], data["gamma"][rows]
 
     @torch.no_grad()
     def calibrate(self, *inputs):
@@ -102,12 +108,13 @@ class RayMRPNN(nn.Module):
         """Load the weights of an exported graph: its fully connected layers, weights and biases, in the graph's order.
 
         The means and deviations stay; the graph's, folded into its first layers, are replaced by them, so that the
-        outputs are the graph's.
+        outputs are the graph's. Weights of inputs that the graph lacks, the last ones, are 0.
         """
         modulation, scale, shift, first_angles, first_others, first_stencil, *rest, (skip,) = layers
-        self.skip.weight.copy_(skip)
+        self.skip.weight.copy_(_widened(skip, self.skip.in_features))
         angles = len(modulation[0].T)
-        first = [torch.cat([first_stencil[0], first_others[0], first_angles[0]], dim=1), first_angles[1]]
+        others = _widened(first_others[0], self.first.in_features - POINTS - angles)
+        first = [torch.cat([first_stencil[0], others, first_angles[0]], dim=1), first_angles[1]]
         # The graph's scale is 1 + scale.
         modulations = [torch.cat([scale[0], shift[0]]), torch.cat([scale[1] - 1.0, shift[1]])]
         for module, (weight, bias), mean, deviation in (
@@ -121,7 +128,7 @@ class RayMRPNN(nn.Module):
             module.weight.copy_(weight)
             module.bias.copy_(bias)
 
-    def assemble(self, stencil, ray, anisotropy, gamma):
+    def assemble(self, stencil, ray, gathered, anisotropy, gamma):
         """The inputs (N, k) without the angles, and the angles (N, 8), before standardisation."""
         with torch.autocast("cpu", enabled=False):
             pooled = torch.log(stencil @ self.pooling + POOLED_OFFSET)
@@ -146,23 +153,30 @@ class RayMRPNN(nn.Module):
         x = [stencil, pooled, *(torch.exp(-s * tau_sun) for s in SUN_SCALES), torch.log1p(tau_sun)]
         x += [ahead, torch.log(ahead + AHEAD_OFFSET), torch.log1p(tau_ahead)]
         x += [*(torch.exp(-s * tau_ahead) for s in AHEAD_SCALES), logs, torch.exp(logs), fluxes]
+        x += [gathered.flatten(1), self.gathered_logs(gathered)]
         return torch.cat(x, dim=1), angles
 
-    def weights(self, stencil, ray, anisotropy, gamma):
+    @staticmethod
+    def gathered_logs(gathered):
+        """Logarithms (N, GATHERED_LIGHTS) of the light gathered around the camera ray."""
+        return torch.log(gathered[:, :, :-1].clamp(min=0.0) + AHEAD_OFFSET).flatten(1)
+
+    def weights(self, stencil, ray, gathered, anisotropy, gamma):
         """Weights (N, orders) of the powers of the albedo, >= 0."""
-        x, angles = self.assemble(stencil, ray, anisotropy, gamma)
+        x, angles = self.assemble(stencil, ray, gathered, anisotropy, gamma)
         x = (torch.cat([x, angles], dim=1) - self.mean) / self.deviation
         angles = x[:, -angles.shape[1] :]
         scale, shift = self.modulation[1](torch.relu(self.modulation[0](angles))).chunk(2, dim=1)
         h = torch.relu(self.first(x) * (1.0 + scale) + shift)
         for layer in self.hidden:
             h = h + torch.relu(layer(h))
-        y = self.last(h) + self.skip(ray[:, 2 + AHEAD :][:, :LOGS])
+        logs = ray[:, 2 + AHEAD :][:, :LOGS]
+        y = self.last(h) + self.skip(torch.cat([logs, self.gathered_logs(gathered)], dim=1))
         return torch.exp(y.float().clamp(max=MAX_LOG_RADIANCE))
 
-    def forward(self, stencil, ray, anisotropy, gamma, albedo):
+    def forward(self, stencil, ray, gathered, anisotropy, gamma, albedo):
         """Radiance (A, N) for albedos (A, N); the other inputs as `inputs` returns them."""
-        weights = self.weights(stencil, ray, anisotropy, gamma)
+        weights = self.weights(stencil, ray, gathered, anisotropy, gamma)
         return (albedo[:, :, None] ** self.orders * weights).sum(dim=2)
 
     def graph(self, g):
@@ -173,6 +187,7 @@ class RayMRPNN(nn.Module):
         """
         g.input("stencil", ["N", POINTS])
         g.input("ray", ["N", RAY_INPUTS])
+        g.input("gathered", ["N", *GATHERED])
         g.input("view", ["N"], TensorProto.INT32)
         g.input("anisotropy", ["V"])
         g.input("gamma", ["V"])
@@ -204,7 +219,7 @@ class RayMRPNN(nn.Module):
         g.output("radiance", radiance, ["A", "N"])
 
     def _assemble_graph(self, g):
-        """Inputs without stencil and angles, the angles, and the logarithms of fluence around the point."""
+        """Inputs without stencil and angles, the angles, and the logarithms of light around the point."""
 
         def scaled_exp(x, scales):
             return g.op("Exp", g.op("Mul", x, g.constant(-np.array([scales], np.float32))))
@@ -222,6 +237,10 @@ class RayMRPNN(nn.Module):
         x += [g.op("Log", g.op("Add", ahead, g.number(AHEAD_OFFSET))), log1p(tau_ahead)]
         x += [scaled_exp(tau_ahead, AHEAD_SCALES)]
         x += [logs, g.op("Exp", logs), fluxes]
+        lights, _ = g.split("gathered", [GATHERED[1] - 1, 1], axis=2)
+        gathered_logs = g.op("Log", g.op("Add", g.relu(lights), g.number(AHEAD_OFFSET)))
+        gathered_logs = g.reshape(gathered_logs, (-1, GATHERED_LIGHTS))
+        x += [g.reshape("gathered", (-1, math.prod(GATHERED))), gathered_logs]
         gamma, anisotropy = g.column("gamma"), g.column("anisotropy")
         cosine, size = g.op("Cos", gamma), g.op("Abs", anisotropy)
         square = g.op("Mul", anisotropy, anisotropy)
@@ -243,4 +262,9 @@ class RayMRPNN(nn.Module):
             phase(g.op("Mul", anisotropy, square)),
             g.op("Log", g.op("Sub", g.number(1.0), size)),
         ]
-        return g.concat(x, axis=1), g.concat(angles, axis=1), logs
+        return g.concat(x, axis=1), g.concat(angles, axis=1), g.concat([logs, gathered_logs], axis=1)
+
+
+def _widened(weight, inputs: int):
+    """Weights (out, inputs) of a layer with more inputs than those given (out, in), which ignores the others."""
+    return nn.functional.pad(weight, (0, inputs - weight.shape[1]))

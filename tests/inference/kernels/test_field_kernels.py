@@ -6,8 +6,10 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from inference import Camera, Medium, Settings, Sun, Surface, Volume, render
+from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import (
     SunLevels,
     build_lattices,
@@ -123,6 +125,24 @@ def test_light_of_lamps_in_cells(kind, shadows):
         found = lamp(DiscreteOrdinates(density, 20.0, 0.4, None, kernels))
         assert_close(expected, found[0])
         np.testing.assert_array_equal(towards, found[1])
+
+
+@pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (2000.0, 0.857)])
+def test_light_gathered_around_camera_rays(sigma_hat, anisotropy):
+    """Even light, since the nearest cell may be another one after rounding; smooth density, since places are rounded."""
+    random, density = np.random.default_rng(6), gaussian_filter(some_density("lumps", (64,) * 3), 3.0)
+    depth = sun_optical_depth(density, DIRECTIONS[2], 1.0 / 64.0)
+    light = np.broadcast_to(np.array([0.7, 0.1, -0.05, 0.02], np.float32), (32, 32, 32, 4))
+    points, turned = random.uniform(-0.55, 0.55, (300, 3)), np.linalg.qr(random.normal(size=(300, 3, 3)))[0]
+    expected = FinalGather.of(density, depth, light, (sigma_hat, anisotropy))(points, turned)
+    found = [
+        FinalGather.of(density, depth, light, (sigma_hat, anisotropy), kernels)(points, turned)
+        for kernels in variants()
+    ]
+    for gathered in found:
+        for value in range(expected.shape[2]):
+            assert_close(expected[:, :, value], gathered[:, :, value])
+        assert_close(found[0], gathered, BETWEEN_VARIANTS)
 
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (1e5, 0.857)])
