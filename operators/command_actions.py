@@ -11,6 +11,7 @@ from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
+from ..mrpnn_addon.baking.fast_settings import set_fast
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
@@ -99,6 +100,8 @@ def bake(options, console, found: dict) -> None:
             show_light(scene, baked[0])
         else:
             show_sequence(scene, baked)
+        if options.fast and scene.render.engine == "CYCLES":
+            console.event("fast", set_fast(scene, bpy.context.evaluated_depsgraph_get()))
         path = os.path.abspath(bpy.path.abspath(options.save))
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
         found["save"] = path
