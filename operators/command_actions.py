@@ -11,13 +11,12 @@ from ..inference.plan.plan import make_plan
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
-from ..mrpnn_addon.baking.fast_settings import set_fast
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.scene.reader import read_scene, require_all, require_volumes
-from .bake import bake_warnings, light_folder
+from .bake import bake_warnings, light_folder, make_fast
 
 ENDINGS = (".exr", ".png")
 
@@ -101,7 +100,7 @@ def bake(options, console, found: dict) -> None:
         else:
             show_sequence(scene, baked)
         if options.fast and scene.render.engine == "CYCLES":
-            console.event("fast", set_fast(scene, bpy.context.evaluated_depsgraph_get()))
+            console.event("fast", make_fast(bpy.context.evaluated_depsgraph_get()))
         path = os.path.abspath(bpy.path.abspath(options.save))
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
         found["save"] = path
