@@ -42,8 +42,9 @@ class JoinedLamps:
     @cached_property
     def coarse_shadow_maps(self) -> list[LampShadowMap | None] | None:
         """As of LampInMedia, None for the emitters that nothing shadows."""
-        maps = [part.coarse_shadow_maps or [None] * len(part.coarse) for part in self.parts]
-        found = [one for each in maps for one in each]
+        found: list[LampShadowMap | None] = []
+        for part in self.parts:
+            found += part.coarse_shadow_maps or [None] * len(part.coarse)
         return found if any(one is not None for one in found) else None
 
     @cached_property

@@ -13,7 +13,7 @@ from ..grids.grid import Grid
 from ..grids.working_cube import Cube, fit_cube
 from ..kernels.library import Kernels
 from ..marching.joined_lamps import PredictedLamp
-from ..marching.lamp_march import lamp_features_at, place_lamp, softened
+from ..marching.lamp_march import LampInMedia, lamp_features_at, place_lamp, softened
 from ..marching.ray_march import ray_features_at
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.lights import LAMP_MODELS
@@ -600,6 +600,7 @@ def _prepare_lamp(
 ) -> tuple[PreparedLampPredictor, FeaturesAt]:
     """As `_prepare_sun`, of a lamp of power 1."""
     placed, radius = light.lamp, light.radius
+    assert isinstance(placed, LampInMedia)
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
     fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
 
