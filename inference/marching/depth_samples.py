@@ -99,7 +99,7 @@ class DepthSamples:
         # The sampled ray of each sample.
         self.sampled = np.repeat(np.arange(len(starts)), counts)
 
-    def positions(self, samples: np.ndarray) -> np.ndarray:
+    def positions(self, samples: np.ndarray | slice) -> np.ndarray:
         """World positions (N, 3) of some samples."""
         ray = self.ray[samples]
         return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
