@@ -147,7 +147,7 @@ class RayPredictor(StencilPredictor):
             np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
         )
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
-        self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
+        self._fluence: dict[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] = {}
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: OpenDepths | None = None
         self._environment: tuple[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] | None = None
@@ -158,18 +158,17 @@ class RayPredictor(StencilPredictor):
         """What predicts under these conditions. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            cells = self._solve(conditions, tasks.cancel)
+            cells, light = self._solve(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         depth = unit_sun_depth(self.fine, conditions.sun, self.kernels)
         if conditions.shadow_map:
             depth = shadowed_depth(depth, conditions.shadow_map.cell_visibility(len(depth)), conditions.sigma_hat)
-        gather = self._final_gather(depth, cells, conditions)
+        gather = self._final_gather(depth, light, conditions)
         return PreparedRays(self.network, lookup, FluenceLattice(cells), gather, self.anisotropy)
 
-    def _final_gather(self, depth: np.ndarray, cells: np.ndarray, conditions: Conditions) -> FinalGather:
-        """Gathers light around camera rays. depth: as for `FinalGather.of`. cells: of `fluence_lattice`."""
-        medium = conditions.sigma_hat, self.anisotropy
-        return FinalGather.of(self.fine, depth, fluence_and_flux(cells), medium, self.kernels)
+    def _final_gather(self, depth: np.ndarray, light: np.ndarray, conditions: Conditions) -> FinalGather:
+        """Gathers light around camera rays; depth and light: as for `FinalGather.of`."""
+        return FinalGather.of(self.fine, depth, light, (conditions.sigma_hat, self.anisotropy), self.kernels)
 
     def prepare_environment(
         self,
@@ -236,8 +235,8 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             if suns:
                 self._solver(suns[0])
-            cells = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
-        return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
+            solved = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
+        return ScatteredFluence.in_cube(self.cube, [light for _, light in solved], self.anisotropy)
 
     def prepare_lamp(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedLampRays":
         """What predicts the light of the conditions' lamp. Raises Cancelled."""
@@ -247,7 +246,7 @@ class RayPredictor(StencilPredictor):
             cells, scale = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         depth = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
-        gather = self._final_gather(depth, cells, conditions)
+        gather = self._final_gather(depth, fluence_and_flux(cells), conditions)
         return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, scale, self.anisotropy)
 
     def lamp_fluence(self, lamps: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
@@ -343,8 +342,8 @@ class RayPredictor(StencilPredictor):
             self._lamps[key] = found
         return found
 
-    def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
-        """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
+    def _solve(self, conditions: Conditions, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
+        """`fluence_lattice` and `fluence_and_flux`, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
         found = self._fluence.get(key)
         if found is None:
@@ -352,8 +351,8 @@ class RayPredictor(StencilPredictor):
                 self._fluence.clear()
             solver, shadow_map = self._solver(conditions), conditions.shadow_map
             visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
-            found = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
-            self._fluence[key] = found
+            cells = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
+            found = self._fluence[key] = cells, fluence_and_flux(cells)
         return found
 
     def _solver(self, conditions: Conditions) -> DiscreteOrdinates:
