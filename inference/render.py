@@ -172,7 +172,7 @@ def _tiles(
                 add_scattered_emission(context, scene, channel_pass, tile, samples, emission)
             add_multiple_scattering(context, sources, tile, samples)
             add_environment_light(context, environments, tile, samples)
-        framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
+            framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
         return tile
 
     # Those that show most first, so that no thread waits long for the last one.

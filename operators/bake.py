@@ -10,8 +10,10 @@ from bpy.props import BoolProperty, StringProperty
 from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, remove_light, show_light
+from ..mrpnn_addon.baking.fast_settings import set_fast
 from ..mrpnn_addon.scene.reader import SceneDescription, read_scene
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.status.recommendation import LAYER, recommend
 from .waiting import SceneLoading
 
 TICK_INTERVAL = 0.1
@@ -171,6 +173,29 @@ class MRPNN_OT_bake_light_remove(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class MRPNN_OT_bake_light_fast(bpy.types.Operator):
+    """Set what is right and fast in Cycles with baked light, which has little noise: longer steps through volumes in
+    Blender 4, denoising, and a single sample where the scene shows nothing but volumes. Remove Baked Light restores the
+    settings"""
+
+    bl_idname = "mrpnn.bake_light_fast"
+    bl_label = "Fast Cycles Settings"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene.mrpnn_light.active and context.scene.render.engine == "CYCLES"
+
+    def execute(self, context):
+        self.report({"INFO"}, make_fast(context.evaluated_depsgraph_get()))
+        return {"FINISHED"}
+
+
+def make_fast(depsgraph) -> str:
+    """Set what shows a scene's baked light fast in Cycles; gives a sentence about it."""
+    return set_fast(bpy.context.scene, recommend(depsgraph).way == LAYER)
+
+
 def _count(volumes: list) -> str:
     return "1 volume" if len(volumes) == 1 else f"{len(volumes)} volumes"
 
@@ -190,4 +215,4 @@ def bake_warnings(description: SceneDescription) -> list[str]:
     return warnings
 
 
-classes = (MRPNN_OT_bake_light, MRPNN_OT_bake_light_remove)
+classes = (MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove)

@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     bake.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10; the file's current one by default")
     bake.add_argument("--folder", default=FOLDER, help="of the .vdb files; // is the .blend file's folder")
     bake.add_argument("--save", metavar="FILE", help=".blend file to write that shows the light")
+    bake.add_argument("--fast", action="store_true", help="with --save: settings with which Cycles shows it fast, too")
     bake.add_argument("--no-directions", action="store_true", help="the light as the camera sees it, only")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")

@@ -16,7 +16,7 @@ from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.scene.reader import read_scene, require_all, require_volumes
-from .bake import bake_warnings, light_folder
+from .bake import bake_warnings, light_folder, make_fast
 
 ENDINGS = (".exr", ".png")
 
@@ -99,6 +99,8 @@ def bake(options, console, found: dict) -> None:
             show_light(scene, baked[0])
         else:
             show_sequence(scene, baked)
+        if options.fast and scene.render.engine == "CYCLES":
+            console.event("fast", make_fast(bpy.context.evaluated_depsgraph_get()))
         path = os.path.abspath(bpy.path.abspath(options.save))
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
         found["save"] = path

@@ -5,7 +5,7 @@ import bpy
 
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.status.recommendation import COMPOSITE, recommend
-from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_remove
+from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove
 from ..operators.composite import MRPNN_OT_composite
 from .text import draw_text
 
@@ -39,6 +39,8 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
             draw_text(context, layout, "With volume bounces, Cycles adds the light twice; set them to 0", "ERROR")
         layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake What Has Changed", icon="FILE_REFRESH")
         layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake All").everything = True
+        if scene.render.engine == "CYCLES":
+            layout.operator(MRPNN_OT_bake_light_fast.bl_idname, icon="PREVIEW_RANGE")
         layout.operator(MRPNN_OT_bake_light_remove.bl_idname, icon="X")
 
 

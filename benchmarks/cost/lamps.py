@@ -3,20 +3,17 @@
 
     python -m benchmarks.cost.lamps [--sizes 64x64 256x256] [--rounds 3]
 
-Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, and by
-four suns and four point lights, in turn, and prints the least seconds of each and their ratios to the sun's.
+Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, by four
+suns and four point lights, by a stage of twelve spots, a street of thirty lamps and a ceiling of thirty-six area
+lights, in turn, and prints the least seconds of each and their ratios to the sun's.
 """
-
-import argparse
-import time
 
 import numpy as np
 
-from inference import AreaLight, PointLight, Settings, SpotLight, Sun, render
+from inference import AreaLight, PointLight, SpotLight, Sun
 
-from ..support.provenance import made_by
-from .frame import MEDIUM, SUN, camera_covering
-from .speed import cloud
+from .frame import SUN
+from .light_table import print_table
 
 PROGRAM = "benchmarks.cost.lamps"
 
@@ -31,6 +28,13 @@ def lights(volume) -> dict[str, list]:
     across = np.cross(towards, [0.3, 1.0, 0.2])
     across /= np.linalg.norm(across)
     matrix[:3, :3], matrix[:3, 3] = np.stack([across, np.cross(towards, across), towards], axis=1), place
+    row = np.linspace(-1.0, 1.0, 30)
+    spots = [place + 1.5 * size * (towards + across * along) for along in np.linspace(-0.5, 0.5, 12)]
+    posts = middle + size * (np.outer(6.0 * row, [1.0, 0.0, 0.0]) + [0.0, 2.0, 1.2])
+    panels = [matrix.copy() for _ in range(36)]
+    for number, panel in enumerate(panels):
+        x, y = np.divmod(number, 6) - np.full(2, 2.5)
+        panel[:3, 3] = middle + size * (2.5 * towards + 0.5 * (x * matrix[:3, 0] + y * matrix[:3, 1]))
     turned = [np.roll(towards, 1) * [1, 1, -1], np.roll(towards, 2), towards * [-1, 1, 1]]
     around = [towards, *turned]
     return {
@@ -41,32 +45,14 @@ def lights(volume) -> dict[str, list]:
         "a point light inside": [PointLight(middle, power, 0.02 * size)],
         "four suns": [Sun(way, 3.0) for way in around],
         "four point lights": [PointLight(middle + 1.2 * size * way, power) for way in around],
+        "twelve spots of a stage": [SpotLight(spot, middle - spot, power, 0.6, 0.2, 0.02 * size) for spot in spots],
+        "thirty lamps of a street": [PointLight(post, power, 0.02 * size) for post in posts],
+        "thirty-six panels of a ceiling": [AreaLight(panel, "square", 0.3 * size, power) for panel in panels],
     }
 
 
 def main(options=None):
-    parser = argparse.ArgumentParser(
-        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--sizes", nargs="+", default=["64x64", "256x256"])
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--depth-samples", type=int, default=4)
-    parser.add_argument("--threads", type=int, default=1)
-    arguments = parser.parse_args(options)
-    volume, settings = cloud(), Settings(arguments.depth_samples, threads=arguments.threads)
-    shining = lights(volume)
-    print(made_by(PROGRAM, options))
-    print("| pixels | light | processor seconds | beside one sun |\n|---|---|---|---|")
-    for size in arguments.sizes:
-        camera = camera_covering(volume, MEDIUM, tuple(int(edge) for edge in size.split("x")), 0.43)
-        least = dict.fromkeys(shining, np.inf)
-        for _ in range(arguments.rounds):
-            for name, some in shining.items():
-                start = time.process_time()
-                render([(volume, MEDIUM)], some, camera, settings)
-                least[name] = min(least[name], time.process_time() - start)
-        for name, seconds in least.items():
-            print(f"| {size} | {name} | {seconds:.2f} | {seconds / least['one white sun']:.2f} |", flush=True)
+    print_table(PROGRAM, __doc__, lights, ["64x64", "256x256"], options)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
-from ..image.lamp_pass import prepare_lamp_march
+from ..image.lamp_pass import lamps_of_group, prepare_lamp_march
 from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
@@ -22,8 +22,9 @@ class LampRadiance:
     def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels):
         group, plan = scene.groups[g], scene.plan
         assert group is not None
-        self._context, self._lamps = context, scene.lamps
-        self._lit = [plan.lights_group(lamp, g) for lamp in plan.lamps]
+        self._context, self._count = context, len(scene.lamps)
+        clusters = zip(plan.lamp_clusters[g], lamps_of_group(scene, g))
+        self._clusters = [one for one in clusters if plan.lights_group(plan.lamps[one[0][0]], g)]
         members, media = plan.groups[g], scene.media(channels, [])
         self._media = [media[v] for v in members]
         march = prepare_lamp_march(context, scene, channels)
@@ -38,7 +39,7 @@ class LampRadiance:
         self._march = prepare_march(context.kernels, self._media, options, channels.indices, stopping, march)
         self._predictors = []
         sigma_t, extent = float(group.medium.sigma_t[channels.indices[0]]), group.predictor.extent()
-        for lamp in scene.lamps:
+        for _, lamp in self._clusters:
             with context.report.stage("fields"), context.progress.stage("lattices", 1):
                 albedos = group.predictor.albedos(
                     group.medium,
@@ -57,10 +58,8 @@ class LampRadiance:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera, as of `PointRadiance`."""
         context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
         features = self._features(positions, directions)
-        for k, (lamp, (predictor, albedos)) in enumerate(zip(self._lamps, self._predictors)):
-            if not self._lit[k]:
-                continue
-            of_lamp = features.of(slice(None), 0, k)
+        for (cluster, lamp), (predictor, albedos) in zip(self._clusters, self._predictors):
+            of_lamp = features.mean(slice(None), 0, cluster, lamp.shares(positions))
 
             def task(span: slice, predictor=predictor, asked=albedos.values, of_lamp=of_lamp):
                 values = predictor.predict(positions[span], directions[span], asked, ray_features=of_lamp[span])
@@ -69,7 +68,7 @@ class LampRadiance:
             with context.report.stage("network"), context.progress.stage("network"):
                 for span, values in context.tasks.map(task, spans(len(positions))):
                     for c, row in albedos.by_channel(values, positions[span], directions[span]):
-                        radiance[c, span] += row * np.float32(lamp.lamp.power[c])
+                        radiance[c, span] += row * np.float32(lamp.power[c])
                     context.progress.advance("network", values.shape[1])
             context.report.count("network points", len(positions))
         return radiance
@@ -78,7 +77,7 @@ class LampRadiance:
         """Ray features at points, their lights the lamps."""
         batch, context = rays_outwards(self._media, positions, directions), self._context
         # Where a ray meets no density, nothing lies ahead.
-        values = np.zeros((len(positions), 1, len(self._lamps), COLUMNS), np.float32)
+        values = np.zeros((len(positions), 1, self._count, COLUMNS), np.float32)
 
         def task(span: slice) -> tuple[np.ndarray, np.ndarray, int]:
             segment = self._march(batch.take(span))

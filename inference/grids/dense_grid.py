@@ -54,14 +54,20 @@ class DenseGrid:
 
     def cells(self) -> np.ndarray:
         """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
-        filled = self.padded != 0.0
-        for axis in range(3):
-            filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], self.CELL), axis=axis)
-        return filled
+        return _reduced(np.logical_or, self.padded != 0.0, self.CELL)
 
     def cell_peaks(self) -> np.ndarray:
         """float32, the largest value in cells of CELL x CELL x CELL voxels."""
-        peaks = self.padded
-        for axis in range(3):
-            peaks = np.maximum.reduceat(peaks, np.arange(0, peaks.shape[axis], self.CELL), axis=axis)
-        return peaks
+        return _reduced(np.maximum, self.padded, self.CELL)
+
+
+def _reduced(function: np.ufunc, values: np.ndarray, cell: int) -> np.ndarray:
+    """A function of the values in cells of cell x cell x cell; `reduceat` takes ten times as long for short runs."""
+    for axis in range(3):
+        along = np.moveaxis(values, axis, 0)
+        found = along[::cell].copy()
+        for n in range(1, cell):
+            part = along[n::cell]
+            function(found[: len(part)], part, out=found[: len(part)])
+        values = np.moveaxis(found, 0, axis)
+    return np.ascontiguousarray(values)

@@ -36,11 +36,10 @@ def describe_blocks(grid: SparseGrid) -> structures.Grid:
 
 def describe_occupancy(occupancy: Occupancy) -> structures.Occupancy:
     """Which cells of a grid may hold a value other than 0."""
-    clearance = occupancy.clearance()
     return structures.Occupancy(
-        clearance=clearance,
+        clearance=occupancy.clearance,
         peaks=np.ascontiguousarray(occupancy.peaks, np.float32),
-        size=np.array(clearance.shape),
+        size=np.array(occupancy.clearance.shape),
         first=np.float64(occupancy.first),
         scale=1.0 / occupancy.cell,
     )

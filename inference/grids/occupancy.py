@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which parts of a grid are empty, so that camera rays may skip them, and how dense the others are at most."""
 
+import functools
+
 import numpy as np
 
 #: Distance in voxels along any axis, within which nothing is missed, including the reach of interpolation.
@@ -21,6 +23,7 @@ class Occupancy:
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
+    @functools.cached_property
     def clearance(self) -> np.ndarray:
         """uint8 (cx, cy, cz): 0 for filled cells, otherwise a distance in cells below which all others are empty.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..marching.joined_lamps import PredictedLamp, predicted_lamps
 from ..marching.lamp_march import LampMarch
 from ..marching.ray_steps import RayBatch
 from ..plan.plan import Channels
@@ -30,10 +31,22 @@ def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: C
         with context.report.stage("fields"):
             for g, group in scene.predicted(channels):
                 sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-                with context.progress.stage("transport", len(scene.lamps)):
-                    fluence[g] = group.predictor.lamp_fluence(sigma_t, scene.lamps, scene.occluders, context.tasks)
+                clusters = scene.plan.lamp_clusters[g]
+                of_part = {k: number for number, cluster in enumerate(clusters) for k in cluster}
+                with context.progress.stage("transport", len(clusters)):
+                    found = group.predictor.lamp_fluence(
+                        sigma_t, lamps_of_group(scene, g), scene.occluders, context.tasks
+                    )
+                fluence[g] = found.of_parts([of_part[k] for k in range(len(scene.lamps))])
     predicted = any(one is not None for one in fluence)
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius)
+
+
+def lamps_of_group(scene: PreparedScene, g: int) -> list[PredictedLamp]:
+    """The plan's clusters of lamps for a group of volumes, as one lamp each."""
+    volumes = np.concatenate([scene.grids[v].corners() for v in scene.plan.groups[g]])
+    middle = 0.5 * (volumes.min(axis=0) + volumes.max(axis=0))
+    return predicted_lamps(scene.lamps, scene.plan.lamp_clusters[g], middle)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +27,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
+from .lamp_pass import lamps_of_group
 from .predicted_error import MODELS, SparseDeviation
 
 
@@ -112,8 +113,10 @@ def prepare_prediction(
                     uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)
-            for k, lamp in enumerate(scene.lamps if channel_pass.lamps and plan.predicts_lamps else ()):
-                if not plan.lights_group(lamp.lamp, g):
+            if not (channel_pass.lamps and plan.predicts_lamps):
+                continue
+            for cluster, lamp in zip(plan.lamp_clusters[g], lamps_of_group(scene, g)):
+                if not plan.lights_group(plan.lamps[cluster[0]], g):
                     continue
                 with context.progress.stage("lattices", 1):
                     albedos = group.predictor.albedos(
@@ -125,13 +128,13 @@ def prepare_prediction(
                 context.cancel.check()
                 source = Source(
                     group=g,
-                    lights=[k],
-                    shares=np.ones(1, np.float32),
+                    lights=cluster,
+                    shares=lamp.shares,
                     members=members,
                     indices=indices,
                     albedos=albedos,
                     last_albedo=last,
-                    scattered=(last * lamp.lamp.power).astype(np.float32),
+                    scattered=(last * lamp.power).astype(np.float32),
                     places=places,
                     varies=group.volume.scattering is not None,
                     suns=len(plan.suns) + len(plan.lamps),
@@ -184,21 +187,21 @@ def sample_batches(points: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Source:
-    """One group of volumes in the light of one sun or lamp.
+    """One group of volumes in the light of one sun, of one lamp or of several at once.
 
-    group: its number. lights: places of the sun's parts, or of the lamp, among those that are rendered together.
-    shares: float32 (n,), of the light of each. members: numbers of the group's
-    volumes. indices: colour channels that are rendered together. albedos: of these channels. last_albedo: float64 (V,
-    3), as of `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or
-    times a lamp's power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes
-    does, or they differ. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's
-    voxels. prepared: what predicts. directions: in which it sees camera rays; None for a lamp. uncertainty: what tells
-    the error of predictions, or None.
+    group: its number. lights: places of the sun's parts, or of the lamps, among those that are rendered together.
+    shares: float32 (n,), of the light of each, or at points (N, 3) as (N, n). members: numbers of the group's volumes.
+    indices: colour channels that are rendered together. albedos: of these channels. last_albedo: float64 (V, 3), as of
+    `plan.last_albedo`, of each of the group's volumes. scattered: float32 (V, 3), that times irradiance, or times the
+    lamps' power. places: as for `DepthSamples.scattered`. varies: whether the albedo of any of the volumes does, or
+    they differ. suns: how many suns and lamps there are altogether. voxel: shortest edge of the group's voxels.
+    prepared: what predicts. directions: in which it sees camera rays; None for lamps. uncertainty: what tells the error
+    of predictions, or None.
     """
 
     group: int
     lights: list[int]
-    shares: np.ndarray
+    shares: np.ndarray | Callable[[np.ndarray], np.ndarray]
     members: list[int]
     indices: list[int]
     albedos: Albedos
@@ -335,7 +338,12 @@ class _Estimate:
         lamp = self.source.directions is None
         features = self.samples.lamp_features if lamp else self.samples.features
         source = self.source
-        return None if features is None else features.mean(points, source.group, source.lights, source.shares)
+        if features is None:
+            return None
+        shares = source.shares
+        if not isinstance(shares, np.ndarray):
+            shares = shares(self.samples.positions(points))
+        return features.mean(points, source.group, source.lights, shares)
 
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""

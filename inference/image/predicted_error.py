@@ -99,35 +99,40 @@ def environment_deviation(albedo: np.ndarray) -> np.ndarray:
 
 def expected_error(layer: Layer) -> ExpectedError | None:
     """What is expected of a whole picture's error; None where nothing in it is predicted."""
+    if not layer.multiple.any():
+        return None
     shown = layer.alpha > SHOWN_ALPHA
     # numpy is slow to sum along short axes.
-    red, green, blue = (layer.rgb[..., c].astype(np.float64) for c in range(3))
-    light = (red + green + blue) / 3.0
-    total = light[shown].sum()
-    if not total > 0.0 or not layer.multiple.any():
+    red, green, blue = (layer.rgb[..., c] for c in range(3))
+    light = np.where(shown, (red + green + blue) / np.float32(3.0), np.float32(0.0))
+    variance = np.where(shown, np.square(layer.uncertainty, dtype=np.float64), 0.0)
+    total = light.sum(dtype=np.float64)
+    if not total > 0.0:
         return None
-    variance = np.where(shown, layer.uncertainty.astype(np.float64) ** 2, 0.0)
     error = float(np.sqrt(variance.sum() * shown.sum()) / total)
     low, high = (error * factor for factor in MOST_OF_PICTURES)
     return ExpectedError(error, low, high, BIAS * error, _where(variance, light, shown, layer.alpha))
 
 
 def _where(variance: np.ndarray, light: np.ndarray, shown: np.ndarray, alpha: np.ndarray) -> str:
-    """The ninth of what the picture shows in which the error over the light is largest, in words; images (H, W)."""
-    found = []
+    """The ninth of what the picture shows in which the error over the light is largest, in words.
+
+    Images (H, W); variance, light: 0 where nothing is shown.
+    """
+    found, total = [], light.sum(dtype=np.float64)
     for rows, height in _thirds(shown.any(axis=1), ("upper", "", "lower")):
         for columns, side in _thirds(shown.any(axis=0), ("left", "", "right")):
             part = rows, columns
-            lit = light[part].sum()
+            lit = light[part].sum(dtype=np.float64)
             # A ninth that holds hardly any light does not count.
-            if lit > LEAST_LIGHT * light[shown].sum():
+            if lit > LEAST_LIGHT * total:
                 name = f"{height or 'middle'} {side}".strip() if height or side else "middle"
-                found.append((variance[part].sum() * shown[part].sum() / lit**2, name, part))
+                error = variance[part].sum() * shown[part].sum() / lit**2
+                found.append((error, name, part))
     if not found:
         return ""
     _, name, part = max(found, key=lambda one: one[0])
-    rim = alpha[part] < RIM_ALPHA
-    at_rim = variance[part][rim].sum() > 0.5 * variance[part].sum()
+    at_rim = variance[part].sum(where=alpha[part] < RIM_ALPHA) > 0.5 * variance[part].sum()
     return name + (", at the rim" if at_rim else "")
 
 

@@ -99,7 +99,7 @@ class DepthSamples:
         # The sampled ray of each sample.
         self.sampled = np.repeat(np.arange(len(starts)), counts)
 
-    def positions(self, samples: np.ndarray) -> np.ndarray:
+    def positions(self, samples: np.ndarray | slice) -> np.ndarray:
         """World positions (N, 3) of some samples."""
         ray = self.ray[samples]
         return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
@@ -118,8 +118,8 @@ class DepthSamples:
         """
         weight = self.weight[samples, None]
         if self.scattering is None:
-            return weight * product(self.fraction[:, members][samples], factors)
-        scattering = self.scattering[:, members][samples][:, :, places]
+            return weight * product(self.fraction[samples][:, members], factors)
+        scattering = self.scattering[samples][:, members][:, :, places]
         return weight * np.einsum("nvc,vc->nc", scattering, factors)
 
     def jitter(self, samples: np.ndarray) -> np.ndarray:
@@ -166,6 +166,12 @@ def _upper_quarter(parts: np.ndarray, count: int) -> np.ndarray:
     """LATTICE_NOISE times the root mean square of the last Legendre coefficients, normalised, of values (R, count)."""
     if count == 1:
         return np.abs(parts[:, 0])
+    return LATTICE_NOISE * np.sqrt((product(parts, _last_polynomials(count)) ** 2).mean(axis=1))
+
+
+@functools.lru_cache(maxsize=256)
+def _last_polynomials(count: int) -> np.ndarray:
+    """The last quarter of the normalised Legendre polynomials at as many nodes: float64 (count, degrees)."""
     degrees = np.arange(max(3 * count // 4, 1), count)
     basis = np.polynomial.legendre.legvander(2.0 * gauss_legendre(count)[0] - 1.0, count - 1)[:, degrees]
-    return LATTICE_NOISE * np.sqrt((product(parts, basis * np.sqrt(2 * degrees + 1.0)) ** 2).mean(axis=1))
+    return basis * np.sqrt(2 * degrees + 1.0)

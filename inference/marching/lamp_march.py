@@ -67,6 +67,15 @@ class LampInMedia:
     key: bytes = b""
 
     @property
+    def power(self) -> np.ndarray:
+        """(3,), W."""
+        return self.lamp.power
+
+    def shares(self, points: np.ndarray) -> np.ndarray:
+        """Its share in its light at points (N, 3): float32 (N, 1), 1."""
+        return np.ones((len(points), 1), np.float32)
+
+    @property
     def coarse_shadow_maps(self) -> list[LampShadowMap] | None:
         """Of each emitter of the coarse transport, that of the nearest of all emitters."""
         if self.shadow_maps is None:

@@ -43,13 +43,15 @@ class RayFeatures:
     def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], shares: np.ndarray) -> np.ndarray:
         """float32 (N, COLUMNS), as `of`, for several suns of which each has a share of the light.
 
-        Light is averaged, and so is the transmittance instead of the optical depth.
+        shares: (n,), or (N, n) of each point. Light is averaged, and so is the transmittance instead of the optical
+        depth.
         """
         if len(suns) == 1:
             return self.of(points, medium, suns[0])
         values = self.values[points, medium][:, suns]
-        mean = np.einsum("nsc,s->nc", values, shares, optimize=False)
-        mean[:, 0] = -np.log(np.exp(-values[..., 0]) @ shares)
+        each = np.broadcast_to(shares, values.shape[:2])
+        mean = np.einsum("nsc,ns->nc", values, each, optimize=False)
+        mean[:, 0] = -np.log((np.exp(-values[..., 0]) * each).sum(axis=1))
         return mean
 
 

@@ -12,6 +12,7 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.working_cube import Cube, fit_cube
 from ..kernels.library import Kernels
+from ..marching.joined_lamps import PredictedLamp
 from ..marching.lamp_march import LampInMedia, lamp_features_at, place_lamp, softened
 from ..marching.ray_march import ray_features_at
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
@@ -216,7 +217,7 @@ class VolumePredictor:
         medium: Medium,
         sigma_t: float,
         indices: Sequence[int],
-        light: np.ndarray | LampInMedia | Sequence[Environment],
+        light: np.ndarray | PredictedLamp | Sequence[Environment],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
         optimizations: frozenset[str] = ALL,
@@ -228,7 +229,7 @@ class VolumePredictor:
         if self.volume.scattering is None or not self.network.needs_ray_features:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
         anywhere, image = (np.full(3, -0.5), np.full(3, 0.5)), None
-        if isinstance(light, LampInMedia):
+        if isinstance(light, PredictedLamp):
             conditions = self._lamp_conditions(sigma_t, light, anywhere, occluders)
         elif isinstance(light, np.ndarray):
             conditions = self._conditions(sigma_t, light, anywhere, occluders)
@@ -279,7 +280,7 @@ class VolumePredictor:
     def lamp_fluence(
         self,
         sigma_t: float,
-        lamps: Sequence[LampInMedia],
+        lamps: Sequence[PredictedLamp],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence:
@@ -289,10 +290,10 @@ class VolumePredictor:
             [self._lamp_conditions(sigma_t, lamp, anywhere, occluders) for lamp in lamps], tasks
         )
 
-    def _lamp_conditions(self, sigma_t: float, lamp: LampInMedia, bounds: Bounds, occluders: Occluders) -> Conditions:
+    def _lamp_conditions(self, sigma_t: float, lamp: PredictedLamp, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
         triangles = self.cube.positions(occluders.triangles) if occluders else None
-        in_cube = LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key)
+        in_cube = LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key, lamp.centre)
         away = self.cube.directions(in_cube.centre - self.cube.centre)
         length = np.linalg.norm(away)
         sun = away / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
@@ -390,7 +391,7 @@ class LampLight:
     radius: by which its light is softened. albedos: distinct ones of the medium.
     """
 
-    lamp: LampInMedia
+    lamp: PredictedLamp
     radius: float
     albedos: Sequence[float]
 
@@ -408,7 +409,7 @@ class PreparedLampPredictor:
     albedo_range: tuple[float, float]
     used: float
     most: np.float32
-    lamp: LampInMedia
+    lamp: PredictedLamp
     radius: float
     nearby: LampNearby | None = None
     outside: float = 0.0
@@ -602,6 +603,7 @@ def _prepare_lamp(
 ) -> tuple[PreparedLampPredictor, FeaturesAt]:
     """As `_prepare_sun`, of a lamp of power 1."""
     placed, radius = light.lamp, light.radius
+    assert isinstance(placed, LampInMedia)
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
     fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
 

@@ -149,7 +149,7 @@ class RayPredictor(StencilPredictor):
         """Take the level that the coarse transport is solved on."""
         self.coarse = np.ascontiguousarray(inner_cells(self.padded[LEVEL], LEVEL, self.network.points))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
-        self._fluence: dict[tuple[Any, ...], np.ndarray] = {}
+        self._fluence: dict[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] = {}
         self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
         self._depths: OpenDepths | None = None
         self._environment: tuple[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] | None = None
@@ -160,7 +160,7 @@ class RayPredictor(StencilPredictor):
         """What predicts under these conditions. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            light = FluenceLattice(self._solve(conditions, tasks.cancel))
+            light = FluenceLattice(self._solve(conditions, tasks.cancel)[0])
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         return PreparedRays(self.network, lookup, light, self.anisotropy)
 
@@ -229,8 +229,8 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             if suns:
                 self._solver(suns[0])
-            cells = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
-        return ScatteredFluence.in_cube(self.cube, [fluence_and_flux(values) for values in cells], self.anisotropy)
+            solved = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
+        return ScatteredFluence.in_cube(self.cube, [light for _, light in solved], self.anisotropy)
 
     def prepare_lamp(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedLampRays":
         """What predicts the light of the conditions' lamp. Raises Cancelled."""
@@ -335,8 +335,8 @@ class RayPredictor(StencilPredictor):
             self._lamps[key] = found
         return found
 
-    def _solve(self, conditions: Conditions, cancel: CancelToken) -> np.ndarray:
-        """`fluence_lattice` of the transport, solved once per optical thickness, sun and occluders."""
+    def _solve(self, conditions: Conditions, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
+        """`fluence_lattice` and `fluence_and_flux`, solved once per optical thickness, sun and occluders."""
         key = conditions.sigma_hat, *conditions.sun, conditions.occluders
         found = self._fluence.get(key)
         if found is None:
@@ -344,8 +344,8 @@ class RayPredictor(StencilPredictor):
                 self._fluence.clear()
             solver, shadow_map = self._solver(conditions), conditions.shadow_map
             visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
-            found = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
-            self._fluence[key] = found
+            cells = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
+            found = self._fluence[key] = cells, fluence_and_flux(cells)
         return found
 
     def _solver(self, conditions: Conditions) -> DiscreteOrdinates:

@@ -135,26 +135,27 @@ def without_faint(
     for v, (name, corners) in enumerate(boxes.items()):
         low, high = corners.min(axis=0), corners.max(axis=0)
         middle = 0.5 * (low + high)[None]
-        total[v] = sum(_fluence(light) for light in others if lights_object(light, name))
+        total[v] = sum(fluence(light) for light in others if lights_object(light, name))
         for k, lamp in enumerate(lamps):
             if lights_object(lamp, name):
                 nearest, power = np.clip(lamp.centre, low, high)[None], float(lamp.power.mean())
                 most[v, k] = power * sum(part.brightest(nearest)[0] for part in lamp.emitters(low, high, 1))
                 total[v] += power * sum(part.fluence(middle)[0] for part in lamp.emitters(low, high, 1))
-    shares = (most / np.maximum(total, 1e-300)[:, None]).max(axis=0, initial=0.0)
+    # What a lamp gives somewhere may be all light, if it gives the middle none.
+    shares = (most / np.maximum(np.maximum(total[:, None], most), 1e-300)).max(axis=0, initial=0.0)
     order = np.argsort(shares, kind="stable")
     faint = set(order[np.cumsum(shares[order]) <= FAINT].tolist())
     left_out += [f"{lamps[k].name}: too weak or too far to be seen beside other light" for k in sorted(faint)]
     return [lamp for k, lamp in enumerate(lamps) if k not in faint]
 
 
-def _fluence(light: Sun | Environment) -> float:
+def fluence(light: Sun | Environment) -> float:
     """Mean of the channels of a light's fluence, W/m^2."""
     if isinstance(light, Sun):
         return float(light.irradiance.mean())
     rows, columns, _ = light.radiance.shape
-    fluence = float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
-    return fluence if light.weight is None else light.weight.mean * fluence
+    found = float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+    return found if light.weight is None else light.weight.mean * found
 
 
 def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:

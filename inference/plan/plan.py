@@ -16,6 +16,7 @@ from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
+from .joined_lamps import joined_lamps
 from .lights import (
     LAMP_MODELS,
     SURFACES_SHADOW,
@@ -85,7 +86,8 @@ class Plan:
     (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
     peaks. lamps: that emit light. predicts_lamps: whether the network knows lamps. reflects: whether the light
     that surfaces send into volumes becomes one more environment. sky: the environments as they are without surfaces;
-    empty if none hides any of them.
+    empty if none hides any of them. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
+    predicted of at once.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -104,6 +106,7 @@ class Plan:
     predicts_lamps: bool = True
     reflects: bool = False
     sky: list[Environment] = field(default_factory=list)
+    lamp_clusters: list[list[list[int]]] = field(default_factory=list)
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -372,8 +375,15 @@ def make_plan(
     ]
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
+    clusters = _lamp_clusters(rendered, groups, lamps, [*merged, *environments], settings)
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
+    if predicts_lamps:
+        left_out += [
+            f"{len(lamps) - len(found)} of {len(lamps)} predictions of lamps: one for all from about the same direction"
+            for found in clusters
+            if len(found) < len(lamps)
+        ]
     channels = _channel_groups(rendered, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
@@ -420,7 +430,22 @@ def make_plan(
         predicts_lamps,
         reflects,
         unhidden,
+        clusters,
     )
+
+
+def _lamp_clusters(
+    volumes: Sequence[tuple[Volume, Medium]],
+    groups: Sequence[Sequence[int]],
+    lamps: Sequence[Lamp],
+    others: Sequence[Sun | Environment],
+    settings: Settings,
+) -> list[list[list[int]]]:
+    """As `Plan.lamp_clusters`; others: all other lights."""
+    if "distant_lamps" not in settings.leave_out:
+        return [[[k] for k in range(len(lamps))] for _ in groups]
+    boxes = [{volumes[v][0].name: _corners(volumes[v][0]) for v in group} for group in groups]
+    return [joined_lamps(lamps, others, group) for group in boxes]
 
 
 def _reflecting(surfaces: Sequence[Surface]) -> list[str]:

@@ -35,6 +35,9 @@ OPTIMIZATIONS = {
     "soft_suns": Optimization(
         "Join Soft Suns", "Multiple scattering of the directions of a soft sun is predicted once for all of them", 0.02
     ),
+    "distant_lamps": Optimization(
+        "Join Distant Lamps", "Multiple scattering of lamps from about the same direction is predicted once", 0.02
+    ),
     "equal_channels": Optimization(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
     ),

@@ -28,19 +28,16 @@ SAMPLES_PER_CALL = 1 << 19
 class LampInCube:
     """A lamp of power 1 as the working cube of a group of volumes sees it.
 
-    emitters: its parts, in the world. cube: the working cube. shadow_maps: of each emitter, or None. key: digest that
-    is equal for lamps with the same light and shadows.
+    emitters: its parts, in the world. cube: the working cube. shadow_maps: of each emitter, None where nothing shadows
+    it, or None. key: digest that is equal for lamps with the same light and shadows. centre: (3,), in the world, where
+    its light comes from.
     """
 
     emitters: Sequence[Emitter]
     cube: Cube
-    shadow_maps: Sequence[LampShadowMap] | None
+    shadow_maps: Sequence[LampShadowMap | None] | None
     key: bytes
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(3,), mean of the emitters, in the world."""
-        return np.mean([emitter.position for emitter in self.emitters], axis=0)
+    centre: np.ndarray
 
     def irradiance(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3) for power 1, without what lies in between."""
@@ -96,7 +93,7 @@ class LampInCube:
         (cells, parts), n = samples, len(solver.density)
         assert solver.kernels is not None
         columns, emitter = depth.described(float(solver.sigma)), describe_emitter(self.emitters[number])
-        shadow_map = None if self.shadow_maps is None else describe_shadow_map(self.shadow_maps[number])
+        shadow_map = None if self.shadow_maps is None else self.shadow_maps[number]
         size = max(SAMPLES_PER_CALL // parts**3, 1)
         for start in range(0, len(cells), size):
             cancel.check()
@@ -104,7 +101,7 @@ class LampInCube:
             data = field_structures.LampBeam(
                 columns=columns,
                 emitter=emitter,
-                shadow_map=shadow_map,
+                shadow_map=None if shadow_map is None else describe_shadow_map(shadow_map),
                 cells=n,
                 count=len(some),
                 numbers=some,

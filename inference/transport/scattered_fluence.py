@@ -134,8 +134,9 @@ class ScatteredFluence:
         return cls(linear, 0.5 * CELLS - linear @ cube.centre, lights, anisotropy, scales)
 
     def of_parts(self, numbers: Sequence[int]) -> "ScatteredFluence":
-        """For each of some suns the light of the one with a number."""
-        return replace(self, lights=[self.lights[number] for number in numbers])
+        """For each of some suns or lamps the light of the one with a number."""
+        scales = self.scales and [self.scales[number] for number in numbers]
+        return replace(self, lights=[self.lights[number] for number in numbers], scales=scales)
 
     @property
     def reduced_fraction(self) -> float:

@@ -5,10 +5,11 @@ Each volume gets a second Volume object beside it, which only shines. The volume
 stay as they are.
 """
 
+import json
 from dataclasses import replace
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, PointerProperty, StringProperty
 
 from ..nodes.material import LIGHT_MARK
 from ..scene.reader import SceneDescription
@@ -35,8 +36,7 @@ class MRPNN_PG_light(bpy.types.PropertyGroup):
     volumes: CollectionProperty(name="Volumes", type=MRPNN_PG_lit_volume)
     collection: PointerProperty(name="Collection", type=bpy.types.Collection)
     engine: StringProperty(name="Render Engine Before")
-    volume_bounces: IntProperty(name="Volume Bounces Before", default=-1)
-    ray_marching: IntProperty(name="Biased Volumes Before", default=-1)
+    cycles: StringProperty(name="Cycles Settings Before", description="In JSON, by name")
 
 
 def baked_keys(scene) -> dict[str, str]:
@@ -111,18 +111,28 @@ def remove_light(scene) -> None:
         bpy.data.collections.remove(state.collection)
     if state.engine:
         scene.render.engine = state.engine
-    if state.volume_bounces >= 0 and hasattr(scene, "cycles"):
-        scene.cycles.volume_bounces = state.volume_bounces
-    if state.ray_marching >= 0 and chooses_ray_marching(scene):
-        scene.cycles.volume_biased = bool(state.ray_marching)
+    for name, value in json.loads(state.cycles or "{}").items():
+        # The file may be open in an earlier version of Blender, or in one without Cycles.
+        if hasattr(scene, "cycles") and hasattr(scene.cycles, name):
+            setattr(scene.cycles, name, value)
     state.volumes.clear()
-    for name in ("active", "directional", "collection", "engine", "volume_bounces", "ray_marching"):
+    for name in ("active", "directional", "collection", "engine", "cycles"):
         state.property_unset(name)
 
 
 def chooses_ray_marching(scene) -> bool:
     """Whether Cycles has two ways through volumes, null scattering and ray marching; Blender 5.0 and later."""
     return hasattr(scene, "cycles") and hasattr(scene.cycles, "volume_biased")
+
+
+def set_cycles(scene, **settings) -> None:
+    """Change settings of Cycles until `remove_light`."""
+    state = scene.mrpnn_light
+    before = json.loads(state.cycles or "{}")
+    for name, value in settings.items():
+        before.setdefault(name, getattr(scene.cycles, name))
+        setattr(scene.cycles, name, value)
+    state.cycles = json.dumps(before)
 
 
 def _prepare(scene) -> None:
@@ -136,16 +146,12 @@ def _prepare(scene) -> None:
         state.active = True
         if scene.render.engine not in _ENGINES:
             state.engine, scene.render.engine = scene.render.engine, "CYCLES"
-        if hasattr(scene, "cycles"):
-            state.volume_bounces = scene.cycles.volume_bounces
-        if chooses_ray_marching(scene):
-            state.ray_marching = int(scene.cycles.volume_biased)
     if hasattr(scene, "cycles"):
         # Multiple scattering is in the light already.
-        scene.cycles.volume_bounces = 0
+        set_cycles(scene, volume_bounces=0)
     if chooses_ray_marching(scene):
         # Null scattering takes about ten times as long to the same error of light that shines in a volume.
-        scene.cycles.volume_biased = True
+        set_cycles(scene, volume_biased=True)
 
 
 def _show(scene, one: BakedVolume) -> None:

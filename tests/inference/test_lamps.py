@@ -355,6 +355,12 @@ def test_faint_lamps_alone_are_not_left_out():
     assert picture(faint, settings=Settings(2, multiple=False)).report.counts["lamps"] == 2
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_lamp_that_gives_the_middle_of_the_volume_nothing_is_not_faint():
+    beside = SpotLight((0.3, 0.3, 2.0), (0.0, 0.0, -1.0), 1e10, 0.05)
+    assert picture([beside], settings=Settings(2, multiple=False)).report.counts["lamps"] == 1
+
+
 def test_surfaces_shadow_lamps():
     lamp = PointLight((0.0, 0.0, 1.5), 20.0)
     plate = np.array([[[-1, -2, 1.0], [0, -2, 1.0], [0, 2, 1.0]], [[-1, -2, 1.0], [0, 2, 1.0], [-1, 2, 1.0]]])

@@ -253,7 +253,7 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
         spoil(random, shadow_maps[0].distances)
     n = int(random.choice([4, 8, 16]))
     solver = DiscreteOrdinates(spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0)), 0.3, None, kernels)
-    LampInCube(emitters, cube, shadow_maps, b"")(solver)
+    LampInCube(emitters, cube, shadow_maps, b"", random.normal(size=3))(solver)
 
 
 KINDS = (march, lamps, columns, transport, pyramid, resampling)

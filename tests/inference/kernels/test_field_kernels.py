@@ -116,7 +116,7 @@ def test_light_of_lamps_in_cells(kind, shadows):
     cube = Cube(np.linalg.qr(random.normal(size=(3, 3)))[0], np.full(3, 0.05), 1.1, np.zeros(3), np.ones(3))
     emitters = random_lamp(random, kind).emitters(np.full(3, -0.5), np.full(3, 0.5), 4)
     shadow_maps = [LampShadowMap(roof, emitter.position, 64) for emitter in emitters] if shadows else None
-    lamp, density = LampInCube(emitters, cube, shadow_maps, b""), some_density("lumps", (32,) * 3)
+    lamp, density = LampInCube(emitters, cube, shadow_maps, b"", np.full(3, 0.4)), some_density("lumps", (32,) * 3)
     expected, towards = lamp(DiscreteOrdinates(density, 20.0, 0.4))
     assert expected.max() > 0.0
     for kernels in variants():

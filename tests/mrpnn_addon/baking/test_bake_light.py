@@ -83,8 +83,12 @@ def state_of_file() -> dict:
     for kind in ("objects", "volumes", "materials", "collections", "actions", "node_groups", "scenes"):
         found[kind] = sorted(block.name for block in getattr(bpy.data, kind))
     scene = bpy.data.scenes[0]
-    found["settings"] = scene.render.engine, scene.cycles.volume_bounces, scene.cycles.max_bounces
-    found["state"] = scene.mrpnn_light.active, len(scene.mrpnn_light.volumes), scene.mrpnn_light.volume_bounces
+    found["engine"] = scene.render.engine
+    for settings in (scene.cycles, scene.render):
+        scalars = [p for p in settings.bl_rna.properties if p.type in ("INT", "FLOAT", "BOOLEAN") and not p.is_array]
+        found |= {p.identifier: getattr(settings, p.identifier) for p in scalars}
+    found["denoiser"] = scene.cycles.denoiser, scene.cycles.denoising_input_passes
+    found["state"] = scene.mrpnn_light.active, len(scene.mrpnn_light.volumes), scene.mrpnn_light.cycles
     found["children"] = [child.name for child in scene.collection.children]
     return found
 
@@ -98,13 +102,40 @@ def test_removal_restores_the_saved_file(addon, scene, cloud, tmp_path):
     assert bake(tmp_path) == {"FINISHED"}
     scene = bpy.context.scene
     assert scene.render.engine == "CYCLES" and scene.cycles.volume_bounces == 0 and len(lights()) == 1
+    assert bpy.ops.mrpnn.bake_light_fast() == {"FINISHED"}
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=blend)
-    assert len(lights()) == 1
+    assert len(lights()) == 1 and bpy.context.scene.cycles.samples == 1
     assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=blend)
     assert state_of_file() == before
+
+
+def test_fast_settings_show_the_layer_with_one_sample(addon, scene, cloud, tmp_path):
+    # Denoising needs more pixels than the other tests.
+    scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "CYCLES", 128, 128
+    layer = layer_of(scene)
+    assert not bpy.ops.mrpnn.bake_light_fast.poll()
+    bake(tmp_path)
+    assert bpy.ops.mrpnn.bake_light_fast() == {"FINISHED"}
+    assert scene.cycles.samples == 1 and scene.cycles.use_denoising
+    assert scene.cycles.denoising_input_passes == "RGB"
+    longer = bpy.app.version < (5, 0, 0)
+    assert scene.cycles.volume_step_rate == (4.0 if longer else 1.0)
+    assert relative(blender_scenes.rendered(scene, tmp_path), layer) < 0.1
+
+
+def test_surfaces_keep_their_samples(addon, scene, cloud, tmp_path):
+    mesh = bpy.data.meshes.new("Ground")
+    mesh.from_pydata([(-9, -9, -3), (9, -9, -3), (9, 9, -3), (-9, 9, -3)], [], [(0, 1, 2, 3)])
+    blender_scenes.add_object(scene, "Ground", mesh)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.denoising_input_passes = 77, "RGB_ALBEDO_NORMAL"
+    bake(tmp_path)
+    assert bpy.ops.mrpnn.bake_light_fast() == {"FINISHED"}
+    assert scene.cycles.samples == 77 and scene.cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"
+    assert scene.cycles.use_denoising
 
 
 def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
@@ -182,15 +213,16 @@ def test_the_command_bakes_a_sequence_and_saves_a_file_that_shows_it(addon, scen
     for frame, angle in ((1, 0.0), (3, 1.0)):
         sun.rotation_euler[0] = angle
         sun.keyframe_insert("rotation_euler", frame=frame)
-    blend = tmp_path / "scene.blend"
+    scene.render.engine, blend = "CYCLES", tmp_path / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     out, facts = tmp_path / "lit.blend", tmp_path / "facts.json"
     command = addon.operators.command.main
-    assert command(["bake", "--frames", "1-3", "--save", str(out), "--json", str(facts)]) == 0
+    assert command(["bake", "--frames", "1-3", "--save", str(out), "--json", str(facts), "--fast"]) == 0
     files = [next(iter(frame["files"].values())) for frame in json.loads(facts.read_text())["frames"]]
     assert all(os.path.exists(path) for path in files) and len(set(files)) == 3
     bpy.ops.wm.open_mainfile(filepath=str(out))
     scene, [shown] = bpy.context.scene, lights()
+    assert scene.cycles.samples == 1 and scene.cycles.use_denoising
     for frame, path in enumerate(files, start=1):
         scene.frame_set(frame)
         assert shown.evaluated_get(blender_scenes.depsgraph()).data.grids.load()

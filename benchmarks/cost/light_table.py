@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Processor seconds of a cloud in several lights, as a table."""
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from inference import Settings, Volume, render
+
+from ..support.provenance import made_by
+from .frame import MEDIUM, camera_covering
+from .speed import cloud
+
+
+def print_table(
+    program: str,
+    description: str,
+    lights: Callable[[Volume], dict[str, list]],
+    sizes: Sequence[str],
+    options: Sequence[str] | None = None,
+) -> None:
+    """Render a procedural cloud in each light in turn; print the least seconds, and their ratios to the first light's.
+
+    program, description: for the command line. lights: of the volume, by name. sizes: of images, unless the options
+    name others.
+    """
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {program}", description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--sizes", nargs="+", default=list(sizes))
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--depth-samples", type=int, default=4)
+    parser.add_argument("--threads", type=int, default=1)
+    arguments = parser.parse_args(options)
+    volume, settings = cloud(), Settings(arguments.depth_samples, threads=arguments.threads)
+    shining = lights(volume)
+    first = next(iter(shining))
+    print(made_by(program, options))
+    print("| pixels | light | processor seconds | beside one sun |\n|---|---|---|---|")
+    for size in arguments.sizes:
+        camera = camera_covering(volume, MEDIUM, tuple(int(edge) for edge in size.split("x")), 0.43)
+        least = dict.fromkeys(shining, np.inf)
+        for _ in range(arguments.rounds):
+            for name, some in shining.items():
+                start = time.process_time()
+                render([(volume, MEDIUM)], some, camera, settings)
+                least[name] = min(least[name], time.process_time() - start)
+        for name, seconds in least.items():
+            print(f"| {size} | {name} | {seconds:.2f} | {seconds / least[first]:.2f} |", flush=True)

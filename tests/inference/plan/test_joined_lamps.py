@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Distant lamps whose multiple scattering is predicted at once: which these are, and what it changes."""
+
+import numpy as np
+import pytest
+
+from inference import Medium, PointLight, RenderCache, Settings, SpotLight, Sun, Surface, render
+from inference.plan.joined_lamps import joined_lamps
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+from tests.support.volumes import camera, cloud
+
+#: The corners of a cube of edge 1 around the origin.
+BOX = {"smoke": np.array(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij")).reshape(3, -1).T}
+JOINED = ALL - {"shared_pixels"}
+CLOUD, CACHE = cloud(voxels=32), RenderCache()
+
+
+def along(*direction, distance=3.0):
+    return distance * np.array(direction) / np.linalg.norm(direction)
+
+
+def row(count=5, towards=(0.4, 0.3, 0.8), **changes):
+    """Spots side by side that shine at the cloud."""
+    places = [along(*towards) + 0.2 * k * np.array([0.6, -0.8, 0.0]) for k in range(count)]
+    return [SpotLight(place, -place, 20.0 + 9.0 * k, 0.5, 0.3, 0.03, **changes) for k, place in enumerate(places)]
+
+
+def picture(lights, leave_out=JOINED, surfaces=()):
+    medium = Medium(40.0, (0.99, 0.9, 0.9), 0.857)
+    return render([(CLOUD, medium)], lights, camera(), Settings(4, leave_out=leave_out), None, None, CACHE, surfaces)
+
+
+def change(layer, other):
+    shown = other.alpha > 0.02
+    return np.sqrt(((layer.rgb - other.rgb)[shown] ** 2).mean()) / other.rgb[shown].mean()
+
+
+@pytest.mark.parametrize("surfaces", [[], [Surface([[[0, -4, 1.2], [4, -4, 1.2], [0.4, 4, 1.2]]], covers=False)]])
+def test_joined_lamps_change_the_picture_within_the_budget(surfaces):
+    lights = row()
+    joined, each = (picture(lights, names, surfaces) for names in (JOINED, JOINED - {"distant_lamps"}))
+    assert 0.0 < change(joined, each) < OPTIMIZATIONS["distant_lamps"].budget
+    np.testing.assert_array_equal(joined.single, each.single)
+    assert joined.report.counts["network points"] < 0.5 * each.report.counts["network points"]
+    assert any("predictions of lamps" in sentence for sentence in joined.report.left_out)
+
+
+def test_lamps_at_one_place_join_as_one():
+    whole, halves = (picture([PointLight(along(1, 1, 2), power)] * count) for power, count in ((80.0, 1), (40.0, 2)))
+    # The transport samples several lamps in fewer places of each cell.
+    assert change(halves, whole) < 1e-3
+    assert halves.report.counts["network points"] == whole.report.counts["network points"]
+
+
+def test_lamps_of_about_the_same_direction_are_joined():
+    beside = [PointLight(along(1, 0, 0.1 * k), 1.0) for k in range(3)]
+    assert joined_lamps(beside, [], BOX) == [[0, 1, 2]]
+    across = [PointLight(along(0, 1, 0.1 * k), 1.0) for k in range(3)]
+    assert joined_lamps([beside[0], *across, *beside[1:]], [], BOX) == [[0, 4, 5], [1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        PointLight(along(0, 1, 0), 1.0),
+        PointLight(along(1, 0, 0), (1.0, 0.5, 0.5)),
+        PointLight(along(1, 0, 0), 1.0, receivers=frozenset({"smoke"})),
+        PointLight(along(1, 0, 0, distance=0.7), 1.0),
+        PointLight((0.0, 0.0, 0.1), 1.0),
+    ],
+    ids=["direction", "colour", "linking", "near", "inside"],
+)
+def test_lamps_whose_light_differs_are_not_joined(other):
+    assert joined_lamps([PointLight(along(1, 0, 0), 1.0), other], [], BOX) == [[0], [1]]
+
+
+def test_weak_lamps_are_joined_from_further_apart():
+    lamps = [PointLight(along(1, 0, 0), 10.0), PointLight(along(1, 0.5, 0), 10.0)]
+    assert len(joined_lamps(lamps, [], BOX)) == 2
+    assert joined_lamps(lamps, [Sun((0, 0, 1), 10.0)], BOX) == [[0, 1]]
+    assert len(joined_lamps(lamps, [Sun((0, 0, 1), 10.0, receivers=frozenset({"other"}))], BOX)) == 2
+
+
+def test_lamps_that_light_nothing_here_do_not_count():
+    lamps = [PointLight(along(1, 0, 0), 10.0), PointLight(along(1, 0.5, 0), 10.0)]
+    elsewhere = PointLight(along(0, 0, 1), 500.0, receivers=frozenset({"other"}))
+    assert joined_lamps([*lamps, elsewhere], [], BOX) == [[0], [1], [2]]
