@@ -5,8 +5,8 @@
 
 Makes docs/images/baked-light.png: baked light, then 1024 bounces with the samples for which the same processor seconds,
 bake included, suffice; all denoised. With --reference SAMPLES also 1024 bounces with the samples that the same error
-takes, up to --most, and captions with errors: against two halves of so many samples each at a step rate of 1, whose
-noise is told apart from the error. Needs bpy.
+takes, up to --most, and captions with errors: in the pixels of the cloud, where no glint on the water outshines it,
+against two halves of so many samples each at a step rate of 1, whose noise is told apart from the error. Needs bpy.
 """
 
 import argparse
@@ -16,8 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from inference import Settings, render
 from inference.evaluation.error import relative_bias, relative_rmse
 
+from ..fidelity.views import MASK_ALPHA
 from ..support.extension import ROOT, extension
 from ..support.provenance import commit, weights_checksum
 from .baked_surroundings import plane
@@ -127,6 +129,7 @@ def main() -> None:
     options = parser.parse_args()
     extension()
     import bpy
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     from tests.support import blender_scenes as scenes
 
@@ -164,8 +167,10 @@ def main() -> None:
         print(f"{BOUNCES} bounces, {samples} samples: {spent:.1f} s", flush=True)
         panels.append([f"{BOUNCES} bounces, {samples} samples: {spent:.1f} s", image])
         if options.reference:
+            found = read_scene(scenes.depsgraph())
+            cloud = render(found.volumes, found.lights, found.camera, Settings(multiple=False), surfaces=found.surfaces)
+            shown = cloud.alpha > MASK_ALPHA
             halves = [show(options.reference, BOUNCES, True, seed)[0] for seed in (1, 2)]
-            shown = np.ones(baked.shape[:2], bool)
 
             def error(panel: list) -> float:
                 """Of a panel, whose caption tells it from now on."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How baked light depends on the direction that it is seen from."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,8 @@ from .lattice import DIRECTIONS, BakeLattice, Visibility
 
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
+# Voxels of each of the latter whose mean is taken: light differs from one to the next.
+FINE_VOXELS = 2
 # Suns about which the lobe is, the brightest.
 MAX_LIGHTS = 4
 # Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
@@ -29,7 +32,9 @@ MIN_TRANSMITTANCE, MIN_RADIANCE = 0.02, 0.01
 # and how many. NARROW: anisotropy from which on a lobe is.
 LOBE_RINGS, VIEW_RING, NARROW = ((0.0, 1), (22.0, 4), (45.0, 7)), (45.0, 7), 0.4
 # How much a node can count in a picture, as a share of the most, below which it takes the coefficients of others.
-MIN_IMPORTANCE = 0.1
+MIN_IMPORTANCE = 0.03
+# Of the choice between voxels that are equally near to the middle of a block.
+SEED = 0
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
@@ -75,15 +80,21 @@ def _ring(axis: np.ndarray, degrees: float, count: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Points of a coarse grid at which light is predicted, and a voxel of each.
+    """Points of a coarse grid at which light is predicted, and voxels of each.
 
-    shape: of the grid. places, voxels: int (N, 3). world_from_index: (4, 4) of the grid.
+    shape: of the grid. places: int (N, 3). voxels: int (N, V, 3), those near the middle of a point's block that have
+    light, some more than once where there are fewer. world_from_index: (4, 4) of the grid.
     """
 
     shape: tuple[int, ...]
     places: np.ndarray
     voxels: np.ndarray
     world_from_index: np.ndarray
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(N, 3) in the world."""
+        return self.places @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
 
     def grid(self, coefficients: np.ndarray) -> NodeGrid:
         """Coefficients (N, K) of the nodes on the whole grid."""
@@ -117,10 +128,8 @@ class DirectionFit:
     def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
         """Smooth coefficients, and those of the colours."""
         nodes = self._nodes(NODES)
-        along = self.view.directions(self.lattice.positions(nodes.voxels))
-        directions = sampled_directions(self.lobe, along)
+        directions = sampled_directions(self.lobe, self.view.directions(nodes.positions))
         nodes, seen = self._important(nodes, directions)
-        positions = self.lattice.positions(nodes.voxels)
         samples = np.zeros((len(nodes.voxels), len(directions), 3))
         for number, direction in enumerate(directions):
             at = np.flatnonzero(seen[:, number])
@@ -128,9 +137,9 @@ class DirectionFit:
         terms, grey = directional_terms(directions, self.lobe), samples.mean(axis=2)
         spans = [slice(start, start + NODES_PER_BATCH) for start in range(0, len(grey), NODES_PER_BATCH)]
         smooth = nodes.grid(np.concatenate([_fit(grey[span], seen[span], terms) for span in spans]))
-        along = self.view.directions(positions)
+        along = self.view.directions(nodes.positions)
         turned = directions[None] - (0.0 if along is None else along[:, None])
-        ratios = _ratios(samples) - _ratios(self.scattered[tuple(nodes.voxels.T)][:, None])
+        ratios = _ratios(samples) - _ratios(self._baked(nodes.voxels)[:, None])
         ratios[seen == 0.0] = 0.0
         if np.abs(ratios).max() < SAME_COLOUR:
             return smooth, None
@@ -138,9 +147,9 @@ class DirectionFit:
 
     def _anchors(self, smooth: NodeGrid) -> NodeGrid:
         """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
-        nodes = self._nodes(FINE_NODES)
-        baked, positions = self.scattered[tuple(nodes.voxels.T)].mean(axis=1), self.lattice.positions(nodes.voxels)
-        logarithms, frames = _logarithm(baked), self.view.frames(positions)
+        nodes = self._nodes(FINE_NODES, FINE_VOXELS)
+        positions, logarithms = nodes.positions, _logarithm(self._baked(nodes.voxels).mean(axis=1))
+        frames = self.view.frames(positions)
         if frames is None:
             return nodes.grid(logarithms[:, None])
         corrections = self._corrections(nodes, frames, smooth)
@@ -154,13 +163,13 @@ class DirectionFit:
         """Corrections (N, K) of nodes in whose frames (N, 3, 3) the anchors are; unimportant nodes take others'."""
         middle = frames[np.linalg.norm(frames - frames.mean(axis=0), axis=(1, 2)).argmin()]
         some, _ = self._important(nodes, ANCHORS @ middle)
-        positions = self.lattice.positions(some.voxels)
-        turned, coefficients = self.view.frames(positions), smooth.sample(positions)
+        turned, coefficients = self.view.frames(some.positions), smooth.sample(some.positions)
         assert turned is not None
-        light, fitted = np.zeros((2, len(positions), len(ANCHORS)))
+        light, fitted = np.zeros((2, len(coefficients), len(ANCHORS)))
         for k, anchor in enumerate(ANCHORS):
             directions = np.einsum("j,nji->ni", anchor, turned)
-            light[:, k] = self._light(some.voxels, directions).mean(axis=1)
+            predicted = self._light(some.voxels, directions) if k else self._baked(some.voxels)
+            light[:, k] = predicted.mean(axis=1)
             fitted[:, k] = np.einsum("nk,nk->n", coefficients, directional_terms(directions, self.lobe))
         logarithms = _logarithm(np.maximum(light, MIN_RADIANCE * light.mean(axis=1, keepdims=True)))
         # The same everywhere: anchors turn with the baked ray.
@@ -168,24 +177,34 @@ class DirectionFit:
         return some.grid(corrections).values[tuple(nodes.places.T)].astype(np.float64)
 
     def _light(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Light (N, 3) that density 1 scatters in voxels (N, 3) along unit directions (N, 3)."""
-        return self.steady[tuple(voxels.T)] + self.predict(self.lattice.positions(voxels), directions)
+        """Light (N, 3) that density 1 scatters along unit directions (N, 3), mean over voxels (N, V, 3)."""
+        count = voxels.shape[1]
+        flat = voxels.reshape(-1, 3)
+        light = self.predict(self.lattice.positions(flat), directions.repeat(count, axis=0))
+        return (self.steady[tuple(flat.T)] + light).reshape(-1, count, 3).mean(axis=1)
 
-    def _nodes(self, most: int) -> _Nodes:
-        """Nodes with light, at most so many along an edge, with the voxels next to them."""
+    def _baked(self, voxels: np.ndarray) -> np.ndarray:
+        """Light (N, 3) as baked, mean over voxels (N, V, 3)."""
+        return self.scattered[tuple(np.moveaxis(voxels, -1, 0))].mean(axis=1)
+
+    def _nodes(self, most: int, count: int = 1) -> _Nodes:
+        """Nodes with light, at most so many along an edge, and up to `count` voxels of each."""
         size, lattice = self.scattered.shape[:3], self.lattice
         stride = max(-(-max(size) // most), 1)
-        middle, shape = (stride - 1) // 2, tuple(-(-n // stride) for n in size)
+        shape = tuple(-(-n // stride) for n in size)
         voxels = np.argwhere(self.scattered.any(axis=3))
         places = voxels // stride
-        distance = np.abs(voxels - places * stride - middle).sum(axis=1)
+        # Those nearest to the middle of a block, in no order that favours an axis.
+        distance = np.linalg.norm(voxels - places * stride - 0.5 * (stride - 1), axis=1).round(3)
         flat = np.ravel_multi_index(tuple(places.T), shape)
-        order = np.lexsort((distance, flat))
-        first = order[np.flatnonzero(np.diff(flat[order], prepend=-1))]
+        order = np.lexsort((np.random.default_rng(SEED).random(len(flat)), distance, flat))
+        first = np.flatnonzero(np.diff(flat[order], prepend=-1))
+        sizes = np.minimum(np.diff(first, append=len(order)), count)
+        chosen = order[first[:, None] + np.arange(sizes.max()) % sizes[:, None]]
         frame = lattice.world_from_index.copy()
         frame[:3, :3] *= stride
-        frame[:3, 3] = lattice.positions(np.full((1, 3), middle))[0]
-        return _Nodes(shape, places[first], voxels[first], frame)
+        frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
+        return _Nodes(shape, places[order[first]], voxels[chosen], frame)
 
     def _important(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
         """Nodes that count where rays go along some of D directions (D, 3), and how clearly each shows them (N, D).
@@ -193,10 +212,10 @@ class DirectionFit:
         Transmittances, 0 where nobody sees a node along a direction.
         """
         # A ray along a direction shows a point to a viewer on the other side of it.
-        seen = self.visibility.transmittances(nodes.voxels, -directions)
+        seen = self.visibility.transmittances(nodes.voxels[:, 0], -directions)
         seen[seen < MIN_TRANSMITTANCE] = 0.0
         spacing = np.linalg.norm(nodes.world_from_index[:3, :3], axis=0).max()
-        thickness = self.visibility.extinction(nodes.voxels) * np.float32(spacing)
+        thickness = self.visibility.extinction(nodes.voxels[:, 0]) * np.float32(spacing)
         importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
         if not importance.any():
             return nodes, np.ones_like(seen)
@@ -247,17 +266,27 @@ def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray
 
 
 def _spread(shape: Sequence[int], nodes: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Coefficients (N, K) of nodes on the whole grid, (nx, ny, nz, K): others take their neighbours' mean."""
-    sums = np.zeros((*shape, coefficients.shape[1]), np.float32)
-    counts = np.zeros((*shape, 1), np.float32)
-    sums[tuple(nodes.T)], counts[tuple(nodes.T)] = coefficients, 1.0
-    while not counts.all():
-        for axis in range(3):
-            known, values = counts > 0.0, np.concatenate([sums, counts], axis=3)
-            padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(4)])
-            size = values.shape[axis]
-            around = padded.take(range(size), axis) + padded.take(range(2, size + 2), axis)
-            sums = np.where(known, sums, around[..., :-1])
-            counts = np.where(known, counts, around[..., -1:])
-            sums, counts = sums / np.maximum(counts, 1e-30), (counts > 0.0).astype(np.float32)
-    return sums
+    """Coefficients (N, K) of nodes on the whole grid, (nx, ny, nz, K): others take their neighbours' mean.
+
+    Nodes without any that is known take those of neighbours that have just taken theirs, and so on.
+    """
+    # An edge that stays unknown saves tests of the grid's limits.
+    padded = tuple(n + 2 for n in shape)
+    values = np.zeros((math.prod(padded), coefficients.shape[1]), np.float32)
+    known = np.zeros(len(values), bool)
+    places = np.ravel_multi_index(tuple(nodes.T + 1), padded)
+    values[places], known[places] = coefficients, True
+    steps = np.array([[padded[1] * padded[2]], [padded[2]], [1]]) * [-1, 1]
+    inside = np.ravel_multi_index(tuple(np.indices(shape).reshape(3, -1) + 1), padded)
+    unknown = inside[~known[inside]]
+    while len(unknown):
+        around = unknown[:, None] + steps.ravel()
+        near = known[around]
+        counts = near.sum(axis=1)
+        reached, around = unknown[counts > 0], around[counts > 0]
+        # Values that are not known are zeros.
+        sums = np.sum([values[around[:, side]] for side in range(6)], axis=0)
+        values[reached] = sums / counts[counts > 0, None].astype(np.float32)
+        known[reached] = True
+        unknown = unknown[counts == 0]
+    return values[inside].reshape(*shape, -1)
