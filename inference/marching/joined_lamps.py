@@ -63,6 +63,10 @@ class JoinedLamps:
         direction = light @ (away / distance[:, None])
         return self.middle + direction / (np.linalg.norm(direction) * (light @ (1.0 / distance)))
 
+    def fluence(self, points: np.ndarray) -> np.ndarray:
+        """As of LampInMedia."""
+        return np.sum([power * part.fluence(points) for part, power in zip(self.parts, self.powers)], axis=0)
+
     def reference(self, points: np.ndarray) -> np.ndarray:
         """As of LampInMedia."""
         return self._references(points).sum(axis=1)

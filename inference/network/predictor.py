@@ -432,9 +432,12 @@ class PreparedLampPredictor:
         if self.nearby is None:
             return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
         assert ray_features is not None
-        share, depth = self.nearby.share, ray_features[:, 0].astype(np.float64)
+        # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
+        given = np.minimum(self.lamp.fluence(positions) / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
+        depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
+        share, received = self.nearby.share, irradiance * given
         found = np.stack(
-            [self.nearby.radiance(albedo, x, omega, towards, irradiance, depth) for albedo in albedos]
+            [self.nearby.radiance(albedo, x, omega, towards, received, depth) for albedo in albedos]
         ).astype(np.float32)
         if share < 1.0:
             found *= share

@@ -32,12 +32,19 @@ from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..transport.lamp_beam import CubeCells
 from ..transport.open_depths import OpenDepths, direction_depths
-from ..transport.scattered_fluence import PROBES, FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
+from ..transport.scattered_fluence import (
+    PROBES,
+    FluenceLattice,
+    ScatteredFluence,
+    fluence_and_flux,
+    fluence_lattice,
+    moment_lattice,
+)
 from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .lamp_nearby import MIN_ALBEDO, MIN_FLUENCE, LampNearby
+from .lamp_nearby import MIN_ALBEDO, LampNearby
 from .uncertainty import UncertaintyNetwork, deviations
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
@@ -319,9 +326,10 @@ class RayPredictor(StencilPredictor):
     def _solve_lamp(
         self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None
     ) -> tuple[np.ndarray, float]:
-        """`fluence_lattice` of the transport of a lamp, over a factor, and the factor: of a lamp of power 1.
+        """Lattice of the transport of a lamp, over a factor, and the factor: of a lamp of power 1.
 
-        albedo: for which it is solved; None for the lattice that networks read, for albedo 1.
+        albedo: for which it is solved, a `moment_lattice`; None for the `fluence_lattice` that networks read, for
+        albedo 1.
         """
         lamp = conditions.lamp
         assert lamp is not None
@@ -338,7 +346,7 @@ class RayPredictor(StencilPredictor):
             if albedo is None:
                 found = fluence_lattice(light, solver.boundaries), scale
             else:
-                found = fluence_lattice(light, solver.boundaries, MIN_FLUENCE, np.float32), scale
+                found = moment_lattice(light, solver.boundaries), scale
             self._lamps[key] = found
         return found
 

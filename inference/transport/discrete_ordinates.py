@@ -21,7 +21,7 @@ feature for the network, which otherwise knows a point's surroundings in outline
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import OrdinateSweep
 from ..kernels.library import Kernels
 from ..numerics.exponential import one_minus_exp
+from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
@@ -208,7 +209,8 @@ class DiscreteOrdinates:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
 
         beam: of the lamp, on any number of cells. exact: whether it is the answer, and not a feature of networks, which
-        have learnt from few sweeps. Raises Cancelled.
+        have learnt from few sweeps; then float32 (16, x, y, z), of the radiance times each of `spherical_harmonics` of
+        where the light goes, over all directions. Raises Cancelled.
         """
         n = len(self.density)
         light, towards = beam(self, cancel)
@@ -223,17 +225,23 @@ class DiscreteOrdinates:
             for k in range(len(steps))
         ]
         if self.coarser is not None:
-            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel, exact)]
+            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel, exact)[:4]]
             sweeps = FINE_SWEEPS
-        sweeps, converged = (EXACT_SWEEPS, EXACTLY_CONVERGED) if exact else (sweeps, CONVERGED)
-        for number in range(sweeps):
+
+        def directions() -> Iterator[Callable[[], object]]:
+            """What sweeps along each of ORDINATES, after it has its share of the beam."""
             if self.boundaries is not None:
-                field *= ~self.boundaries.inside
+                np.multiply(field, ~self.boundaries.inside, out=field)
             self._scatter(field, source)
-            swept.fill(0.0)
             for along, of_beam in zip(follow, beams):
                 cancel.check()
                 source[4] = self.albedo * of_beam if self.varies else of_beam
+                yield along
+
+        sweeps, converged = (EXACT_SWEEPS, EXACTLY_CONVERGED) if exact else (sweeps, CONVERGED)
+        for number in range(sweeps):
+            swept.fill(0.0)
+            for along in directions():
                 along()
             change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
@@ -242,7 +250,16 @@ class DiscreteOrdinates:
                 break
             field[:4] = swept
             self._correct(field, change, cancel)
-        return swept
+        if not exact:
+            return swept
+        field[:4] = swept
+        of_each = np.empty((len(ORDINATES), n, n, n), np.float32)
+        for along, of_one in zip(directions(), of_each):
+            swept.fill(0.0)
+            along()
+            of_one[...] = swept[0]
+        harmonics = spherical_harmonics(-ORDINATES).astype(np.float32)
+        return (harmonics @ of_each.reshape(len(of_each), -1)).reshape(-1, n, n, n)
 
     def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
         """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).

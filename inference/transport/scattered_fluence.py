@@ -24,23 +24,28 @@ MIN_SHARE = 0.02
 MIN_REDUCED_FRACTION = 0.05
 
 
-def fluence_lattice(
-    light: np.ndarray,
-    boundaries: CellBoundaries | None = None,
-    least: float = MIN_FLUENCE,
-    dtype: type[np.floating] = np.float16,
-) -> np.ndarray:
-    """The logarithm of the fluence, and the flux over the fluence: (66, 66, 66, 4) of a dtype.
+def fluence_lattice(light: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
+    """The logarithm of the fluence, and the flux over the fluence: float16 (66, 66, 66, 4).
 
-    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. least: added to the
-    fluence. The outermost cells are repeated once beyond each face.
+    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. The outermost cells
+    are repeated once beyond each face.
     """
     fluence, flux = light[0], light[1:]
-    logs = np.log(fluence + np.float32(least))
+    logs = np.log(fluence + np.float32(MIN_FLUENCE))
     if boundaries is not None:
         logs = boundaries.extrapolate_inside(logs)
-    values = np.concatenate([logs[None], flux / (fluence + np.float32(least))])
-    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(dtype)
+    values = np.concatenate([logs[None], flux / (fluence + np.float32(MIN_FLUENCE))])
+    return np.pad(np.moveaxis(values, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(np.float16)
+
+
+def moment_lattice(moments: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
+    """Moments as they are, float32 (66, 66, 66, K), so that interpolation keeps their sum.
+
+    moments: float32 (K, 64, 64, 64) of `DiscreteOrdinates.lamp`. boundaries: as in `fluence_lattice`.
+    """
+    if boundaries is not None:
+        moments = np.stack([boundaries.extrapolate_inside(values) for values in moments])
+    return np.pad(np.moveaxis(moments, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(np.float32)
 
 
 def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
@@ -54,14 +59,18 @@ def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
 class FluenceLattice:
     """Scattered light around points, as networks read it.
 
-    cells: of `fluence_lattice`.
+    cells: of `fluence_lattice`, or of `moment_lattice` for `values`.
     """
 
     def __init__(self, cells: np.ndarray):
         self._edge = len(cells)
-        self._cells = cells.astype(np.float32).reshape(-1, 4)
+        self._cells = cells.astype(np.float32).reshape(-1, cells.shape[-1])
         # Three of four probes read nothing else.
         self._logs = np.ascontiguousarray(self._cells[:, 0])
+
+    def values(self, positions: np.ndarray) -> np.ndarray:
+        """All values of the cells, interpolated, float32 (N, K) at positions (N, 3) in the cube's frame."""
+        return _interpolate(self._cells, ((positions.T + 0.5) * CELLS + 0.5).astype(np.float32), self._edge)
 
     def read(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float) -> np.ndarray:
         """Features float32 (N, 7).
