@@ -129,7 +129,7 @@ def test_light_of_lamps_in_cells(kind, shadows):
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (2000.0, 0.857)])
 def test_light_gathered_around_camera_rays(sigma_hat, anisotropy):
-    """Even light, since the nearest cell may be another one after rounding; smooth density, since places are rounded."""
+    """Even light and smooth density: after rounding, a place may lie in another cell."""
     random, density = np.random.default_rng(6), gaussian_filter(some_density("lumps", (64,) * 3), 3.0)
     depth = sun_optical_depth(density, DIRECTIONS[2], 1.0 / 64.0)
     light = np.broadcast_to(np.array([0.7, 0.1, -0.05, 0.02], np.float32), (32, 32, 32, 4))

@@ -12,8 +12,8 @@ from inference.scene import SceneError
 from training.data.stencil import load_stencil
 from training.export import export, save
 from training.networks import NETWORKS
+from training.networks.mrpnn import GATHERED, RAY_INPUTS
 from training.networks.mrpnn import POINTS as SPARSE_POINTS
-from training.networks.mrpnn import RAY_INPUTS
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS, POINTS_A_RAY = 77, 7
@@ -36,11 +36,10 @@ def make_inputs(kind):
         }
     anisotropy = np.full(POINTS, 0.857, np.float32)
     if kind == "ray":
-        stencil, light = (
-            random.random((POINTS, SPARSE_POINTS), np.float32),
-            random.random((POINTS, RAY_INPUTS), np.float32),
+        stencil, light, gathered = (
+            random.random((POINTS, *shape), np.float32) for shape in ((SPARSE_POINTS,), (RAY_INPUTS,), GATHERED)
         )
-        return {"stencil": stencil, "ray": light, "anisotropy": anisotropy, "gamma": gamma}
+        return {"stencil": stencil, "ray": light, "gathered": gathered, "anisotropy": anisotropy, "gamma": gamma}
     features = random.random((3, POINTS, 192), np.float32)
     return {"features": features, "anisotropy": anisotropy, "gamma": gamma}
 
