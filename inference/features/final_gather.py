@@ -143,15 +143,18 @@ class FinalGather:
         kernels.prepare("gather_light", data)
 
     def _gather(self, positions: np.ndarray, turned: np.ndarray, found: np.ndarray) -> None:
-        """Twin of the kernel."""
-        towards = np.einsum("nij,jr->nri", turned, gather_directions(self.anisotropy))
+        """Twin of the kernel, in its order of operations: rounding decides which cell is the nearest."""
+        local = gather_directions(self.anisotropy)
+        towards = np.stack([sum(row[:, i, None] * local[i] for i in range(3)) for row in np.moveaxis(turned, 1, 0)], -1)
         cells, coarse = np.float32(len(self.media) - 3), len(self.light)
         flux = np.float32(3.0 * reduced_anisotropy(self.anisotropy))
         sigma, scale = np.float32(self.sigma_hat), np.float32(SCALE)
         start, least = positions[:, None] + np.float32(0.5), np.float32(1e-6)
+        thickness, growth = np.float32(THICKNESS), np.float32(GROWTH)
+        shrinkage = np.float32(1.0) / growth
         distance, tau, single, reduced, scattered = np.zeros((5, *towards.shape[:2]), np.float32)
         extinction = sigma * _sample(self.media, start * cells)[..., 0]
-        step = np.broadcast_to(np.minimum(1 / cells, THICKNESS / np.maximum(extinction, least)), tau.shape)
+        step = np.broadcast_to(np.minimum(1 / cells, thickness / np.maximum(extinction, least)), tau.shape)
         for _ in range(STEPS):
             place = start + (distance + np.float32(0.5) * step)[..., None] * towards
             density, sun = np.moveaxis(sigma * _sample(self.media, place * cells), -1, 0)
@@ -165,8 +168,8 @@ class FinalGather:
             reduced += np.exp(-scale * (tau + sun)) * -np.expm1(-scale * gained)
             tau += gained
             distance = distance + step
-            thin = np.float32(THICKNESS) * (1 + tau) / np.maximum(density, least)
-            step = np.minimum(step * np.float32(GROWTH), np.maximum(thin, step / np.float32(GROWTH)))
+            thin = thickness * (1 + tau) / np.maximum(density, least)
+            step = np.minimum(step * growth, np.maximum(thin, step * shrinkage))
         found[...] = np.stack([single, reduced, scattered, np.exp(-tau)], axis=-1)
 
 
@@ -177,9 +180,9 @@ def _sample(padded: np.ndarray, cells: np.ndarray) -> np.ndarray:
     i, j, k = np.moveaxis(cell, -1, 0)
     x, y, z = np.moveaxis(at - cell, -1, 0)[..., None]
     rows = [
-        padded[i + a, j + b, k] + z * (padded[i + a, j + b, k + 1] - padded[i + a, j + b, k])
+        padded[i + a, j, k + c] + y * (padded[i + a, j + 1, k + c] - padded[i + a, j, k + c])
+        for c in (0, 1)
         for a in (0, 1)
-        for b in (0, 1)
     ]
-    low, high = rows[0] + y * (rows[1] - rows[0]), rows[2] + y * (rows[3] - rows[2])
-    return low + x * (high - low)
+    low, high = rows[0] + x * (rows[1] - rows[0]), rows[2] + x * (rows[3] - rows[2])
+    return low + z * (high - low)

@@ -205,7 +205,9 @@ def test_pictures_are_equal(projection):
         mean = one.rgb[one.alpha > 0.0].mean()
         difference = (one.rgb - other.rgb)[one.alpha > 0.0]
         if largest is not None:
-            assert np.abs(difference).max() < largest * mean
+            # Rounding moves a point across the border of the coarse transport's cells in few pixels.
+            flipped = np.abs(difference).max(axis=1) >= largest * mean
+            assert flipped.mean() < 0.005 and np.abs(difference).max() < 1e-3 * mean
         assert np.sqrt((difference**2).mean()) < 1e-3 * mean
 
 

@@ -58,7 +58,8 @@ def test_baked_light_joins_the_parts_too():
     volumes, suns = [(cloud(voxels=16), Medium(30.0, 0.98, 0.5))], soft_sun(AXIS, 1.0, np.radians(30.0))
     settings = (Settings(leave_out=without, directional=False) for without in (SEPARATE | {"soft_suns"}, SEPARATE))
     joined, each = (bake(volumes, suns, settings=one)[0].emission for one in settings)
-    assert np.sqrt(np.mean((joined - each) ** 2)) < 0.02 * each.mean() and not np.array_equal(joined, each)
+    # Of voxels: pixels, for which the budget is stated, average over them.
+    assert np.sqrt(np.mean((joined - each) ** 2)) < 0.025 * each.mean() and not np.array_equal(joined, each)
 
 
 def test_suns_that_are_part_of_nothing_stay_apart():
