@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that arrives at points from directions around the camera ray (final gathering).
 
-Light that forward scattering turns into the camera ray comes from directions close to it. Along 8 of these, on
-four cones around the camera ray that stand for quarters of the probability of Henyey-Greenstein's phase function, a few
+Light that forward scattering turns into the camera ray comes from directions close to it. Along 8 of these, on four
+cones around the camera ray that stand for quarters of the probability of Henyey-Greenstein's phase function, a few
 steps gather what reaches the point:
 
     single    = integral of exp(-tau - tau_sun) dtau,
     reduced   = integral of exp(-a (tau + tau_sun)) a dtau,
     scattered = integral of exp(-tau) (phi - 3 G' F . w) dtau,
 
-and the transmittance exp(-tau) of all steps. tau counts from the point, phi and F are the coarse
-transport's fluence and flux.
+and the transmittance exp(-tau) of all steps. tau counts from the point, phi and F are the coarse transport's fluence
+and flux, a is SCALE and G' the reduced mean cosine.
 """
 
 from dataclasses import dataclass
@@ -35,10 +35,8 @@ SCATTERED = 2
 STEPS = 8
 # Optical thickness of a step where tau is 0, and how much longer than the one before a step may be.
 THICKNESS, GROWTH = 0.4, 1.6
-# a, for light that is scattered forwards; the kernel relies on its value.
-SCALE = 1.0 / 3.0
-# Lower bound of phi - 3 G' F . w over phi.
-MIN_SHARE = 0.02
+# a, for light that is scattered forwards, and the lower bound of phi - 3 G' F . w over phi; the kernel holds them, too.
+SCALE, MIN_SHARE = 1.0 / 3.0, 0.02
 # Optical depth that stands for the shadow of surfaces.
 SHADOW_DEPTH = 16.0
 

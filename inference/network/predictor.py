@@ -36,7 +36,7 @@ from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
 from .lamp_nearby import LampNearby, transport_share
 from .network import load_network
-from .stencil_predictor import PreparedLampRays
+from .prepared_rays import PreparedLampRays
 from .uncertainty import UncertaintyNetwork
 
 # Points per network call.

@@ -2,15 +2,15 @@
 """How networks of kinds "stencil" and "ray" read a volume."""
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..features.descriptors import FieldLookup, angle_to_sun, describe, distinct_rows
+from ..features.descriptors import FieldLookup, describe
 from ..features.final_gather import LEVEL as GATHER_LEVEL
-from ..features.final_gather import SCATTERED, FinalGather, shadowed_depth, unit_sun_depth
+from ..features.final_gather import FinalGather, shadowed_depth, unit_sun_depth
 from ..features.mip_lattices import (
     Lattices,
     SunLevels,
@@ -21,7 +21,7 @@ from ..features.mip_lattices import (
     visibility_levels,
 )
 from ..features.phase_features import PhaseFeatures
-from ..features.stencil import SPARSE, Stencil, frames
+from ..features.stencil import SPARSE, Stencil
 from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
@@ -33,7 +33,6 @@ from ..transport.environment_light import Skies, direction_radiance, ordinate_ra
 from ..transport.lamp_beam import CubeCells
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import (
-    PROBES,
     FluenceLattice,
     ScatteredFluence,
     fluence_and_flux,
@@ -45,7 +44,7 @@ from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .lamp_nearby import MIN_ALBEDO, LampNearby
-from .uncertainty import UncertaintyNetwork, deviations
+from .prepared_rays import PreparedLampRays, PreparedRays
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -161,7 +160,7 @@ class RayPredictor(StencilPredictor):
         self._albedo: CoarseAlbedo | None = None
         self._places: dict[tuple[Any, ...], np.ndarray] = {}
 
-    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedRays":
+    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> PreparedRays:
         """What predicts under these conditions. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
@@ -245,7 +244,7 @@ class RayPredictor(StencilPredictor):
             solved = list(tasks.each(lambda sun: self._solve(sun, tasks.cancel), suns))
         return ScatteredFluence.in_cube(self.cube, [light for _, light in solved], self.anisotropy)
 
-    def prepare_lamp(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedLampRays":
+    def prepare_lamp(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> PreparedLampRays:
         """What predicts the light of the conditions' lamp. Raises Cancelled."""
         assert conditions.lamp is not None
         with tasks.cancel.locked(self._lock):
@@ -374,149 +373,3 @@ class RayPredictor(StencilPredictor):
         return DiscreteOrdinates(
             self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels, albedo
         )
-
-
-@dataclass(frozen=True)
-class PreparedRays:
-    """A RayPredictor under certain conditions; a `PreparedPrediction`."""
-
-    network: Any
-    lookup: FieldLookup
-    light: FluenceLattice
-    gather: FinalGather
-    anisotropy: float
-
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """As PreparedPrediction. Raises ValueError without ray features."""
-        return self.network.run(**self._inputs(positions, omega, jitter, ray_features), albedo=albedos)
-
-    def deviation(
-        self,
-        network: UncertaintyNetwork,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        radiance: Mapping[float, np.ndarray],
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
-
-        radiance: (N,), of each albedo, as `predict` gives it; the other arguments as there.
-        """
-        return deviations(network, self._inputs(positions, omega, jitter, ray_features), radiance)
-
-    def _inputs(
-        self, positions: np.ndarray, omega: np.ndarray, jitter: np.ndarray | None, ray_features: np.ndarray | None
-    ) -> dict[str, np.ndarray]:
-        """What the network reads, by name, but for the albedos. Raises ValueError without ray features."""
-        first, view = distinct_rows(omega)
-        stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
-        sun = self.lookup.sun
-        gamma = angle_to_sun(omega[first], sun)
-        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        around = self.light.read(positions, omega, sun, self.anisotropy)
-        if ray_features is None:
-            raise ValueError(f"the network {self.network.name} needs ray features")
-        return {
-            "stencil": stencil,
-            "ray": np.concatenate([ray_features, around], axis=1),
-            "gathered": self.gather(positions, frames(omega[first], sun)[view]),
-            "view": view,
-            "anisotropy": anisotropy,
-            "gamma": gamma,
-        }
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size
-
-
-@dataclass(frozen=True)
-class PreparedLampRays:
-    """A RayPredictor for one lamp under certain conditions. Immutable.
-
-    light: scattered light of a lamp of power 1, over `scale`.
-    """
-
-    network: Any
-    lookup: FieldLookup
-    light: FluenceLattice
-    gather: FinalGather
-    scale: float
-    anisotropy: float
-
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        towards: np.ndarray,
-        irradiance: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Radiance float32 (A, N) as if a sun of irradiance 1 stood in the lamp's place, as PreparedPrediction.
-
-        positions, omega: (N, 3) in the cube's frame. towards: (N, 3), unit vectors towards the lamp. irradiance: (N,),
-        of the lamp of power 1, over which the ray features are given. Raises ValueError without them.
-        """
-        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
-        return self.network.run(**inputs, albedo=albedos)
-
-    def deviation(
-        self,
-        network: UncertaintyNetwork,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        towards: np.ndarray,
-        irradiance: np.ndarray,
-        radiance: Mapping[float, np.ndarray],
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """As PreparedRays; the other arguments as for `predict`."""
-        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
-        return deviations(network, inputs, radiance)
-
-    def _inputs(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        towards: np.ndarray,
-        irradiance: np.ndarray,
-        jitter: np.ndarray | None,
-        ray_features: np.ndarray | None,
-    ) -> dict[str, np.ndarray]:
-        """As PreparedRays."""
-        if ray_features is None:
-            raise ValueError(f"the network {self.network.name} needs ray features")
-        view = np.arange(len(positions), dtype=np.int32)
-        stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
-        gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
-        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        around = self.light.read(positions, omega, towards, self.anisotropy)
-        of_sun = (self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)
-        around[:, : PROBES + 1] += np.log(of_sun)[:, None]
-        gathered = self.gather(positions, frames(omega, towards))
-        gathered[:, :, SCATTERED] *= of_sun[:, None]
-        return {
-            "stencil": stencil,
-            "ray": np.concatenate([ray_features, around], axis=1),
-            "gathered": gathered,
-            "view": view,
-            "anisotropy": anisotropy,
-            "gamma": gamma,
-        }
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size

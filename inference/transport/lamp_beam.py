@@ -93,7 +93,7 @@ class LampInCube:
         return depth.reshape(n, n, n)
 
     def _light(
-        self, solver: "DiscreteOrdinates | CubeCells", filled: np.ndarray, few: int, cancel: CancelToken
+        self, solver: DiscreteOrdinates | CubeCells, filled: np.ndarray, few: int, cancel: CancelToken
     ) -> np.ndarray:
         """Mean of the unscattered light float64 (n^3,) over those cells that are `filled`, bool (n^3,).
 
@@ -129,7 +129,7 @@ class LampInCube:
 
     def _add_compiled(
         self,
-        solver: "DiscreteOrdinates | CubeCells",
+        solver: DiscreteOrdinates | CubeCells,
         depth: LampOpticalDepth,
         number: int,
         samples: tuple[np.ndarray, int],

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What networks of kind "ray" predict from at points, in the light of one sun or lamp."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..features.descriptors import FieldLookup, angle_to_sun, distinct_rows
+from ..features.final_gather import SCATTERED, FinalGather
+from ..features.stencil import frames
+from ..transport.scattered_fluence import PROBES, FluenceLattice
+from .uncertainty import UncertaintyNetwork, deviations
+
+
+@dataclass(frozen=True)
+class PreparedRays:
+    """A `stencil_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`."""
+
+    network: Any
+    lookup: FieldLookup
+    light: FluenceLattice
+    gather: FinalGather
+    anisotropy: float
+
+    def predict(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedPrediction. Raises ValueError without ray features."""
+        return self.network.run(**self._inputs(positions, omega, jitter, ray_features), albedo=albedos)
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
+
+        radiance: (N,), of each albedo, as `predict` gives it; the other arguments as there.
+        """
+        return deviations(network, self._inputs(positions, omega, jitter, ray_features), radiance)
+
+    def _inputs(
+        self, positions: np.ndarray, omega: np.ndarray, jitter: np.ndarray | None, ray_features: np.ndarray | None
+    ) -> dict[str, np.ndarray]:
+        """What the network reads, by name, but for the albedos. Raises ValueError without ray features."""
+        first, view = distinct_rows(omega)
+        stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
+        sun = self.lookup.sun
+        gamma = angle_to_sun(omega[first], sun)
+        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
+        around = self.light.read(positions, omega, sun, self.anisotropy)
+        if ray_features is None:
+            raise ValueError(f"the network {self.network.name} needs ray features")
+        return {
+            "stencil": stencil,
+            "ray": np.concatenate([ray_features, around], axis=1),
+            "gathered": self.gather(positions, frames(omega[first], sun)[view]),
+            "view": view,
+            "anisotropy": anisotropy,
+            "gamma": gamma,
+        }
+
+    @property
+    def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
+        return self.lookup.lattices.values.size
+
+
+@dataclass(frozen=True)
+class PreparedLampRays:
+    """A RayPredictor for one lamp under certain conditions. Immutable.
+
+    light: scattered light of a lamp of power 1, over `scale`.
+    """
+
+    network: Any
+    lookup: FieldLookup
+    light: FluenceLattice
+    gather: FinalGather
+    scale: float
+    anisotropy: float
+
+    def predict(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        albedos: np.ndarray,
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Radiance float32 (A, N) as if a sun of irradiance 1 stood in the lamp's place, as PreparedPrediction.
+
+        positions, omega: (N, 3) in the cube's frame. towards: (N, 3), unit vectors towards the lamp. irradiance: (N,),
+        of the lamp of power 1, over which the ray features are given. Raises ValueError without them.
+        """
+        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        return self.network.run(**inputs, albedo=albedos)
+
+    def deviation(
+        self,
+        network: UncertaintyNetwork,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        radiance: Mapping[float, np.ndarray],
+        jitter: np.ndarray | None = None,
+        ray_features: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As PreparedRays; the other arguments as for `predict`."""
+        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        return deviations(network, inputs, radiance)
+
+    def _inputs(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        towards: np.ndarray,
+        irradiance: np.ndarray,
+        jitter: np.ndarray | None,
+        ray_features: np.ndarray | None,
+    ) -> dict[str, np.ndarray]:
+        """As PreparedRays."""
+        if ray_features is None:
+            raise ValueError(f"the network {self.network.name} needs ray features")
+        view = np.arange(len(positions), dtype=np.int32)
+        stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
+        gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
+        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
+        around = self.light.read(positions, omega, towards, self.anisotropy)
+        of_sun = (self.scale / np.maximum(irradiance, 1e-30)).astype(np.float32)
+        around[:, : PROBES + 1] += np.log(of_sun)[:, None]
+        gathered = self.gather(positions, frames(omega, towards))
+        gathered[:, :, SCATTERED] *= of_sun[:, None]
+        return {
+            "stencil": stencil,
+            "ray": np.concatenate([ray_features, around], axis=1),
+            "gathered": gathered,
+            "view": view,
+            "anisotropy": anisotropy,
+            "gamma": gamma,
+        }
+
+    @property
+    def lattice_cells(self) -> int:
+        """Cells of the lookup lattices."""
+        return self.lookup.lattices.values.size
