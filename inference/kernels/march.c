@@ -676,13 +676,18 @@ static void gather_features(const Scene *scene, int64_t g, const Gathering *of, 
     int64_t room = work->stride, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
     const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
-    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)of->fluence->reduced_fraction};
+    const float reduced = (float)of->fluence->reduced_fraction;
+    /* Towards the sun and along the ray, so that one vector holds the exponentials of a step. */
+    const Floats along_ray = {a, b, c, a, reduced}, both = {a, b, c, a, b, c, a, reduced};
     const Ints of_sun = {-1, -1, -1};
     Floats ahead = in_all(0.0f);
     float tau_ahead = 0.0f;
     int64_t n = count - 1;
     for (int64_t s = steps - 1; s >= from; s--) {
-        Floats sun = transmittance(towards_sun * (0.5f * (start[s] + end[s]))), lost;
+        Floats lost, depth = choose(of_sun, in_all(0.5f * (start[s] + end[s])), in_all(tau[s]));
+        Floats sun = exp_minus(both * depth, &lost);
+        const Floats passed = __builtin_shufflevector(sun, sun, 3, 4, 5, 6, 7, 7, 7, 7);
+        lost = __builtin_shufflevector(lost, lost, 3, 4, 5, 6, 7, 7, 7, 7);
         if (of->visible) sun *= of->visible[s];
         if (of->received) sun *= of->received[s];
         Floats light = choose(of_sun, sun, in_all(work->source[s]));
@@ -697,11 +702,10 @@ static void gather_features(const Scene *scene, int64_t g, const Gathering *of, 
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
-            Floats passed = exp_minus(along_ray * rest, &lost), found = light * lost + passed * ahead;
+            Floats gone, kept = exp_minus(along_ray * rest, &gone), found = light * gone + kept * ahead;
             if (of->unit) found = found / of->unit[n];
             memcpy(values + 2, &found, INTEGRALS * sizeof *values);
         }
-        Floats passed = exp_minus(along_ray * tau[s], &lost);
         ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];
     }
