@@ -572,12 +572,15 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
         double middle[LANES];
         Floats number, found;
         Ints cell = {0};
-        FOR_LANES(n) {
-            int64_t block = least_int((s + n) / STEPS, work->blocks - 1);
-            double size = work->size[block];
-            middle[n] = work->place[block] + (n % STEPS + 0.5) * size;
+        for (int k = 0; k < LANES / STEPS; k++) {
+            int64_t block = least_int(s / STEPS + k, work->blocks - 1);
+            double size = work->size[block], place = work->place[block];
             /* Of the step on a ray that consists of such steps alone; sizes are powers of two. */
-            number[n] = (float)(work->place[block] / size + n % STEPS);
+            double first = place / size;
+            for (int n = 0; n < STEPS; n++) {
+                middle[STEPS * k + n] = place + (n + 0.5) * size;
+                number[STEPS * k + n] = (float)(first + n);
+            }
         }
         Floats position[3];
         positions_at(&line, middle, position);
@@ -588,10 +591,13 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
             Ints along = to_ints(clamped_to(position[axis] + shift, in_all(0.0f), in_all(most)));
             cell = cell * (int32_t)fluence->cells + along;
         }
+        Pairs fluence_and_x, y_and_z;
         FOR_LANES(n) {
             const float *at = light + 4 * (int64_t)cell[n];
-            found[n] = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
+            fluence_and_x[n] = pair_at(at), y_and_z[n] = pair_at(at + 2);
         }
+        found = first_of(fluence_and_x) + weight[0] * second_of(fluence_and_x);
+        found = found + weight[1] * first_of(y_and_z) + weight[2] * second_of(y_and_z);
         Ints filled = (load(tau + s) > 0.0f) & (found > 0.0f);
         store(work->source + s, choose(filled, found * scale, in_all(0.0f)));
     }
