@@ -250,48 +250,49 @@ typedef struct {
 
 /* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
 static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep_empty, Work *work, Coming *coming) {
-    coming->count = coming->used = 0;
-    while (coming->count < AHEAD && coming->from < whole) {
+    double from = coming->from;
+    int64_t count = 0, passed = coming->passed;
+    while (count < AHEAD && from < whole) {
         /* The cells of blocks that follow each other, of which some are then leapt over. */
         double middle[LANES];
-        FOR_LANES(n) middle[n] = coming->from + STEPS * (n + 0.5);
+        FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
         for (int64_t v = 0; v < scene->volumes; v++) {
             Floats position[3];
             positions_at(work->lines + v, middle, position);
             Longs cells = cells_around(&scene->media[v].occupancy, position);
             memcpy(work->cells + LANES * v, &cells, sizeof cells);
         }
-        for (int64_t n = 0; n < LANES && coming->count < AHEAD && coming->from < whole;) {
-            int64_t number = coming->count;
+        for (int64_t n = 0; n < LANES && count < AHEAD && from < whole;) {
             int held = keep_empty;
             Nearby nearby = {0, 0.0, INT64_MAX};
             for (int64_t v = 0; v < scene->volumes; v++) {
                 const Medium *medium = scene->media + v;
                 const Line *line = work->lines + v;
-                uint8_t *near = work->near + number * scene->volumes + v;
+                uint8_t *near = work->near + count * scene->volumes + v;
                 *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
-                if (*near && !block_held(medium, line, coming->from)) *near = 2;
+                if (*near && !block_held(medium, line, from)) *near = 2;
                 held |= *near == 1;
             }
             int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
             if (nearby.near && held) {
-                coming->place[number] = coming->from;
-                coming->peak[number] = nearby.peak;
-                coming->before[number] = coming->passed;
-                coming->passed = 0;
-                coming->count++;
+                coming->place[count] = from;
+                coming->peak[count] = nearby.peak;
+                coming->before[count] = passed;
+                passed = 0;
+                count++;
             } else {
-                coming->passed += nearby.near;
+                passed += nearby.near;
             }
-            coming->from += (double)(STEPS * next);
+            from += (double)(STEPS * next);
             n = next < LANES ? n + next : LANES;
         }
     }
-    for (int64_t n = 0; n < coming->count; n++) {
+    coming->from = from, coming->count = count, coming->used = 0, coming->passed = passed;
+    for (int64_t n = 0; n < count; n++) {
         const uint8_t *near = work->near + n * scene->volumes;
         sample_media(scene, ray, coming->place[n], 1.0, near, STEPS * (work->room + n), work);
     }
-    return coming->count > 0;
+    return count > 0;
 }
 
 /* Keep a block whose steps were left as those from `at` on. */
