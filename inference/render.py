@@ -103,7 +103,7 @@ def _finished_parts(
             context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
-            framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
+            framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, camera, framebuffer)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out

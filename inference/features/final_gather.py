@@ -13,6 +13,7 @@ and the transmittance exp(-tau) of all steps. tau counts from the point, phi and
 and flux, a is SCALE and G' the reduced mean cosine.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,7 @@ SCALE, MIN_SHARE = 1.0 / 3.0, 0.02
 SHADOW_DEPTH = 16.0
 
 
+@functools.lru_cache(maxsize=64)
 def gather_directions(anisotropy: float) -> np.ndarray:
     """Unit vectors float32 (3, RAYS), ring after ring, in the frame of the camera ray (`stencil.frames`)."""
     share, g = (np.arange(RINGS) + 0.5) / RINGS, anisotropy
@@ -66,6 +68,7 @@ def shadowed_depth(depth: np.ndarray, visibility: np.ndarray, sigma_hat: float) 
     return depth - np.log(np.maximum(visibility, np.exp(-SHADOW_DEPTH))) / np.float32(max(sigma_hat, 1e-30))
 
 
+@functools.cache
 def _shifts() -> np.ndarray:
     """float32 (3, RAYS) in [-1/2, 1/2): where rays look up the nearest cell, so that not all leave it at once."""
     return np.mod(np.outer([0.819, 0.671, 0.549], np.arange(RAYS) + 0.5), 1.0).astype(np.float32) - np.float32(0.5)
@@ -116,8 +119,10 @@ class FinalGather:
         else:
             self._gather_compiled(self.kernels, at, turned, found)
         pairs = found.reshape(len(at), RINGS // 2, 2, AZIMUTHS, VALUES)
-        across = pairs[:, :, 0].mean(axis=2, keepdims=True)
-        return np.concatenate([across, pairs[:, :, 1]], axis=2).reshape(len(at), DIRECTIONS, VALUES)
+        gathered = np.empty((len(at), RINGS // 2, 1 + AZIMUTHS, VALUES), np.float32)
+        gathered[:, :, 0] = np.float32(0.5) * (pairs[:, :, 0, 0] + pairs[:, :, 0, 1])
+        gathered[:, :, 1:] = pairs[:, :, 1]
+        return gathered.reshape(len(at), DIRECTIONS, VALUES)
 
     def _gather_compiled(self, kernels: Kernels, positions: np.ndarray, turned: np.ndarray, found: np.ndarray) -> None:
         data = LightGather(

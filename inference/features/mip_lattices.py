@@ -147,7 +147,10 @@ class Lattices:
         steps = self.values.take(index, mode="clip").view(np.uint16)
         features = features.reshape(steps.shape)
         features[...] = steps
-        features *= np.tile(np.array([self.density_step, 1.0 / QUANTA][: self.columns], np.float32), index.shape[1])
+        if self.columns == 1:
+            features *= self.density_step
+        else:
+            features *= np.tile(np.array([self.density_step, 1.0 / QUANTA], np.float32), index.shape[1])
 
 
 def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -84,9 +84,18 @@ def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     omega = np.asarray(omega, np.float64)
     along = omega @ sun if np.ndim(sun) == 1 else (omega * sun).sum(axis=1)
     x = sun - along[:, None] * omega
-    # The axis least aligned with omega replaces a perpendicular part that vanishes.
-    spare = np.eye(3)[np.abs(omega).argmin(axis=1)]
-    spare = spare - np.sum(spare * omega, axis=1, keepdims=True) * omega
-    x = np.where(lengths(x)[:, None] < 1e-6, spare, x)
-    x /= lengths(x)[:, None]
-    return np.stack([x, np.cross(omega, x), omega], axis=2)
+    length = lengths(x)
+    parallel = np.flatnonzero(length < 1e-6)
+    if len(parallel):
+        # The axis least aligned with omega replaces a perpendicular part that vanishes.
+        some = omega[parallel]
+        spare = np.eye(3)[np.abs(some).argmin(axis=1)]
+        x[parallel] = spare - np.sum(spare * some, axis=1, keepdims=True) * some
+        length = lengths(x)
+    x /= length[:, None]
+    turned = np.empty((len(omega), 3, 3))
+    turned[:, :, 0], turned[:, :, 2] = x, omega
+    # Their cross product; numpy's own function is slow along short axes.
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        turned[:, i, 1] = omega[:, j] * x[:, k] - omega[:, k] * x[:, j]
+    return turned

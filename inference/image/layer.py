@@ -46,9 +46,13 @@ def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Repo
         colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission)
     )
     alpha = framebuffer.alpha
-    depth = np.where(alpha > 0.0, framebuffer.depth / np.maximum(alpha, np.float32(1e-30)), np.float32(np.inf))
+    depth = np.maximum(alpha, np.float32(1e-30))
+    np.divide(framebuffer.depth, depth, out=depth)
+    depth[~(alpha > 0.0)] = np.inf
+    rgb = single + multiple
+    rgb += emission
     return Layer(
-        rgb=single + multiple + emission,
+        rgb=rgb,
         alpha=np.clip(alpha, 0.0, 1.0).reshape(shape),
         depth=depth.reshape(shape),
         single=single,

@@ -102,16 +102,23 @@ def expected_error(layer: Layer) -> ExpectedError | None:
     if not layer.multiple.any():
         return None
     shown = layer.alpha > SHOWN_ALPHA
+    if not shown.any():
+        return None
+    # Nothing else counts.
+    part = tuple(
+        slice(places[0], places[-1] + 1) for places in map(np.flatnonzero, (shown.any(axis=1), shown.any(axis=0)))
+    )
+    shown, alpha = shown[part], layer.alpha[part]
     # numpy is slow to sum along short axes.
-    red, green, blue = (layer.rgb[..., c] for c in range(3))
+    red, green, blue = (layer.rgb[(*part, c)] for c in range(3))
     light = np.where(shown, (red + green + blue) / np.float32(3.0), np.float32(0.0))
-    variance = np.where(shown, np.square(layer.uncertainty, dtype=np.float64), 0.0)
+    variance = np.where(shown, np.square(layer.uncertainty[part], dtype=np.float64), 0.0)
     total = light.sum(dtype=np.float64)
     if not total > 0.0:
         return None
     error = float(np.sqrt(variance.sum() * shown.sum()) / total)
     low, high = (error * factor for factor in MOST_OF_PICTURES)
-    return ExpectedError(error, low, high, BIAS * error, _where(variance, light, shown, layer.alpha))
+    return ExpectedError(error, low, high, BIAS * error, _where(variance, light, shown, alpha))
 
 
 def _where(variance: np.ndarray, light: np.ndarray, shown: np.ndarray, alpha: np.ndarray) -> str:

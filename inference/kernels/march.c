@@ -250,48 +250,49 @@ typedef struct {
 
 /* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
 static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep_empty, Work *work, Coming *coming) {
-    coming->count = coming->used = 0;
-    while (coming->count < AHEAD && coming->from < whole) {
+    double from = coming->from;
+    int64_t count = 0, passed = coming->passed;
+    while (count < AHEAD && from < whole) {
         /* The cells of blocks that follow each other, of which some are then leapt over. */
         double middle[LANES];
-        FOR_LANES(n) middle[n] = coming->from + STEPS * (n + 0.5);
+        FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
         for (int64_t v = 0; v < scene->volumes; v++) {
             Floats position[3];
             positions_at(work->lines + v, middle, position);
             Longs cells = cells_around(&scene->media[v].occupancy, position);
             memcpy(work->cells + LANES * v, &cells, sizeof cells);
         }
-        for (int64_t n = 0; n < LANES && coming->count < AHEAD && coming->from < whole;) {
-            int64_t number = coming->count;
+        for (int64_t n = 0; n < LANES && count < AHEAD && from < whole;) {
             int held = keep_empty;
             Nearby nearby = {0, 0.0, INT64_MAX};
             for (int64_t v = 0; v < scene->volumes; v++) {
                 const Medium *medium = scene->media + v;
                 const Line *line = work->lines + v;
-                uint8_t *near = work->near + number * scene->volumes + v;
+                uint8_t *near = work->near + count * scene->volumes + v;
                 *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
-                if (*near && !block_held(medium, line, coming->from)) *near = 2;
+                if (*near && !block_held(medium, line, from)) *near = 2;
                 held |= *near == 1;
             }
             int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
             if (nearby.near && held) {
-                coming->place[number] = coming->from;
-                coming->peak[number] = nearby.peak;
-                coming->before[number] = coming->passed;
-                coming->passed = 0;
-                coming->count++;
+                coming->place[count] = from;
+                coming->peak[count] = nearby.peak;
+                coming->before[count] = passed;
+                passed = 0;
+                count++;
             } else {
-                coming->passed += nearby.near;
+                passed += nearby.near;
             }
-            coming->from += (double)(STEPS * next);
+            from += (double)(STEPS * next);
             n = next < LANES ? n + next : LANES;
         }
     }
-    for (int64_t n = 0; n < coming->count; n++) {
+    coming->from = from, coming->count = count, coming->used = 0, coming->passed = passed;
+    for (int64_t n = 0; n < count; n++) {
         const uint8_t *near = work->near + n * scene->volumes;
         sample_media(scene, ray, coming->place[n], 1.0, near, STEPS * (work->room + n), work);
     }
-    return coming->count > 0;
+    return count > 0;
 }
 
 /* Keep a block whose steps were left as those from `at` on. */
@@ -572,12 +573,15 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
         double middle[LANES];
         Floats number, found;
         Ints cell = {0};
-        FOR_LANES(n) {
-            int64_t block = least_int((s + n) / STEPS, work->blocks - 1);
-            double size = work->size[block];
-            middle[n] = work->place[block] + (n % STEPS + 0.5) * size;
+        for (int k = 0; k < LANES / STEPS; k++) {
+            int64_t block = least_int(s / STEPS + k, work->blocks - 1);
+            double size = work->size[block], place = work->place[block];
             /* Of the step on a ray that consists of such steps alone; sizes are powers of two. */
-            number[n] = (float)(work->place[block] / size + n % STEPS);
+            double first = place / size;
+            for (int n = 0; n < STEPS; n++) {
+                middle[STEPS * k + n] = place + (n + 0.5) * size;
+                number[STEPS * k + n] = (float)(first + n);
+            }
         }
         Floats position[3];
         positions_at(&line, middle, position);
@@ -588,10 +592,13 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
             Ints along = to_ints(clamped_to(position[axis] + shift, in_all(0.0f), in_all(most)));
             cell = cell * (int32_t)fluence->cells + along;
         }
+        Pairs fluence_and_x, y_and_z;
         FOR_LANES(n) {
             const float *at = light + 4 * (int64_t)cell[n];
-            found[n] = at[0] + weight[0] * at[1] + weight[1] * at[2] + weight[2] * at[3];
+            fluence_and_x[n] = pair_at(at), y_and_z[n] = pair_at(at + 2);
         }
+        found = first_of(fluence_and_x) + weight[0] * second_of(fluence_and_x);
+        found = found + weight[1] * first_of(y_and_z) + weight[2] * second_of(y_and_z);
         Ints filled = (load(tau + s) > 0.0f) & (found > 0.0f);
         store(work->source + s, choose(filled, found * scale, in_all(0.0f)));
     }
@@ -676,13 +683,18 @@ static void gather_features(const Scene *scene, int64_t g, const Gathering *of, 
     int64_t room = work->stride, steps = STEPS * work->blocks, from = work->sample_step[0];
     const float *start = work->start + g * room, *end = work->end + g * room, *tau = work->group_tau + g * room;
     const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
-    const Floats towards_sun = {a, b, c}, along_ray = {a, b, c, a, (float)of->fluence->reduced_fraction};
+    const float reduced = (float)of->fluence->reduced_fraction;
+    /* Towards the sun and along the ray, so that one vector holds the exponentials of a step. */
+    const Floats along_ray = {a, b, c, a, reduced}, both = {a, b, c, a, b, c, a, reduced};
     const Ints of_sun = {-1, -1, -1};
     Floats ahead = in_all(0.0f);
     float tau_ahead = 0.0f;
     int64_t n = count - 1;
     for (int64_t s = steps - 1; s >= from; s--) {
-        Floats sun = transmittance(towards_sun * (0.5f * (start[s] + end[s]))), lost;
+        Floats lost, depth = choose(of_sun, in_all(0.5f * (start[s] + end[s])), in_all(tau[s]));
+        Floats sun = exp_minus(both * depth, &lost);
+        const Floats passed = __builtin_shufflevector(sun, sun, 3, 4, 5, 6, 7, 7, 7, 7);
+        lost = __builtin_shufflevector(lost, lost, 3, 4, 5, 6, 7, 7, 7, 7);
         if (of->visible) sun *= of->visible[s];
         if (of->received) sun *= of->received[s];
         Floats light = choose(of_sun, sun, in_all(work->source[s]));
@@ -697,11 +709,10 @@ static void gather_features(const Scene *scene, int64_t g, const Gathering *of, 
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
-            Floats passed = exp_minus(along_ray * rest, &lost), found = light * lost + passed * ahead;
+            Floats gone, kept = exp_minus(along_ray * rest, &gone), found = light * gone + kept * ahead;
             if (of->unit) found = found / of->unit[n];
             memcpy(values + 2, &found, INTEGRALS * sizeof *values);
         }
-        Floats passed = exp_minus(along_ray * tau[s], &lost);
         ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];
     }

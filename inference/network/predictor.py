@@ -40,7 +40,7 @@ from .prepared_rays import PreparedLampRays
 from .uncertainty import UncertaintyNetwork
 
 # Points per network call.
-POINTS_PER_TASK = 2048
+POINTS_PER_TASK = 4096
 # Fluence of a beam of irradiance 1 that meets a conservative half-space head-on, deep inside: sqrt(3) H(1), with
 # Chandrasekhar's H-function. No cloud holds more of one sun's light.
 MAX_FLUENCE = 5.04

@@ -142,12 +142,19 @@ def pixels_around(camera: Camera, held: np.ndarray, corners: np.ndarray) -> np.n
         low, high = np.minimum(low[lower], low[upper]), np.maximum(high[lower], high[upper])
     # One pixel more on each side, for rounding. Where rectangles begin and end tells how many cover each pixel.
     origin, size = np.array([[x0], [y0]]), np.array([[x1 - x0], [y1 - y0]])
-    left, top = np.clip(np.floor(low[:, held]) - 1.0 - origin, 0, size).astype(int)
-    right, bottom = np.clip(np.ceil(high[:, held]) + 1.0 - origin, 0, size).astype(int)
-    width, height = x1 - x0 + 1, y1 - y0 + 1
-    begin, end = (
+    shown = np.zeros((y1 - y0, x1 - x0), bool)
+    first = np.clip(np.floor(low[:, held]) - 1.0 - origin, 0, size).astype(int)
+    end = np.clip(np.ceil(high[:, held]) + 1.0 - origin, 0, size).astype(int)
+    if not first.size:
+        return shown
+    (left0, top0), (right0, bottom0) = first.min(axis=1), end.max(axis=1)
+    (left, top), (right, bottom) = first - [[left0], [top0]], end - [[left0], [top0]]
+    width, height = right0 - left0 + 1, bottom0 - top0 + 1
+    change, ends = (
         np.bincount(np.concatenate([top * width + one, bottom * width + other]), minlength=width * height)
         for one, other in ((left, right), (right, left))
     )
-    change = (begin - end).reshape(height, width)
-    return (np.cumsum(np.cumsum(change, axis=0), axis=1) > 0)[:-1, :-1]
+    change -= ends
+    covered = np.cumsum(np.cumsum(change.reshape(height, width), axis=0, dtype=np.int32), axis=1, dtype=np.int32)
+    shown[top0:bottom0, left0:right0] = covered[:-1, :-1] > 0
+    return shown
