@@ -14,6 +14,8 @@ from .lamps import MEDIUM_SIZE, MOST, SMALL, Emitter, QuadEmitter, SphereEmitter
 CLOSED = 1e-3
 # Triangles, at least, of which patches are made.
 PARTS = 512
+#: Moments of a patch along its axes that differ by less, relatively, are taken as equal.
+ALIKE = 1e-3
 # Ratio of the principal moments of a patch below which its own edges tell its orientation.
 ROUND = 1.5
 
@@ -126,7 +128,11 @@ def _spread(place: np.ndarray, areas: np.ndarray) -> tuple[float, np.ndarray, np
     mean = areas @ place / areas.sum()
     away = place - mean
     values, axes = np.linalg.eigh((away * areas[:, None]).T @ away)
-    return float(values[-1]), axes[:, -1], mean
+    # Bodies like a ball spread alike along several axes, between which rounding must not decide.
+    alike = axes[:, values > (1.0 - ALIKE) * values[-1]]
+    axis = alike @ (alike.T @ 0.5 ** np.arange(len(axes)))
+    size = np.linalg.norm(axis)
+    return float(values[-1]), axis / size if size > 0.0 else axes[:, -1], mean
 
 
 def _quadrilateral(parts: np.ndarray, areas: np.ndarray, vector: np.ndarray) -> np.ndarray:
