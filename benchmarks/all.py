@@ -47,7 +47,7 @@ COMMANDS = (
     "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
     "benchmarks.fidelity.baked_directions",
     *(f"benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light {kind}" for kind in LIGHTS),
-    "benchmarks.cycles.baked_picture",
+    "benchmarks.cycles.baked_picture --samples 2 --most 64",
     "benchmarks.cycles.baked_ways",
     "benchmarks.cycles.baked_film",
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
