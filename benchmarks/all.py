@@ -27,6 +27,7 @@ from .support.pages import replace
 CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
+LIGHTS = "sky", "parallel", "lamp"
 #: In the order in which they run: what is short, and then what takes hours.
 COMMANDS = (
     "benchmarks.demo --figures docs/readme.csv",
@@ -45,7 +46,8 @@ COMMANDS = (
     "benchmarks.cycles.baked_speed --size 512",
     "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
     "benchmarks.fidelity.baked_directions",
-    "benchmarks.cycles.baked_picture --size 360 270 --cells 96 --samples 2",
+    *(f"benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light {kind}" for kind in LIGHTS),
+    "benchmarks.cycles.baked_picture --samples 2 --most 64",
     "benchmarks.cycles.baked_ways",
     "benchmarks.cycles.baked_film",
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",

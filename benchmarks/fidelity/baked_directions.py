@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light without the noise of a renderer: against independent references, and beside the baked camera.
 
-    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64] [--turn 40]
+    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64] [--turn 40] [--light sun]
 
 Prints a row per view: the error and bias of layers and of the baked light where it was baked, against the view's
 reference, and of the baked light from a camera turned by so many degrees about the volume, against a layer rendered
 from there, at size^2 pixels; and the processor seconds of the bake, with and without other directions. Baked light is
-integrated along the pixels' rays, and the single scattering is the layer's.
+integrated along the pixels' rays, and the single scattering is the layer's. With --light sky, lamp or parallel a row
+compares both cameras with layers, in the light of a sky over dark ground or of a point light on the sun's side instead
+of the sun; parallel bakes twelve parallel lights in the sky's place.
 """
 
 import argparse
@@ -14,16 +16,22 @@ import time
 
 import numpy as np
 
-from inference import Camera, LitVolume, Settings, Sun, bake, render
+from inference import Camera, Environment, LitVolume, PointLight, Settings, Sun, bake, render
 from inference.evaluation.error import relative_bias, relative_rmse
 from inference.grids.grid import Grid
+from inference.plan.directional_lights import directional_lights
+from inference.plan.lights import DIRECTIONS
 from inference.scene.optimizations import ALL
 
 from ..support.provenance import commit, weights_checksum
+from .environments import environments
 from .views import MASK_ALPHA, View, independent_views, look_at
 
 ORBIT = 40.0
 EXACT = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+SKY = "gradient over dark ground"
+# Distance of the point light from the volume's middle.
+LAMP_DISTANCE = 1.0
 # Steps along a ray, in edges of the cube, and transmittance at which it ends.
 STEP, OPAQUE = 1.0 / 192.0, 1e-3
 
@@ -61,29 +69,49 @@ def seen(view: View, camera: Camera, lit: LitVolume, pixels: np.ndarray) -> np.n
     return image
 
 
-def measure(view: View, size: int, degrees: float) -> str:
-    """One row of the table; degrees: by which the camera beside is turned."""
-    scene, camera = (view.volumes(), [Sun(view.sun, 1.0)]), view.camera(view.spec.size)
+def lights(view: View, kind: str) -> tuple[list, list]:
+    """Lights that are baked, and those of the layers."""
+    if kind == "sun":
+        return [Sun(view.sun, 1.0)], [Sun(view.sun, 1.0)]
+    if kind == "lamp":
+        lamp = PointLight(LAMP_DISTANCE * np.asarray(view.sun) / np.linalg.norm(view.sun), 1.0)
+        return [lamp], [lamp]
+    sky = Environment(np.repeat(environments()[SKY][..., None], 3, axis=2))
+    return directional_lights(sky, DIRECTIONS) if kind == "parallel" else [sky], [sky]
+
+
+def measure(view: View, size: int, degrees: float, kind: str) -> str:
+    """One row of the table; degrees: by which the camera beside is turned. kind: see `lights`."""
+    shining, rendered = lights(view, kind)
+    camera = view.camera(view.spec.size if kind == "sun" else size)
     start = time.process_time()
-    bake(*scene, camera, Settings(directional=False))
+    bake(view.volumes(), shining, camera, Settings(directional=False))
     middle = time.process_time()
-    [lit] = bake(*scene, camera)
+    [lit] = bake(view.volumes(), shining, camera)
     seconds = middle - start, time.process_time() - middle
-    layer, halves = render(*scene, camera, EXACT), view.halves()
-    shown = halves[..., 3].mean(axis=0) > MASK_ALPHA
-    a, b = halves[..., :3] * shown[..., None]
-    own = layer.rgb * shown[..., None]
-    baked = own + (seen(view, camera, lit, shown) - layer.multiple) * shown[..., None]
-    figures = [
-        f"{relative_rmse(image, a, b, shown).value:.3f} ({100 * relative_bias(image, a, b, shown).value:+.1f} %)"
-        for image in (own, baked)
-    ]
+    layer = render(view.volumes(), rendered, camera, EXACT)
+    if kind == "sun":
+        halves = view.halves()
+        shown = halves[..., 3].mean(axis=0) > MASK_ALPHA
+        a, b = halves[..., :3] * shown[..., None]
+        own = layer.rgb * shown[..., None]
+        baked = own + (seen(view, camera, lit, shown) - layer.multiple) * shown[..., None]
+        figures = [
+            f"{relative_rmse(image, a, b, shown).value:.3f} ({100 * relative_bias(image, a, b, shown).value:+.1f} %)"
+            for image in (own, baked)
+        ]
+    else:
+        figures = [against(layer, view, camera, lit)]
     beside = Camera(look_at(turned(view, degrees), view.up), resolution=(size, size), fov=camera.fov)
-    layer = render(*scene, beside, EXACT)
-    shown = layer.alpha > MASK_ALPHA
-    change = (seen(view, beside, lit, shown) - layer.multiple)[shown] / layer.rgb[shown].mean()
-    figures.append(f"{np.sqrt(np.mean(change**2)):.3f} ({100 * change.mean():+.1f} %)")
+    figures.append(against(render(view.volumes(), rendered, beside, EXACT), view, beside, lit))
     return f"| {view.name} | {' | '.join(figures)} | {seconds[1]:.1f} | {seconds[0]:.1f} |"
+
+
+def against(layer, view: View, camera: Camera, lit: LitVolume) -> str:
+    """Error and bias of baked light against a layer that is rendered by the same camera."""
+    shown = layer.alpha > MASK_ALPHA
+    change = (seen(view, camera, lit, shown) - layer.multiple)[shown] / layer.rgb[shown].mean()
+    return f"{np.sqrt(np.mean(change**2)):.3f} ({100 * change.mean():+.1f} %)"
 
 
 def main() -> None:
@@ -91,11 +119,12 @@ def main() -> None:
     parser.add_argument("views", nargs="*")
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--turn", type=float, default=ORBIT, metavar="DEGREES")
+    parser.add_argument("--light", choices=("sun", "sky", "lamp", "parallel"), default="sun")
     options = parser.parse_args()
     print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
     for view in independent_views():
         if not options.views or view.name in options.views:
-            print(measure(view, options.size, options.turn), flush=True)
+            print(measure(view, options.size, options.turn, options.light), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-CAPTION_HEIGHT = 26
 GAP = 6
 PAPER = (24, 24, 24)
 INK = (230, 230, 230)
@@ -57,8 +56,8 @@ def signed_map(error: np.ndarray, limit: float) -> Image.Image:
     return Image.fromarray((255 * mapped + 0.5).astype(np.uint8))
 
 
-def row(panels: list[tuple[str, Image.Image]], height: int) -> Image.Image:
-    """Pictures side by side at one height, each under its caption."""
+def row(panels: list[tuple[str, Image.Image]], height: int, text: int = 15) -> Image.Image:
+    """Pictures side by side at one height, each under its caption of one or more lines; text: height of a line."""
     scaled = [
         (
             caption,
@@ -70,10 +69,11 @@ def row(panels: list[tuple[str, Image.Image]], height: int) -> Image.Image:
         for caption, picture in panels
     ]
     width = sum(picture.width for _, picture in scaled) + GAP * (len(scaled) - 1)
-    sheet = Image.new("RGB", (width, height + CAPTION_HEIGHT), PAPER)
-    draw, font, x = ImageDraw.Draw(sheet), ImageFont.load_default(15), 0
+    top = round(1.3 * text * max(caption.count("\n") + 1 for caption, _ in scaled)) + 6
+    sheet = Image.new("RGB", (width, height + top), PAPER)
+    draw, font, x = ImageDraw.Draw(sheet), ImageFont.load_default(text), 0
     for caption, picture in scaled:
         draw.text((x + 4, 4), caption, INK, font)
-        sheet.paste(picture, (x, CAPTION_HEIGHT))
+        sheet.paste(picture, (x, top))
         x += picture.width + GAP
     return sheet

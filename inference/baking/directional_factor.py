@@ -19,6 +19,8 @@ SMOOTH = 1 + 3 + QUADRATIC + CUBIC + 1
 MAX_LOGARITHM = 8.0
 #: How fast detail fades with the angle to the view that was baked, over the square of the anisotropy.
 DETAIL_SHARPNESS = 8.0
+#: Cosine of the angle to the baked view's ray from which on light is shown as it was baked.
+SAME_DIRECTION = 1.0 - 1e-6
 
 
 def _anchors(rings: Sequence[tuple[float, int]]) -> np.ndarray:
@@ -121,9 +123,10 @@ class DirectionalFactor:
 
     with v the direction of the baked view's ray, v_k ANCHORS about it, L the light that was baked, d its logarithm in
     the coarse voxel, and q(w) and p(w) the sums of q_k times `quadratic_terms` and p_k times `cubic_terms`. The
-    corrections r_k make it what was predicted along each v_k, and L along v. The detail L / exp(d) fades beside it,
-    because with forward scattering one direction does not show what another shows. Without a view there are no
-    anchors, and detail is that at a right angle to one.
+    corrections r_k make it what was predicted along each v_k, and L along v. Along v itself, where interpolated
+    coefficients would miss it by a little, it is L. The detail L / exp(d) fades beside it, because with forward
+    scattering one direction does not show what another shows. Without a view there are no anchors, and detail is that
+    at a right angle to one.
 
     That is the mean over the colours. Where their light differs from direction to direction, each is multiplied with
     exp(g . (w - v)), v being 0 without a view.
@@ -157,6 +160,8 @@ class DirectionalFactor:
         if self.colours is not None:
             slopes = self.colours.sample(positions).reshape(-1, 3, 3)
             logarithms += np.einsum("ncj,nj->nc", slopes, turned)
+        if frames is not None:
+            logarithms[local[:, 2] > SAME_DIRECTION] = 0.0
         return np.exp(np.clip(logarithms, -MAX_LOGARITHM, MAX_LOGARITHM)).astype(np.float32)
 
 

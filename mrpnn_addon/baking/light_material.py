@@ -10,6 +10,7 @@ import numpy as np
 from ...inference.baking.directional_factor import (
     ANCHORS,
     MAX_LOGARITHM,
+    SAME_DIRECTION,
     SHARPNESS,
     BakedView,
     DirectionalFactor,
@@ -26,8 +27,6 @@ SCALE, VIEW, UP, SUN = "Brightness", "Baked From", "Baked Upwards", "Sun {}"
 RAYS = ("Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Transmission Ray")
 # Light, as it is written, below which nobody sees it.
 DARK = 1e-7
-# Cosine of the angle to the baked view within which its light is shown as it is.
-SAME_DIRECTION = 1.0 - 1e-6
 
 
 def light_material(name: str, scale: float, directional: DirectionalFactor | None):

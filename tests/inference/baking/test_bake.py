@@ -293,8 +293,11 @@ def test_the_factor_of_other_directions_is_one_along_the_baked_view():
     positions, baked = centres(lit)[filled.reshape(-1)], lit.scattered[filled].mean(axis=1)
     along = positions - view.world_matrix[:3, 3]
     along /= np.linalg.norm(along, axis=1)[:, None]
-    # The correction is interpolated between the centres of coarse cells.
-    np.testing.assert_allclose(lit.directional(positions, along, baked), 1.0, atol=0.05)
+    np.testing.assert_array_equal(lit.directional(positions, along, baked), 1.0)
+    # Just beside it, the correction is interpolated between the centres of coarse cells.
+    beside = along + [0.004, 0.0, 0.0]
+    beside /= np.linalg.norm(beside, axis=1)[:, None]
+    np.testing.assert_allclose(lit.directional(positions, beside, baked), 1.0, atol=0.06)
 
 
 @pytest.mark.parametrize("anisotropy, error", [(0.0, 0.08), (0.85, 0.3)])
