@@ -35,7 +35,8 @@ class Framebuffer:
         # Written to at once: numpy asks the system for large pages then, which take less time than many small ones.
         deque(mapper(lambda image: image.fill(0.0), [*colours, *numbers]), maxlen=0)
         # Where nothing emits, its memory is never written to, and takes neither time nor space.
-        return cls(*colours, np.zeros((pixels, 3), np.float32), *numbers)
+        single, multiple = colours
+        return cls(single, multiple, np.zeros((pixels, 3), np.float32), *numbers)
 
     def part(self, window: Window, part: Window) -> "Framebuffer":
         """A copy of the pixels in a part of this one's window."""

@@ -105,12 +105,11 @@ def expected_error(layer: Layer) -> ExpectedError | None:
     if not shown.any():
         return None
     # Nothing else counts.
-    part = tuple(
-        slice(places[0], places[-1] + 1) for places in map(np.flatnonzero, (shown.any(axis=1), shown.any(axis=0)))
-    )
+    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     shown, alpha = shown[part], layer.alpha[part]
     # numpy is slow to sum along short axes.
-    red, green, blue = (layer.rgb[(*part, c)] for c in range(3))
+    red, green, blue = (layer.rgb[part][..., c] for c in range(3))
     light = np.where(shown, (red + green + blue) / np.float32(3.0), np.float32(0.0))
     variance = np.where(shown, np.square(layer.uncertainty[part], dtype=np.float64), 0.0)
     total = light.sum(dtype=np.float64)
