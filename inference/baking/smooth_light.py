@@ -12,7 +12,7 @@ import numpy as np
 # Distances of neighbours in the lattices, in voxels. The first two are predicted everywhere.
 STRIDES = (4, 2, 1)
 # Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
-TOLERANCE = 0.015
+TOLERANCE = 0.006
 # So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
 FEW = 4096
 # Optical thickness of a voxel, times this, from which it counts in full.
