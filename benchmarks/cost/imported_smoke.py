@@ -18,7 +18,7 @@ from mathutils import Vector
 from PIL import Image
 
 from ..support.data import VOLUMES
-from ..support.extension import load_extension
+from ..support.extension import extension
 from ..support.pages import record
 from ..support.provenance import made_by
 
@@ -62,7 +62,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--percentage", type=int, default=100, help="of the resolution")
     parser.add_argument("--figures", type=Path, help="file to enter the figures into")
     chosen = parser.parse_args(arguments)
-    load_extension()
+    extension()
     scene = make_scene(chosen.percentage)
     with tempfile.TemporaryDirectory() as folder:
         scene.render.filepath = str(Path(folder) / "smoke.png")
