@@ -69,6 +69,13 @@ def test_a_ball_is_a_spherical_light(centre, radius):
     assert fluence(light)[far].mean() == pytest.approx(sphere[far].mean(), rel=0.06)
 
 
+def test_rounding_does_not_decide_how_a_ball_is_divided():
+    surface = ball(np.zeros(3), 0.1)
+    noise = np.random.default_rng(0).uniform(-1e-9, 1e-9, surface.triangles.shape)
+    shaken = fluence(MeshLight(replace(surface, triangles=surface.triangles + noise)))
+    assert shaken == pytest.approx(fluence(MeshLight(surface)), rel=1e-5)
+
+
 def test_surfaces_that_surround_volumes_are_no_lamps():
     floor, small = (Surface(rectangle(-s, s, -s, s, -0.6).triangles, emission=1.0) for s in (9.0, 0.2))
     assert not mesh_lights([floor], CORNERS)
