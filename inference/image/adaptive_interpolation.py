@@ -21,12 +21,15 @@ LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
 # The same for squares as large as a voxel, by their edge in pixels, in proportion for smaller and larger ones: nothing
 # within a voxel varies so much, but for the noise of depth sampling. Most pixels are in the largest squares, whose
 # differences are what flickers in films.
-VOXEL_DIFFERENCE = {8: 0.04, 4: 0.06, 2: 0.06}
+VOXEL_DIFFERENCE = {8: 0.05, 4: 0.06, 2: 0.06}
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0
 # Fraction of the difference of a centre that counts as the error of the pixels around it, for the same reason.
 CENTRE_ERROR = 0.5
+# Pixels of less opacity than this may be as wrong as if they had it: beside opaque ones they add nothing to a picture's
+# error, and what shows behind them outshines them.
+FAINT = 0.2
 # The scattered light ahead along the rays, where it is known, may deviate from its interpolation by so many times as
 # much.
 AHEAD_TOLERANCE = 3.0
@@ -47,10 +50,10 @@ def _in_band(first: int, end: int) -> np.ndarray:
 
 
 class Squares:
-    """The squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
+    """Squares of one size that lie entirely in a window (x0, y0, x1, y1) of an image; pixels (P,) are the window's.
 
-    pixels: int (places, S), of each square. known: int (5, S), its corners and its centre. What is reduced over comes
-    first, which numpy does many at a time.
+    known: int (5, S), corners and centre of each square. seen: bool (5, S), which of these show a volume; the others
+    count as the mean of those.
     """
 
     def __init__(self, window: tuple[int, int, int, int], stride: int):
@@ -61,15 +64,37 @@ class Squares:
             for first, end in ((x0, max(x1 - stride, x0)), (y0, max(y1 - stride, y0)))
         )
         first = ((rows - y0)[:, None] * width + (columns - x0)).ravel()
-        within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
-        centre = within[stride // 2, stride // 2]
-        self.pixels, self.size = within.reshape(-1, 1) + first, width * (y1 - y0)
-        self.known, self.weights = np.append(within[::stride, ::stride], centre)[:, None] + first, _weights(stride)
+        self._within = np.arange(stride + 1)[:, None] * width + np.arange(stride + 1)
+        centre = self._within[stride // 2, stride // 2]
+        self.stride, self.width, self.size = stride, width, width * (y1 - y0)
+        self.known = np.append(self._within[::stride, ::stride], centre)[:, None] + first
+        self.seen = np.ones(self.known.shape, bool)
+
+    @functools.cached_property
+    def pixels(self) -> np.ndarray:
+        """int (places, S), of each square. What is reduced over comes first, which numpy does many at a time."""
+        return self._within.reshape(-1, 1) + self.known[0]
+
+    def of(self, shown: np.ndarray) -> "Squares":
+        """The squares in which a pixel shows a volume, of an image in which those of a mask (P,) do."""
+        # Summed over rows and columns, which takes four lookups per square.
+        sums = np.zeros((self.size // self.width + 1, self.width + 1), np.int32)
+        np.cumsum(np.cumsum(shown.reshape(-1, self.width), axis=0, dtype=np.int32), axis=1, out=sums[1:, 1:])
+        row, column = np.divmod(self.known[0], self.width)
+        below, right = row + self.stride + 1, column + self.stride + 1
+        some = self.some(np.flatnonzero(sums[below, right] - sums[row, right] - sums[below, column] + sums[row, column]))
+        some.seen = shown[some.known]
+        return some
 
     def without(self, excluded: np.ndarray) -> "Squares":
         """The squares none of whose corners and centres is in a mask (P,)."""
-        some, chosen = copy.copy(self), np.flatnonzero(~excluded[self.known].any(axis=0))
-        some.pixels, some.known = self.pixels.take(chosen, axis=1), self.known.take(chosen, axis=1)
+        return self.some(np.flatnonzero(~excluded[self.known].any(axis=0)))
+
+    def some(self, chosen: np.ndarray) -> "Squares":
+        """Some of the squares; chosen: their numbers, or a mask (S,)."""
+        some = copy.copy(self)
+        some.__dict__.pop("pixels", None)
+        some.known, some.seen = self.known[:, chosen], self.seen[:, chosen]
         return some
 
     def known_pixels(self) -> np.ndarray:
@@ -78,24 +103,35 @@ class Squares:
         known[self.known] = True
         return known
 
+    def known_values(self, values: np.ndarray) -> np.ndarray:
+        """(5, S), values (P,) at corners and centres."""
+        known = values[self.known]
+        if self.seen.all():
+            return known
+        count = np.maximum(self.seen.sum(axis=0), 1).astype(values.dtype)
+        return np.where(self.seen, known, (known * self.seen).sum(axis=0) / count)
+
+    def judged(self) -> np.ndarray:
+        """bool (S,): whether the centre and at least two corners show a volume, so that they tell what lies between."""
+        return self.seen[4] & (self.seen[:4].sum(axis=0) >= 2)
+
     def centres(self, values: np.ndarray) -> np.ndarray:
         """(S,), values (P,) at the centres."""
         return values[self.known[4]]
 
     def centre_error(self, values: np.ndarray) -> np.ndarray:
         """(S,), difference between the centre of each square and the mean of its corners; values: (P,)."""
-        known = values[self.known]
+        known = self.known_values(values)
         return np.abs(known[4] - known[:4].mean(axis=0))
 
     def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-        """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean."""
-        found, seen = values[self.pixels], opacity[self.pixels]
-        largest = (np.abs(found - self._interpolated(values, self.known)) * seen).max(axis=0, initial=0.0)
-        return largest / np.maximum((found * seen).mean(axis=0), 1e-30)
+        """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean.
 
-    def all_known(self, chosen: np.ndarray) -> np.ndarray:
-        """bool (S,): whether corners and centre are all in a mask (P,)."""
-        return chosen[self.known].all(axis=0)
+        The mean is as if no opacity were below FAINT.
+        """
+        found, seen = values[self.pixels], opacity[self.pixels]
+        largest = (np.abs(found - self._interpolated(values)) * seen).max(axis=0, initial=0.0)
+        return largest / np.maximum((found * np.maximum(seen, np.float32(FAINT))).mean(axis=0), 1e-30)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether any pixel of each square is in a mask (P,)."""
@@ -109,16 +145,16 @@ class Squares:
         found[self.known] = False
         return found
 
-    def fill(self, values: np.ndarray, smooth: np.ndarray, pixels: np.ndarray) -> None:
-        """Interpolate values (P,) in some squares (S,), in place, at the pixels that `interior` gives, bool (P,)."""
-        at = self.pixels[:, smooth]
-        wanted = pixels[at]
-        values[at[wanted]] = self._interpolated(values, self.known[:, smooth])[wanted]
+    def fill(self, values: np.ndarray, pixels: np.ndarray) -> None:
+        """Interpolate values (P,) in place at the pixels of these squares that are in a mask (P,)."""
+        wanted = pixels[self.pixels]
+        values[self.pixels[wanted]] = self._interpolated(values)[wanted]
 
-    def _interpolated(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """(places, S), from values (P,) at corners and centres of some squares, int (5, S)."""
+    def _interpolated(self, values: np.ndarray) -> np.ndarray:
+        """(places, S), from values (P,) at corners and centres."""
         # Added one after another: the same result whatever other squares there are.
-        return sum(values[at] * weights[:, None] for at, weights in zip(known, self.weights.astype(values.dtype).T))
+        weights = _weights(self.stride).astype(values.dtype).T
+        return sum(value * weight[:, None] for value, weight in zip(self.known_values(values), weights))
 
 
 def interpolable(
@@ -136,12 +172,13 @@ def interpolable(
     single: (P,), single scattering. ahead: (P,), mean over opacity of the scattered light ahead along a pixel's ray, or
     None. difference: (P,), tolerated error of a centre, as a fraction of the light there.
     """
-    fraction = squares.centres(difference)
+    fraction, seen = squares.centres(difference), squares.centres(opacity)
     centre_error = squares.centre_error(mean)
-    tolerance = fraction * squares.centres(single + mean * opacity)
-    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=0)) * squares.centres(opacity)
+    light = squares.centres(single) + squares.centres(mean) * seen
+    tolerance = fraction * light * np.maximum(FAINT / np.maximum(seen, np.float32(1e-30)), 1.0)
+    noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=0)) * seen
     allowed = tolerance + np.minimum(noise, MAX_NOISE * tolerance)
-    smooth = squares.all_known(opacity > 0.0) & (centre_error * squares.centres(opacity) < allowed)
+    smooth = squares.judged() & (centre_error * seen < allowed)
     if ahead is not None:
         smooth &= squares.deviation(ahead, opacity) < AHEAD_TOLERANCE * fraction
     return smooth, centre_error

@@ -123,6 +123,7 @@ class _EnvironmentEstimate:
         self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
         self.radiance = np.zeros((2 * len(source.indices), len(tile.framebuffer.alpha)))
+        self.quantities = len(self.radiance)
         self.error = np.zeros(self.radiance.shape[1], np.float32)
         behind, whole = samples.optical_depths()
         self.along = np.stack([np.maximum(whole - behind, 0.0), behind], axis=1).astype(np.float32)

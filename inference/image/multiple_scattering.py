@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adds the predicted multiple scattering of each group of volumes and each sun, at the depth samples of camera rays."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -162,7 +163,8 @@ def add_multiple_scattering(
             else:
                 single = tile.framebuffer.single[:, source.indices].T / source.suns
                 evaluate_adaptively(estimate, inside, tile.camera.window, single)
-            tile.framebuffer.multiple[:, source.indices] += estimate.radiance.T
+            for channels, radiance in zip(source.alike, estimate.radiance):
+                tile.framebuffer.multiple[:, channels] += radiance[:, None]
             tile.framebuffer.uncertainty += estimate.error
             tile.framebuffer.deviation += estimate.network_error()
 
@@ -215,12 +217,22 @@ class Source:
     directions: EquivalentDirections | None = None
     uncertainty: UncertaintyNetwork | None = None
 
+    @functools.cached_property
+    def alike(self) -> list[list[int]]:
+        """Colour channels by number, those together that scatter the same light."""
+        found: dict[tuple, list[int]] = {}
+        for channels in self.albedos.channels:
+            for c in channels:
+                found.setdefault((channels[0], self.places[c], self.scattered[:, c].tobytes()), []).append(c)
+        return list(found.values())
+
 
 class Estimate(Protocol):
     """What `evaluate_adaptively` evaluates, over P pixels.
 
-    radiance: float64 (C, P), of C quantities. error: float32 (P,), standard error of their sum, over 3. pixel: int
-    (M,), of each sample. share: (M,), of the members in the extinction there.
+    radiance: float64 (C, P), of C different quantities. quantities: how many these stand for, alike ones included.
+    error: float32 (P,), standard error of the sum of all of them, over 3. pixel: int (M,), of each sample. share: (M,),
+    of the members in the extinction there.
     """
 
     context: RenderContext
@@ -230,6 +242,7 @@ class Estimate(Protocol):
     share: np.ndarray
     pixel: np.ndarray
     radiance: np.ndarray
+    quantities: int
     error: np.ndarray
 
     def evaluate(self, points: np.ndarray) -> None:
@@ -252,7 +265,7 @@ class Estimate(Protocol):
 class _Estimate:
     """The network's estimate of one source's multiple scattering in a tile of P pixels.
 
-    radiance: float64 (C, P), of the channels rendered together; in double precision it does not depend on how points
+    radiance: float64 (C, P), of the channels of `Source.alike`; in double precision it does not depend on how points
     are divided among calls. error: float32 (P,), its standard error, as a mean over all three channels.
     """
 
@@ -265,7 +278,7 @@ class _Estimate:
         if source.directions is not None:
             self.directions = source.directions(tile.camera.window, samples.pixel, samples.directions)
         self.pixel = samples.pixel[samples.ray]
-        self.radiance = np.zeros((len(source.indices), pixels))
+        self.radiance, self.quantities = np.zeros((len(source.alike), pixels)), len(source.indices)
         self.error = np.zeros(pixels, np.float32)
         self.deviation = SparseDeviation(tile.camera)
         # Samples whose error is to be told: numbers, radiance (A, N) and weight (N, C).
@@ -284,11 +297,11 @@ class _Estimate:
             )
             weight = samples.scattered(done, source.members, source.scattered, source.places)
             pixel = self.pixel[done]
-            mean = np.zeros(len(done))
-            for c, row in source.albedos.by_channel(radiance, positions, directions):
-                part = weight[:, c] * row
-                add_at(self.radiance[source.indices.index(c)], pixel, part)
-                mean += part
+            mean, rows = np.zeros(len(done)), dict(source.albedos.by_channel(radiance, positions, directions))
+            for number, channels in enumerate(source.alike):
+                part = weight[:, channels[0]] * rows[channels[0]]
+                add_at(self.radiance[number], pixel, part)
+                mean += len(channels) * part
             parts[done] = mean / 3.0
             if source.uncertainty is not None:
                 known = np.flatnonzero(self.deviation.known[pixel])
@@ -326,7 +339,7 @@ class _Estimate:
 
     def network_error(self) -> np.ndarray:
         """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
-        light, network = self.radiance.sum(axis=0) / 3.0, self.source.uncertainty
+        light, network = self._mean(self.radiance) * (self.quantities / 3.0), self.source.uncertainty
         if network is not None:
             if self._told:
                 self._add_deviations()
@@ -364,14 +377,19 @@ class _Estimate:
         source = self.source
         if not source.varies:
             return None
-        indices = source.indices
+        indices = [channels[0] for channels in source.alike]
         return scattered_shares(
             self, source.members, source.last_albedo[:, indices], [source.places[c] for c in indices]
         )
 
     def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
         """The mean of the channels, which one sun lights alike; mean: (C, P). Of a varying albedo, all of them."""
-        return list(mean) if self.source.varies else [mean.mean(axis=0)]
+        return list(mean) if self.source.varies else [self._mean(mean)]
+
+    def _mean(self, values: np.ndarray) -> np.ndarray:
+        """Mean (P,) over the channels rendered together of values (C, P) of those that differ."""
+        counts = [len(channels) / self.quantities for channels in self.source.alike]
+        return sum(count * row for count, row in zip(counts, values))
 
 
 def scattered_shares(
@@ -430,10 +448,10 @@ def evaluate_adaptively(
         mean[:, seen] = estimate.radiance.take(seen, axis=1) / divisor.take(seen, axis=-1)
         error[seen] = estimate.error[seen] / safe[seen]
 
-    voxel = estimate.pixels_per_voxel()
+    voxel, shows = estimate.pixels_per_voxel(), opacity > 0.0
     for stride, least in LEVELS:
         difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
-        squares = Squares(window, stride).without(interpolated)
+        squares = Squares(window, stride).of(shows).without(interpolated)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
@@ -441,24 +459,25 @@ def evaluate_adaptively(
             found, part_error = interpolable(
                 squares,
                 part,
-                error * (3.0 / len(mean)),
+                error * (3.0 / estimate.quantities),
                 weight,
                 single.mean(axis=0),
                 ahead,
                 difference / np.sqrt(estimate.context.settings.depth_samples),
             )
             smooth, centre_error = smooth & found, np.maximum(centre_error, part_error)
-        smooth &= ~squares.any(split)
+        if split.any():
+            smooth &= ~squares.any(split)
         interior = squares.interior(smooth) & ~evaluated & ~interpolated
+        between, errors = squares.some(smooth), np.zeros_like(interpolation_error)
         for values in (*mean, error):
-            squares.fill(values, smooth, interior)
-        errors = np.zeros_like(interpolation_error)
-        errors[squares.pixels[:, smooth]] = centre_error[smooth]
+            between.fill(values, interior)
+        errors[between.pixels] = centre_error[smooth]
         interpolation_error[interior] = errors[interior]
         interpolated |= interior
     evaluate(~(evaluated | interpolated))
     interpolated &= opacity > 0.0
     estimate.radiance[:, interpolated] = (mean * shown)[:, interpolated]
-    total = error + CENTRE_ERROR * interpolation_error * (len(mean) / 3.0)
+    total = error + CENTRE_ERROR * interpolation_error * (estimate.quantities / 3.0)
     estimate.error[interpolated] = (total * opacity)[interpolated]
     report.count("pixels that share their neighbours' multiple scattering", interpolated.sum())

@@ -16,6 +16,7 @@ from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
 from ..kernels import structures
 from ..kernels.library import Kernels
 from ..occluders.shadow_map import ShadowMap
+from ..runtime.cancellation import Cancelled
 from ..scene.description import Medium
 from ..scene.sparse_grid import EDGE
 from ..transport.described_lamps import describe_emitter, describe_shadow_map
@@ -67,11 +68,11 @@ class CompiledMarch:
         self._local = threading.local()
 
     def __call__(self, rays: RayBatch) -> RaySegment:
-        """What rays gather whose intervals contain all media."""
+        """What rays gather whose intervals contain all media. Raises Cancelled."""
         return self.march_steps(rays, step_counts(self._media, rays))
 
     def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
-        """As calling it, for a number of steps int (R,) for each ray."""
+        """As calling it, for a number of steps int (R,) for each ray. Raises Cancelled."""
         count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
         counts = np.ascontiguousarray(counts, np.int64)
         batch = structures.Rays(
@@ -119,7 +120,8 @@ class CompiledMarch:
             sample_features=features,
             lamp_features=lamp_features,
         )
-        self._kernels.march(self._scene, batch, gathered)
+        if self._kernels.march(self._scene, batch, gathered) < count:
+            raise Cancelled
         end = gathered.samples
         # Copies: most of the arrays may be unused.
         return RaySegment(

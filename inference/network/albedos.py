@@ -19,13 +19,17 @@ class Albedos(Protocol):
     def values(self) -> list[float]:
         """A uniform ones, for which networks are asked."""
 
+    @property
+    def channels(self) -> list[list[int]]:
+        """Colour channels by number, those of the same albedo together; some whose albedo is 0 may be missing."""
+
     def by_channel(
         self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Yield colour channels, by number, and their light (N, ...) at world positions (N, 3) on rays along directions
         (N, 3).
 
-        rows: (A, N, ...), predicted for each of the values. Channels whose albedo is 0 may be left out.
+        rows: (A, N, ...), predicted for each of the values. The channels are those of `channels`.
         """
 
 
@@ -39,6 +43,11 @@ class UniformAlbedos:
     def values(self) -> list[float]:
         """The distinct ones."""
         return [value for value, _ in self.distinct]
+
+    @property
+    def channels(self) -> list[list[int]]:
+        """As `Albedos`."""
+        return [channels for _, channels in self.distinct]
 
     def by_channel(
         self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
@@ -64,6 +73,11 @@ class VaryingAlbedos:
     cube: Cube
     indices: Sequence[int]
     ahead: float
+
+    @property
+    def channels(self) -> list[list[int]]:
+        """As `Albedos`."""
+        return [[c] for c in self.indices] if self.places.shape[-1] == 3 else [list(self.indices)]
 
     def by_channel(
         self, rows: np.ndarray, positions: np.ndarray, directions: np.ndarray
