@@ -9,7 +9,7 @@ import numpy as np
 
 from ..kernels.library import Kernels
 from ..numerics.intersection import box_interval
-from ..numerics.small_matmul import inverse, product
+from ..numerics.small_matmul import affine_inverse, inverse, product
 from ..plan.resolution import refinement
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
@@ -52,7 +52,7 @@ class Grid:
         self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
-        index_from_world = np.linalg.inv(volume.world_from_index)
+        index_from_world = affine_inverse(volume.world_from_index)
         self.linear = times * index_from_world[:3, :3]
         self.offset = times * (index_from_world[:3, 3] - low + 1.0) - 1.0
         sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0) / times

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..kernels.library import Kernels
+from ..numerics.small_matmul import inverse
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Volume
@@ -40,7 +41,7 @@ def merge(
     low = np.floor(low / together).astype(int)
     shape = np.ceil((high + 1.0) / together).astype(int) - low
     world_from_index = np.eye(4)
-    world_from_finest = np.linalg.inv(finest.linear)
+    world_from_finest = inverse(finest.linear)
     # The centre of a voxel made of together^3 lies between theirs.
     first = low * together + 0.5 * (together - 1)
     world_from_index[:3, :3] = world_from_finest * together
@@ -97,7 +98,7 @@ def resampled(
     linear = grid.linear @ world_from_index[:3, :3]
     offset = grid.linear @ world_from_index[:3, 3] + grid.offset
     # Voxels of the other grid that the support can reach.
-    back = (grid.corners() - world_from_index[:3, 3]) @ np.linalg.inv(world_from_index[:3, :3]).T
+    back = (grid.corners() - world_from_index[:3, 3]) @ inverse(world_from_index[:3, :3]).T
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
     places = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T

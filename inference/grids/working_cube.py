@@ -13,6 +13,7 @@ import numpy as np
 from ..kernels import structures
 from ..kernels.field_structures import CellMeans
 from ..kernels.library import Kernels
+from ..numerics.small_matmul import affine_inverse
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
@@ -106,7 +107,7 @@ def level0_density(
     2 x 2 x 2 points per cell. kernels: compiled ones, or None. out: zeros to fill, or None. Raises Cancelled.
     """
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32) if out is None else out
-    index_from_world = np.linalg.inv(volume.world_from_index)
+    index_from_world = affine_inverse(volume.world_from_index)
     index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
     origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
     scale = np.diag(index_from_cube)

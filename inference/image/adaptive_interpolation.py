@@ -21,7 +21,7 @@ LEVELS = ((8, 0.0), (4, 0.03), (2, 0.07))
 # The same for squares as large as a voxel, by their edge in pixels, in proportion for smaller and larger ones: nothing
 # within a voxel varies so much, but for the noise of depth sampling. Most pixels are in the largest squares, whose
 # differences are what flickers in films.
-VOXEL_DIFFERENCE = {8: 0.05, 4: 0.06, 2: 0.06}
+VOXEL_DIFFERENCE = {8: 0.06, 4: 0.08, 2: 0.06}
 # The standard error of depth sampling is tolerated on top, times NOISE and up to MAX_NOISE times that fraction:
 # neighbours cannot predict noise.
 NOISE, MAX_NOISE = 0.7, 2.0
@@ -29,7 +29,7 @@ NOISE, MAX_NOISE = 0.7, 2.0
 CENTRE_ERROR = 0.5
 # Pixels of less opacity than this may be as wrong as if they had it: beside opaque ones they add nothing to a picture's
 # error, and what shows behind them outshines them.
-FAINT = 0.2
+FAINT = 0.3
 # The scattered light ahead along the rays, where it is known, may deviate from its interpolation by so many times as
 # much.
 AHEAD_TOLERANCE = 3.0
@@ -82,7 +82,8 @@ class Squares:
         np.cumsum(np.cumsum(shown.reshape(-1, self.width), axis=0, dtype=np.int32), axis=1, out=sums[1:, 1:])
         row, column = np.divmod(self.known[0], self.width)
         below, right = row + self.stride + 1, column + self.stride + 1
-        some = self.some(np.flatnonzero(sums[below, right] - sums[row, right] - sums[below, column] + sums[row, column]))
+        shown_pixels = sums[below, right] - sums[row, right] - sums[below, column] + sums[row, column]
+        some = self.some(np.flatnonzero(shown_pixels))
         some.seen = shown[some.known]
         return some
 

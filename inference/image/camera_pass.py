@@ -19,7 +19,7 @@ from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays, pixel_rays, pixels_around
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .framebuffer import Framebuffer, add_at
+from .framebuffer import Framebuffer, add_at, summed
 from .lamp_pass import LampMeans, means_around_lamps
 
 # Steps per task: amortises the overhead of calls, and of numpy's arrays fits in cache.
@@ -194,8 +194,8 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
         # Channels may be lit alike.
         key = place, light.tobytes()
         if key not in known:
-            known[key] = np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight)
-        add_at(framebuffer.single[:, c], pixel, known[key])
+            known[key] = summed(pixel, np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight))
+        framebuffer.single[pixel[0] : pixel[0] + len(known[key]), c] += known[key]
     if not channel_pass.first:
         return
     if emission is not None:

@@ -63,5 +63,10 @@ def _place(window: Window, part: Window) -> tuple[slice, slice]:
 
 def add_at(image: np.ndarray, pixel: np.ndarray, values: np.ndarray) -> None:
     """Add values (N,), N > 0, to an image (P,) at pixels int (N,), ascending; values of equal pixels accumulate."""
-    added = np.bincount(pixel - pixel[0], values)
+    added = summed(pixel, values)
     image[pixel[0] : pixel[0] + len(added)] += added
+
+
+def summed(pixel: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums float64 of values (N,) of equal pixels int (N,), ascending, from the first pixel to the last."""
+    return np.bincount(pixel - pixel[0], values)

@@ -295,11 +295,11 @@ class _Estimate:
             radiance = source.prepared.predict(
                 positions, directions, source.albedos.values, samples.jitter(done), self._features(done)
             )
-            weight = samples.scattered(done, source.members, source.scattered, source.places)
+            weight = self._weight(done)
             pixel = self.pixel[done]
             mean, rows = np.zeros(len(done)), dict(source.albedos.by_channel(radiance, positions, directions))
             for number, channels in enumerate(source.alike):
-                part = weight[:, channels[0]] * rows[channels[0]]
+                part = weight[:, number] * rows[channels[0]]
                 add_at(self.radiance[number], pixel, part)
                 mean += len(channels) * part
             parts[done] = mean / 3.0
@@ -310,6 +310,12 @@ class _Estimate:
             add_at(self.error, *samples.standard_error(parts, points))
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
+
+    def _weight(self, points: np.ndarray) -> np.ndarray:
+        """What of light at some samples arrives at the camera, (N, C)."""
+        source, first = self.source, [channels[0] for channels in self.source.alike]
+        places = [source.places[c] for c in first]
+        return self.samples.scattered(points, source.members, source.scattered[:, first], places)
 
     def _add_deviations(self) -> None:
         """Tell the error of what was predicted, all at once."""
@@ -333,8 +339,9 @@ class _Estimate:
             source.uncertainty, positions, directions, predicted, samples.jitter(points), self._features(points)
         )[[list(predicted).index(albedo) for albedo in source.albedos.values]]
         deviations = np.zeros(len(points))
-        for c, row in source.albedos.by_channel(relative * radiance, positions, directions):
-            deviations += weight[:, c] * row / 3.0
+        rows = dict(source.albedos.by_channel(relative * radiance, positions, directions))
+        for number, channels in enumerate(source.alike):
+            deviations += weight[:, number] * rows[channels[0]] * (len(channels) / 3.0)
         self.deviation.add(self.pixel[points], deviations)
 
     def network_error(self) -> np.ndarray:

@@ -15,6 +15,7 @@ from ..grids.sparse_columns import SparseColumns
 from ..grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
 from ..kernels import structures
 from ..kernels.library import Kernels
+from ..numerics.quadrature import legendre_nodes
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import Cancelled
 from ..scene.description import Medium
@@ -150,7 +151,7 @@ class CompiledMarch:
 
     def _describe(self, channels: list[int]) -> structures.Scene:
         options, most, lamps = self._options, self._options.depth_samples, self._lamps
-        wide, wide_weights = np.polynomial.legendre.leggauss(MANY)
+        wide, wide_weights = legendre_nodes(MANY)
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
             nodes[count, :count], weights[count, :count] = options.quadrature(count)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.quadrature import legendre_nodes
 from ..numerics.small_matmul import product
 from .ray_features import RayFeatures
 
@@ -29,7 +30,7 @@ Quadrature = Callable[[int], tuple[np.ndarray, np.ndarray]]
 @functools.lru_cache(maxsize=256)
 def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Legendre nodes in (0, 1) and their weights, which sum to 1: float64 (count,) each."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = legendre_nodes(count)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
@@ -117,6 +118,8 @@ class DepthSamples:
         factors: float32 (V, C) of each of these volumes. places: of each channel among those of `scattering`.
         """
         weight = self.weight[samples, None]
+        if self.scattering is None and len(members) == 1:
+            return weight * self.fraction[samples, members[0], None] * factors
         if self.scattering is None:
             return weight * product(self.fraction[samples][:, members], factors)
         scattering = self.scattering[samples][:, members][:, :, places]

@@ -17,6 +17,7 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..kernels.library import Kernels
+from ..numerics.quadrature import legendre_nodes
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
@@ -248,7 +249,7 @@ class _Steps:
         for bent, count in ((False, FEW), (True, MANY)):
             some = np.flatnonzero(wide == bent)
             first, last = (np.arctan2(ends[some], height[some]) for ends in (begin, end))
-            nodes, weights = np.polynomial.legendre.leggauss(count)
+            nodes, weights = legendre_nodes(count)
             for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights):
                 if bent:
                     along = height[some] * np.tan(first + node * (last - first))

@@ -27,7 +27,7 @@ def prepare_march(
 ) -> Marcher:
     """How rays are marched through media, safe to use on several threads.
 
-    channels: colour channels, by number. stop: once it is not 0, calls return soon, and what they return is incomplete.
+    channels: colour channels, by number. stop: once it is not 0, calls of the kernel soon raise Cancelled.
     lamps: whose light is gathered, too; None for none.
     """
     if kernels is not None:

@@ -18,6 +18,14 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     return rows / (a * rows[0]).sum()
 
 
+def affine_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of an affine transform (4, 4)."""
+    found = np.eye(4)
+    found[:3, :3] = inverse(matrix[:3, :3])
+    found[:3, 3] = -found[:3, :3] @ matrix[:3, 3]
+    return found
+
+
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Lengths (N,) of vectors (N, 3); numpy's own function is slow along short axes."""
     x, y, z = vectors.T

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated peak memory of a render, on top of its input."""
 
-import numpy as np
-
+from ..numerics.small_matmul import inverse
 from ..scene.description import Sun, Volume
 from ..scene.lamps import Lamp
 from ..scene.sparse_grid import SparseGrid
@@ -39,7 +38,7 @@ def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits
         voxel += VOXEL_ALBEDO_BYTES * len(volume.scattering or ())
         return volume.density.size * refinement(volume.density.shape) ** 3 * voxel
-    index_from_world = np.linalg.inv(volume.world_from_index)[:3, :3]
+    index_from_world = inverse(volume.world_from_index[:3, :3])
     depths = sum(column_bytes(volume.density, index_from_world @ sun.direction) for sun in suns)
     # One row of blocks as an array, and the cells that rays skip.
     blocks = volume.density.table.shape

@@ -68,7 +68,8 @@ def solve(
     x = np.zeros(source.shape)
     residual = source.astype(np.float64)
     p = residual / diagonal
-    rz = float(np.vdot(residual, p))
+    # BLAS would wake its threads for a dot product, which then spin (`numerics.small_matmul`).
+    rz = float((residual * p).sum())
     limit = rz * tolerance**2
     if kernels is not None:
         system = Diffusion(
@@ -93,10 +94,10 @@ def solve(
         if not rz > limit:
             break
         ap = _apply(diagonal, couplings, p)
-        step = rz / float(np.vdot(p, ap))
+        step = rz / float((p * ap).sum())
         x += step * p
         residual -= step * ap
         z = residual / diagonal
-        rz, before = float(np.vdot(residual, z)), rz
+        rz, before = float((residual * z).sum()), rz
         p = z + (rz / before) * p
     return np.maximum(x, least)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.image.adaptive_interpolation import LEVELS, Squares, interpolable
+from inference.image.adaptive_interpolation import FAINT, LEVELS, Squares, interpolable
 from inference.plan.plan import make_tiles
 from inference.plan.resolution import BAND
 from inference.scene.optimizations import ALL
@@ -61,7 +61,7 @@ def test_linear_functions_are_interpolated_exactly(stride):
     shared = np.ones(squares.known.shape[1], bool)
     between = squares.interior(shared)
     found = np.where(between, np.float32(np.nan), values)
-    squares.fill(found, shared, between)
+    squares.fill(found, between)
     np.testing.assert_allclose(found, values, rtol=1e-6)
     assert squares.centre_error(values).max() < 1e-4
     assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
@@ -85,10 +85,46 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     ahead = ones.copy()
     ahead[squares.pixels[2, 3]] = 0.3
     assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03 * ones)[0])) == [3]
-    # A pixel that does not show the volume does not count.
+    # A centre that does not show the volume tells nothing.
     opacity = ones.copy()
     opacity[squares.known[4, 12]] = 0.0
-    assert list(np.flatnonzero(~interpolable(squares, ones, dark, opacity, dark, None, 0.03 * ones)[0])) == [12]
+    shown = squares.of(opacity > 0.0)
+    assert list(np.flatnonzero(~interpolable(shown, ones, dark, opacity, dark, None, 0.03 * ones)[0])) == [12]
+
+
+def test_squares_that_show_no_volume_are_left_out():
+    random = np.random.default_rng(6)
+    shown = np.zeros((60, 45), bool)
+    shown[20:31, 3:18] = random.random((11, 15)) < 0.1
+    for stride in STRIDES:
+        squares = Squares((2, 3, 47, 63), stride)
+        found = squares.of(shown.ravel())
+        np.testing.assert_array_equal(found.pixels, squares.pixels[:, squares.any(shown.ravel())])
+        np.testing.assert_array_equal(found.seen, shown.ravel()[found.known])
+
+
+def test_corners_beside_a_silhouette_count_as_the_mean_of_the_others():
+    squares = Squares((0, 0, 9, 9), 4)
+    shown = np.ones((9, 9), bool)
+    shown[:, 7:] = False
+    values = np.where(shown, 3.0, 99.0).ravel()
+    squares = squares.of(shown.ravel())
+    np.testing.assert_allclose(squares.known_values(values)[:, squares.judged()], 3.0)
+    # Two corners and the centre of a square on the silhouette are seen.
+    assert squares.judged().all() and not squares.seen.all()
+    squares.fill(values, shown.ravel())
+    np.testing.assert_allclose(values[shown.ravel()], 3.0)
+    shown[:, 5:] = shown[:3, :] = False
+    assert not Squares((0, 0, 9, 9), 4).of(shown.ravel()).judged()[0]
+
+
+def test_faint_pixels_may_be_as_wrong_as_less_faint_ones():
+    squares = Squares((0, 0, 21, 21), 4)
+    ones = np.ones(21 * 21, np.float32)
+    mean, dark = ones.copy(), 0.0 * ones
+    mean[squares.known[4, 7]] = 1.2
+    for alpha, smooth in ((1.0, False), (FAINT, False), (0.1 * FAINT, True)):
+        assert interpolable(squares, mean, dark, alpha * ones, dark, None, 0.1 * ones)[0][7] == smooth
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Matrix products in blocks against numpy's."""
+"""Linear algebra and quadrature on the calling thread against numpy's."""
 
 import time
 
 import numpy as np
 import pytest
 
-from inference.numerics.small_matmul import MATRIX_WORK, VECTOR_WORK, product
+from inference import Camera, Medium, RenderCache, Settings, render
+from inference.numerics.quadrature import legendre_nodes
+from inference.numerics.small_matmul import MATRIX_WORK, VECTOR_WORK, affine_inverse, inverse, product
+from tests.support.volumes import SUN, cloud
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -53,3 +56,39 @@ def test_no_other_thread_works(a, b):
     while time.thread_time() < thread + 0.3:
         product(a, b)
     assert time.process_time() - process < 1.1 * (time.thread_time() - thread)
+
+
+def test_inverses_equal_those_of_numpy():
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        matrix = np.eye(4)
+        matrix[:3] = random.normal(size=(3, 4)) * random.uniform(1e-3, 1e3)
+        np.testing.assert_allclose(affine_inverse(matrix), np.linalg.inv(matrix), rtol=1e-9)
+        np.testing.assert_allclose(inverse(matrix[:3, :3]), np.linalg.inv(matrix[:3, :3]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 10, 16, 33, 64, 128])
+def test_quadrature_is_exact_for_polynomials(count):
+    """As Gauss and Legendre's rule is, up to a degree of 2 n - 1; numpy's nodes are the same."""
+    nodes, weights = legendre_nodes(count)
+    for power in range(0, 2 * count, 2):
+        assert (weights * nodes**power).sum() == pytest.approx(2.0 / (power + 1), rel=1e-12)
+    np.testing.assert_array_equal(nodes, -nodes[::-1])
+    np.testing.assert_allclose(nodes, np.polynomial.legendre.leggauss(count)[0], atol=1e-15)
+
+
+def test_renders_do_not_wake_the_threads_of_blas():
+    """They would spin beside the render's own. The kernels' time is the process's, with one thread for tasks."""
+    settings = Settings(threads=1)
+    matrix = np.eye(4)
+    matrix[2, 3] = 3.0
+
+    scene = [(cloud(), Medium(40.0, 0.9, 0.8))], [SUN], Camera(matrix, resolution=(64, 64)), settings
+    # The second time without what is loaded once.
+    for _ in range(2):
+        time.sleep(0.3)
+        process, clock = time.process_time(), time.perf_counter()
+        render(*scene, cache=RenderCache())
+        process, clock = time.process_time() - process, time.perf_counter() - clock
+    # One thread works at a time.
+    assert process < 1.15 * clock + 0.02

@@ -15,6 +15,7 @@ from inference.marching.depth_samples import possible_counts, sample_counts
 from inference.marching.emission import emitted_radiance
 from inference.marching.lamp_march import march_lamps
 from inference.marching.ray_march import RaySegment, march
+from inference.runtime.cancellation import Cancelled
 from inference.scene.optimizations import ALL
 from tests.support.marches import MarchScene, Recipe, random_scene
 from tests.support.volumes import SUN, cloud
@@ -177,10 +178,11 @@ def test_a_ray_does_not_depend_on_those_marched_with_it():
     )
 
 
-def test_a_march_that_is_to_stop_does_not_begin():
+def test_a_march_that_is_to_stop_is_cancelled():
     scene = random_scene(1, SCENES["ordinary"], 24)
-    stopped = CompiledMarch(KERNELS, scene.media, scene.options, scene.channels, ctypes.c_int32(1))(scene.rays)
-    assert stopped.steps_evaluated == 0 and len(stopped.sample_ray) == 0
+    march = CompiledMarch(KERNELS, scene.media, scene.options, scene.channels, ctypes.c_int32(1))
+    with pytest.raises(Cancelled):
+        march(scene.rays)
 
 
 CAMERAS = {
