@@ -41,23 +41,25 @@ class Layer:
 
 
 def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:
-    """The Layer of a framebuffer's pixels; shape: (H, W)."""
+    """The Layer of a framebuffer's pixels, in its memory, so that it cannot be added to any more; shape: (H, W)."""
     single, multiple, emission = (
         colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission)
     )
-    alpha = framebuffer.alpha
-    depth = np.maximum(alpha, np.float32(1e-30))
-    np.divide(framebuffer.depth, depth, out=depth)
-    depth[~(alpha > 0.0)] = np.inf
+    alpha, depth, uncertainty = framebuffer.alpha, framebuffer.depth, framebuffer.deviation
+    shown = alpha > 0.0
+    np.divide(depth, alpha, out=depth, where=shown)
+    depth[~shown] = np.inf
+    np.clip(alpha, 0.0, 1.0, out=alpha)
+    np.hypot(framebuffer.uncertainty, uncertainty, out=uncertainty)
     rgb = single + multiple
     rgb += emission
     return Layer(
         rgb=rgb,
-        alpha=np.clip(alpha, 0.0, 1.0).reshape(shape),
+        alpha=alpha.reshape(shape),
         depth=depth.reshape(shape),
         single=single,
         multiple=multiple,
-        uncertainty=np.hypot(framebuffer.uncertainty, framebuffer.deviation).reshape(shape),
+        uncertainty=uncertainty.reshape(shape),
         emission=emission,
         report=report,
         sampling_error=framebuffer.uncertainty.reshape(shape),

@@ -9,6 +9,7 @@ hold on others.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,47 +105,49 @@ def expected_error(layer: Layer) -> ExpectedError | None:
     shown = layer.alpha > SHOWN_ALPHA
     if not shown.any():
         return None
-    # Nothing else counts.
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    shown, alpha = shown[part], layer.alpha[part]
-    # numpy is slow to sum along short axes.
-    red, green, blue = (layer.rgb[part][..., c] for c in range(3))
-    light = np.where(shown, (red + green + blue) / np.float32(3.0), np.float32(0.0))
-    variance = np.where(shown, np.square(layer.uncertainty[part], dtype=np.float64), 0.0)
-    total = light.sum(dtype=np.float64)
+    ninths = [
+        _Part.of(layer, f"{height or 'middle'} {side}".strip() if height or side else "middle", above, beside)
+        for above, height in _thirds(rows, ("upper", "", "lower"))
+        for beside, side in _thirds(columns, ("left", "", "right"))
+    ]
+    total, count, variance = (sum(getattr(part, name) for part in ninths) for name in ("light", "pixels", "variance"))
     if not total > 0.0:
         return None
-    error = float(np.sqrt(variance.sum() * shown.sum()) / total)
+    error = float(np.sqrt(variance * count) / total)
     low, high = (error * factor for factor in MOST_OF_PICTURES)
-    return ExpectedError(error, low, high, BIAS * error, _where(variance, light, shown, alpha))
+    # A ninth that holds hardly any light does not count.
+    lit = [part for part in ninths if part.light > LEAST_LIGHT * total]
+    worst = max(lit, key=lambda part: part.variance * part.pixels / part.light**2)
+    at_rim = worst.at_rim > 0.5 * worst.variance
+    return ExpectedError(error, low, high, BIAS * error, worst.name + (", at the rim" if at_rim else ""))
 
 
-def _where(variance: np.ndarray, light: np.ndarray, shown: np.ndarray, alpha: np.ndarray) -> str:
-    """The ninth of what the picture shows in which the error over the light is largest, in words.
+class _Part(NamedTuple):
+    """Sums over the pixels of a part of the picture that show a volume: their number, their light, their variance, and
+    that of those at the rim."""
 
-    Images (H, W); variance, light: 0 where nothing is shown.
-    """
-    found, total = [], light.sum(dtype=np.float64)
-    for rows, height in _thirds(shown.any(axis=1), ("upper", "", "lower")):
-        for columns, side in _thirds(shown.any(axis=0), ("left", "", "right")):
-            part = rows, columns
-            lit = light[part].sum(dtype=np.float64)
-            # A ninth that holds hardly any light does not count.
-            if lit > LEAST_LIGHT * total:
-                name = f"{height or 'middle'} {side}".strip() if height or side else "middle"
-                error = variance[part].sum() * shown[part].sum() / lit**2
-                found.append((error, name, part))
-    if not found:
-        return ""
-    _, name, part = max(found, key=lambda one: one[0])
-    at_rim = variance[part].sum(where=alpha[part] < RIM_ALPHA) > 0.5 * variance[part].sum()
-    return name + (", at the rim" if at_rim else "")
+    name: str
+    pixels: int
+    light: float
+    variance: float
+    at_rim: float
+
+    @classmethod
+    def of(cls, layer: Layer, name: str, rows: slice, columns: slice) -> "_Part":
+        alpha = layer.alpha[rows, columns]
+        shown = alpha > SHOWN_ALPHA
+        # numpy is slow to sum along short axes.
+        red, green, blue = (layer.rgb[rows, columns, c] for c in range(3))
+        light = ((red + green + blue) / np.float32(3.0)).sum(where=shown, dtype=np.float64)
+        variance = np.square(layer.uncertainty[rows, columns], dtype=np.float64)
+        variance *= shown
+        rim = variance.sum(where=alpha < RIM_ALPHA)
+        return cls(name, np.count_nonzero(shown), float(light), float(variance.sum()), float(rim))
 
 
-def _thirds(shown: np.ndarray, names: Sequence[str]) -> list[tuple[slice, str]]:
-    """Thirds of the rows or columns between the first and the last that show anything; shown: bool (n,)."""
-    places = np.flatnonzero(shown)
+def _thirds(places: np.ndarray, names: Sequence[str]) -> list[tuple[slice, str]]:
+    """Thirds of the rows or columns between the first and the last of places (n,), ascending."""
     first, end = places[0], places[-1] + 1
     ends = [first + round(k * (end - first) / 3) for k in range(4)]
     return [(slice(a, b), name) for a, b, name in zip(ends, ends[1:], names)]
