@@ -81,6 +81,7 @@ class OrdinateSweep(Shared):
         ("emit", c_void_p),
         ("gather", c_void_p),
         ("field", c_void_p),
+        ("beams", c_void_p),
         ("leaving", c_void_p),
         ("within", c_void_p),
         ("links", c_void_p),

@@ -72,15 +72,17 @@ typedef struct {
     const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1 */
     const int64_t *kinds;        /* (directions), of `leaving` and `within` */
     const float *emit;           /* (directions, 5), weights of the field's parts in the source */
-    const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux */
+    const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux, or NULL */
     const float *field;          /* (5, n, n, n), fluence, flux and beam */
+    const float *beams;          /* (directions, n, n, n), of each direction in place of the field's; or NULL */
     const float *leaving;        /* (3, n, n, n), share of the source in what leaves a cell across a face, an edge and
                                     a corner */
     const float *within;         /* (3, n, n, n), and in the mean within it */
     const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
     const float *entering;       /* (directions), radiance at the faces of the cube, or NULL */
-    float *sums;                 /* (4, n, n, n), fluence and flux, added to */
-    float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */
+    float *sums;                 /* (4, n, n, n), fluence and flux, added to; without weights (directions, n, n, n),
+                                    the mean radiance in each cell, filled */
+    float *scratch;              /* (2, directions, n + 2, n + 2) and (12, n) */
 } OrdinateSweep;
 
 /* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 13
+INTERFACE = 14
 CHANNELS = 3
 PHASES = 8192
 
