@@ -217,9 +217,10 @@ class LampDepths(Shared):
 
 class LampBeam(Shared):
     _fields_ = [
+        ("lamp", c_int64),
         ("columns", c_void_p),
-        ("emitter", c_void_p),
-        ("shadow_map", c_void_p),
+        ("emitters", c_void_p),
+        ("shadow_maps", c_void_p),
         ("cells", c_int64),
         ("count", c_int64),
         ("numbers", c_void_p),
@@ -229,6 +230,18 @@ class LampBeam(Shared):
         ("sigma", c_double),
         ("radius", c_double),
         ("light", c_void_p),
+        ("open", c_void_p),
+    ]
+
+
+class LampFluence(Shared):
+    _fields_ = [
+        ("points", c_int64),
+        ("positions", c_void_p),
+        ("lamp", c_int64),
+        ("emitters", c_void_p),
+        ("fluence", c_void_p),
+        ("brightest", c_void_p),
     ]
 
 
@@ -268,5 +281,6 @@ FUNCTIONS = {
     "fill_lamp_columns": LampSlices,
     "lamp_depths": LampDepths,
     "lamp_beam": LampBeam,
+    "lamp_fluence": LampFluence,
     "gather_light": LightGather,
 }

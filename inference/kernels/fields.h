@@ -196,11 +196,12 @@ typedef struct {
     float *out;
 } LampDepths;
 
-/* Unscattered light of a part of a lamp in cells of the working cube: LampInCube. */
+/* Unscattered light of a lamp in cells of the working cube: LampInCube. */
 typedef struct {
-    const LampColumns *columns;  /* through the cells, whose indices they take */
-    const Emitter *emitter;
-    const LampShadowMap *shadow_map;  /* or NULL */
+    int64_t lamp;                /* its parts */
+    const LampColumns *const *columns;  /* (lamp), through the cells, whose indices they take */
+    const Emitter *emitters;     /* (lamp) */
+    const LampShadowMap *const *shadow_maps;  /* (lamp), each may be NULL */
     int64_t cells;               /* along an edge */
     int64_t count;
     const int64_t *numbers;      /* (count), of the cells to fill */
@@ -209,7 +210,18 @@ typedef struct {
     double sigma;
     double radius;               /* by which the light is softened */
     double *light;               /* (cells, cells, cells), added to */
+    double *open;                /* the same without what lies in between; or NULL */
 } LampBeam;
+
+/* Fluence of a lamp of power 1 at points: LampInMedia. */
+typedef struct {
+    int64_t points;
+    const double *positions;     /* (points, 3), in the world */
+    int64_t lamp;                /* its parts */
+    const Emitter *emitters;     /* (lamp) */
+    double *fluence;             /* (points) */
+    double *brightest;           /* (points), as if it faced each of them */
+} LampFluence;
 
 /* Light that points receive along rays around their camera rays: final_gather. */
 typedef struct {

@@ -113,6 +113,8 @@ typedef struct {
     int64_t cone;            /* whether the sphere shines into a cone: */
     double axis[3], cosine, width;
     double corners[12], normal[3], radiance, area;  /* of the quadrilateral */
+    double nodes[12], areas[4];  /* of a quadrature over its surface, */
+    double far;              /* and the square of the distance from which on it is used */
     double tangent, focus;   /* of half its spread, and the brightness of its axis; tangent 0: diffuse */
     double focused;          /* what the tangent is divided by for the focus */
 } Emitter;

@@ -125,38 +125,68 @@ int64_t NAMED(lamp_depths, VARIANT)(const LampDepths *data) {
     return data->points;
 }
 
-/* Light at a place among the cells, without what lies in between, and the mean length of its paths over the distance. */
-static double light_at(const LampBeam *beam, const double *place, float *slant) {
-    double point[3];
-    for (int i = 0; i < 3; i++) point[i] = dot_of(beam->world + 3 * i, place) + beam->offset[i];
-    *slant = (float)emitter_slant(beam->emitter, point);
-    double found = softened(emitter_fluence(beam->emitter, point), beam->radius);
-    return beam->shadow_map ? found * lamp_visibility(beam->shadow_map, point) : found;
+/* Add the light of one part of a lamp at places among the cells to what arrives, and to what would without anything in
+between. */
+static void add_light(const LampBeam *beam, int64_t part, const Floats *index, const Doubles *point, Floats *light,
+                      Floats *open) {
+    const Emitter *emitter = beam->emitters + part;
+    Floats found = softened_all(emitter_fluences(emitter, point), beam->radius), slant = in_all(1.0f);
+    *open += found;
+    if (beam->shadow_maps[part] || (!emitter->flat && emitter->soft_falloff)) {
+        FOR_LANES(n) {
+            double at[3] = {point[0][n], point[1][n], point[2][n]};
+            slant[n] = (float)emitter_slant(emitter, at);
+            if (beam->shadow_maps[part]) found[n] *= (float)lamp_visibility(beam->shadow_maps[part], at);
+        }
+    }
+    *light += found * transmittance(lamp_depth(beam->columns[part], index, (float)beam->sigma) * slant);
 }
 
 int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
     int64_t parts = beam->parts, samples = parts * parts * parts, n = beam->cells, all = beam->count * samples;
     for (int64_t first = 0; first < all; first += LANES) {
         int used = all - first < LANES ? (int)(all - first) : LANES;
-        Floats index[3], slant;
-        double light[LANES];
+        Floats index[3], light = in_all(0.0f), open = in_all(0.0f);
+        Doubles place[3], point[3];
         FOR_LANES(k) {
             int64_t sample = first + (k < used ? k : used - 1), number = beam->numbers[sample / samples];
-            int64_t cell[3] = {number / (n * n), number / n % n, number % n}, part = sample % samples;
-            double place[3];
+            int64_t cell[3] = {number / (n * n), number / n % n, number % n}, inside = sample % samples;
             for (int axis = 2; axis >= 0; axis--) {
-                place[axis] = (double)cell[axis] + ((double)(part % parts) + 0.5) / (double)parts - 0.5;
-                index[axis][k] = (float)place[axis];
-                part /= parts;
+                place[axis][k] = (double)cell[axis] + ((double)(inside % parts) + 0.5) / (double)parts - 0.5;
+                inside /= parts;
             }
-            float factor;
-            light[k] = light_at(beam, place, &factor);
-            slant[k] = factor;
         }
-        Floats passed = transmittance(lamp_depth(beam->columns, index, (float)beam->sigma) * slant);
+        for (int i = 0; i < 3; i++) {
+            const double *row = beam->world + 3 * i;
+            index[i] = __builtin_convertvector(place[i], Floats);
+            point[i] = row[0] * place[0] + row[1] * place[1] + row[2] * place[2] + beam->offset[i];
+        }
+        for (int64_t part = 0; part < beam->lamp; part++) add_light(beam, part, index, point, &light, &open);
         for (int k = 0; k < used; k++) {
-            beam->light[beam->numbers[(first + k) / samples]] += light[k] * (double)passed[k] / (double)samples;
+            int64_t number = beam->numbers[(first + k) / samples];
+            beam->light[number] += (double)light[k] / (double)samples;
+            if (beam->open) beam->open[number] += (double)open[k] / (double)samples;
         }
     }
     return beam->count;
+}
+
+int64_t NAMED(lamp_fluence, VARIANT)(const LampFluence *data) {
+    for (int64_t first = 0; first < data->points; first += LANES) {
+        Doubles point[3];
+        Floats fluence = in_all(0.0f), most = in_all(0.0f);
+        FOR_LANES(n) {
+            const double *at = data->positions + 3 * least_int(first + n, data->points - 1);
+            for (int k = 0; k < 3; k++) point[k][n] = at[k];
+        }
+        for (int64_t part = 0; part < data->lamp; part++) {
+            fluence += emitter_fluences(data->emitters + part, point);
+            most += brightest_of(data->emitters + part, point);
+        }
+        for (int n = 0; n < LANES && first + n < data->points; n++) {
+            data->fluence[first + n] = (double)fluence[n];
+            data->brightest[first + n] = (double)most[n];
+        }
+    }
+    return data->points;
 }

@@ -63,7 +63,7 @@ typedef struct {
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
-    double *given, *reference;   /* (steps), fluence of a lamp, and what stands for it in ray features */
+    float *given, *reference;    /* (steps), fluence of a lamp, and what stands for it in ray features */
     float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
@@ -729,83 +729,148 @@ static inline double scattered_back(const float *phase, double behind, double pa
     return table[cell] + (place - (double)cell) * (table[cell + 1] - table[cell]);
 }
 
+/* As scattered_back, of several points. */
+static inline Floats scattered_back_at(const float *phase, Doubles behind, double passing) {
+    Floats along = __builtin_convertvector(behind, Floats), size = choose(along > 0.0f, along, -along);
+    Floats square = __builtin_convertvector(behind * behind + passing, Floats);
+    square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
+    Floats distance = square * inverse_roots(square), share = (float)passing / (distance * (distance + size));
+    share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
+    Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
+    Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);
+    FOR_LANES(n) {
+        const float *at = phase + (along[n] > 0.0f ? MRPNN_PHASES + 1 : 0) + cell[n];
+        here[n] = at[0], next[n] = at[1];
+    }
+    return lerp_lanes(here, next, least_of(place - to_floats(cell), in_all(1.0f)));
+}
+
+/* A ray as a part of a lamp sees it. */
+typedef struct {
+    double origin[3];  /* of the ray, from the part */
+    double nearest;    /* distance on the ray to where it passes the part, */
+    double passing;    /* and the square of the part's distance from there */
+} Pass;
+
+static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
+    Pass pass = {.passing = 0.0};
+    for (int k = 0; k < 3; k++) pass.origin[k] = ray->origin[k] - emitter->position[k];
+    pass.nearest = -dot_of(pass.origin, ray->direction);
+    for (int k = 0; k < 3; k++) {
+        double across = pass.origin[k] + pass.nearest * ray->direction[k];
+        pass.passing += across * across;
+    }
+    return pass;
+}
+
+/* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
+the angle under which that sees the step, in which the inverse square is constant.
+
+begin, end: of the step, from where the ray passes the part. weight: of its light. */
+static void add_bent(const Scene *scene, const Emitter *emitter, const Ray *ray, const Pass *pass, const double *ends,
+                     double weight, int64_t s, const Work *work, double *single, int64_t stride) {
+    double begin = ends[0], end = ends[1], length = end - begin;
+    double height = sqrt(pass->passing + emitter->extent * emitter->extent + 1e-6 * length * length);
+    double from = atan2(begin, height), turn = atan2(end, height) - from;
+    for (int64_t node = 0; node < scene->wide_count; node++) {
+        double behind = height * tan(from + scene->wide_nodes[node] * turn), point[3];
+        double light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
+        for (int k = 0; k < 3; k++) {
+            point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * ray->direction[k];
+        }
+        light *= emitter_fluence(emitter, point) * weight;
+        double distance = sqrt(pass->passing + behind * behind);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            if (!(work->sigma[v * work->stride + s] > 0.0f)) continue;
+            double phase = scattered_back(scene->media[v].phase, behind, pass->passing, distance);
+            for (int64_t c = 0; c < scene->scattering; c++) {
+                single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
+            }
+        }
+    }
+}
+
 /* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
-function. In steps that are not far shorter than their distance the nodes lie in the angle under which the lamp sees
-the step, in which the inverse square is constant. */
+function: of two nodes, or in steps that are not far shorter than their distance those of add_bent. */
 static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
                         int64_t stride) {
-    int64_t channels = scene->scattering;
-    double origin[3], passing = 0.0, nearest, wide = scene->wide * scene->wide;
-    for (int k = 0; k < 3; k++) origin[k] = ray->origin[k] - emitter->position[k];
-    nearest = -dot_of(origin, ray->direction);
-    for (int k = 0; k < 3; k++) {
-        double across = origin[k] + nearest * ray->direction[k];
-        passing += across * across;
-    }
-    double extent = emitter->extent * emitter->extent;
-    for (int64_t first = 0; first < STEPS * work->blocks; first += LANES) {
-        float passed[LANES];
+    const Pass pass = pass_of(emitter, ray);
+    double wide = scene->wide * scene->wide, extent = pass.passing + emitter->extent * emitter->extent;
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
         Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
-        store(passed, load(work->transmitted + first) * mean_transmittance(start, end));
-        for (int64_t s = first; s < first + LANES && s < STEPS * work->blocks; s++) {
-            double weight = (double)passed[s - first] * (double)work->visible[s];
-            if (!(work->total[s] > 0.0f) || !(weight > 0.0)) continue;
-            double begin = ray->near + place_in(work, s, 0.0) * ray->dt - nearest;
-            double stop = ray->near + place_in(work, s, 1.0) * ray->dt - nearest, length = stop - begin;
-            double middle = 0.5 * (begin + stop), height = 0.0, turn = 0.0, from = 0.0;
-            int64_t count = 2;
-            int bent = length * length > wide * (passing + extent + middle * middle);
-            if (bent) {
-                height = sqrt(passing + extent + 1e-6 * length * length);
-                from = atan2(begin, height), turn = atan2(stop, height) - from;
-                count = scene->wide_count;
+        Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
+        Ints straight = (load(work->total + first) > 0.0f) & (weight > 0.0f);
+        Doubles begin, length;
+        FOR_LANES(n) {
+            int64_t s = least_int(first + n, steps - 1);
+            begin[n] = ray->near + place_in(work, s, 0.0) * ray->dt - pass.nearest;
+            length[n] = work->size[s / STEPS] * ray->dt;
+            double middle = begin[n] + 0.5 * length[n];
+            if (first + n >= steps) straight[n] = 0;
+            if (!straight[n] || !(length[n] * length[n] > wide * (extent + middle * middle))) continue;
+            straight[n] = 0;
+            double ends[2] = {begin[n], begin[n] + length[n]};
+            add_bent(scene, emitter, ray, &pass, ends, (double)weight[n], s, work, single, stride);
+        }
+        if (!any_lane(straight)) continue;
+        weight *= 0.5f * __builtin_convertvector(length, Floats);
+        for (int node = 0; node < 2; node++) {
+            Doubles behind = begin + (double)GAUSS_NODES[node] * length, point[3];
+            for (int k = 0; k < 3; k++) {
+                point[k] = (emitter->position[k] + pass.origin[k]) + (pass.nearest + behind) * ray->direction[k];
             }
-            for (int64_t node = 0; node < count; node++) {
-                double behind, light, point[3];
-                if (bent) {
-                    behind = height * tan(from + scene->wide_nodes[node] * turn);
-                    light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
-                } else {
-                    behind = begin + (double)GAUSS_NODES[node] * length;
-                    light = 0.5 * length;
-                }
-                for (int k = 0; k < 3; k++) point[k] = emitter->position[k] + origin[k] + (nearest + behind) * ray->direction[k];
-                light *= emitter_fluence(emitter, point) * weight;
-                double distance = sqrt(passing + behind * behind);
-                for (int64_t v = 0; v < scene->volumes; v++) {
-                    float sigma = work->sigma[v * work->stride + s];
-                    if (!(sigma > 0.0f)) continue;
-                    double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
-                    for (int64_t c = 0; c < channels; c++) {
-                        single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
-                    }
+            Floats light = emitter_fluences(emitter, point) * weight;
+            for (int64_t v = 0; v < scene->volumes; v++) {
+                Ints some = straight & (load(work->sigma + v * work->stride + first) > 0.0f);
+                if (!any_lane(some)) continue;
+                Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, pass.passing);
+                for (int64_t c = 0; c < scene->scattering; c++) {
+                    Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
+                    double sum = 0.0;
+                    FOR_LANES(n) sum += some[n] ? (double)found[n] : 0.0;
+                    single[v * stride + c] += sum;
                 }
             }
         }
     }
 }
 
+/* Places within steps, in the world. The last step again where there are no more. */
+static inline void points_in(const Ray *ray, const Work *work, const int64_t *numbers, const float *inside, int64_t count,
+                             int64_t first, Doubles *point) {
+    Doubles distance;
+    FOR_LANES(n) {
+        int64_t k = least_int(first + n, count - 1);
+        distance[n] = ray->near + place_in(work, numbers ? numbers[k] : k, inside ? (double)inside[k] : 0.5) * ray->dt;
+    }
+    for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+}
+
 /* What a lamp gives to the steps and samples of a ray without what lies in between. */
 static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
-    int64_t steps = STEPS * work->blocks;
-    for (int64_t n = 0; n < steps + count; n++) {
-        int64_t s = n < steps ? n : work->sample_step[n - steps];
-        double inside = n < steps ? 0.5 : (double)work->sample_inside[n - steps], point[3], given = 0.0, most = 0.0;
-        if (n < steps && !(work->total[s] > 0.0f)) {
-            work->given[s] = work->reference[s] = 0.0, work->received[s] = 0.0f;
-            continue;
-        }
-        double distance = ray->near + place_in(work, s, inside) * ray->dt;
-        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+    /* Samples follow whole lanes of steps. */
+    int64_t steps = STEPS * work->blocks, whole = (steps + LANES - 1) / LANES * LANES;
+    for (int64_t first = 0; first < whole + count; first += LANES) {
+        int64_t sample = first - whole;
+        Doubles point[3];
+        Floats given = in_all(0.0f), most = in_all(0.0f);
+        if (sample < 0) points_in(ray, work, NULL, NULL, steps, first, point);
+        else points_in(ray, work, work->sample_step, work->sample_inside, count, sample, point);
         for (int64_t e = 0; e < lamp->emitters; e++) {
-            given += emitter_fluence(lamp->parts + e, point);
-            most += brightest(lamp->parts + e, point);
+            given += emitter_fluences(lamp->parts + e, point);
+            most += brightest_of(lamp->parts + e, point);
         }
-        double reference = larger(larger(given, most), 1e-30), coarse = softened(reference, scene->lamp_radius);
-        if (n < steps) {
-            work->given[s] = given, work->reference[s] = reference, work->received[s] = (float)coarse;
+        Floats reference = clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
+        Floats coarse = softened_all(reference, scene->lamp_radius);
+        if (sample < 0) {
+            store(work->given + first, given);
+            store(work->reference + first, reference);
+            store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
         } else {
-            work->sample_light[n - steps] = (float)larger(coarse, 1e-30);
+            for (int n = 0; n < LANES && sample + n < count; n++) {
+                work->sample_light[sample + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
+            }
         }
     }
 }
@@ -813,21 +878,22 @@ static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray
 /* Add the transmittance towards a part of a lamp to its mean over all parts, and what surfaces let through of it. */
 static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray, int alone, Work *work) {
     int64_t room = work->stride, steps = STEPS * work->blocks;
-    for (int64_t s = 0; s < steps; s++) {
-        if (!(work->total[s] > 0.0f)) continue;
-        double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
-        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
-        double found = emitter_fluence(emitter, point), given = work->given[s];
-        work->light[s] = (float)(given > 1e-30 ? found / given : 0.0);
-        work->lit[s] += (float)(found * (double)work->visible[s] / work->reference[s]);
-    }
-    for (int64_t s = 0; s < steps && !alone; s++) {
-        if (!(work->total[s] > 0.0f)) continue;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Doubles point[3];
+        points_in(ray, work, NULL, NULL, steps, first, point);
+        Floats found = emitter_fluences(emitter, point), given = load(work->given + first);
+        Floats share = choose(given > 1e-30f, found / given, in_all(0.0f)), next = share;
+        Ints known = load(work->total + first) > 0.0f;
+        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first) / load(work->reference + first));
+        if (alone) continue;
         /* The edge between two steps belongs to the second. */
-        float share = work->light[s], next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? work->light[s + 1] : share;
+        FOR_LANES(n) {
+            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = share[n + 1];
+        }
         for (int64_t g = 0; g < scene->groups; g++) {
-            work->mean_start[g * room + s] += share * (float)exp(-(double)work->start[g * room + s]);
-            work->mean_end[g * room + s] += next * (float)exp(-(double)work->end[g * room + s]);
+            float *starts = work->mean_start + g * room + first, *ends = work->mean_end + g * room + first;
+            store(starts, load(starts) + share * transmittance(load(work->start + g * room + first)));
+            store(ends, load(ends) + next * transmittance(load(work->end + g * room + first)));
         }
     }
 }
@@ -935,8 +1001,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(group_tau, float, groups * steps)
     TAKE(mean_start, float, scene->lamps ? groups * steps : 0)
     TAKE(mean_end, float, scene->lamps ? groups * steps : 0)
-    TAKE(given, double, scene->lamps ? steps : 0)
-    TAKE(reference, double, scene->lamps ? steps : 0)
+    TAKE(given, float, scene->lamps ? steps : 0)
+    TAKE(reference, float, scene->lamps ? steps : 0)
     TAKE(lit, float, scene->lamps ? steps : 0)
     TAKE(received, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)

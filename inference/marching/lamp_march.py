@@ -16,12 +16,15 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import LampOpticalDepth
+from ..kernels.field_structures import LampFluence
 from ..kernels.library import Kernels
+from ..kernels.structures import array_of
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.lamps import Emitter, Lamp
 from ..scene.mesh_light import MeshLight
+from ..transport.described_lamps import describe_emitter
 from ..transport.scattered_fluence import ScatteredFluence
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_march import (
@@ -56,7 +59,7 @@ class LampInMedia:
 
     emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
     coarse transport. shadow_maps: of each emitter, or None where no surface shadows anything from the lamp. key: digest
-    that is equal for lamps with the same light and shadows.
+    that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
     """
 
     lamp: Lamp
@@ -65,6 +68,7 @@ class LampInMedia:
     coarse: Sequence[Emitter]
     shadow_maps: list[LampShadowMap] | None = None
     key: bytes = b""
+    kernels: Kernels | None = None
 
     @property
     def power(self) -> np.ndarray:
@@ -103,15 +107,31 @@ class LampInMedia:
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3), for power 1, without what lies in between."""
-        return np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
+        return self._light(points)[0]
 
     def reference(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) that networks take as a lamp's light at points (N, 3): not 0 where it shines elsewhere.
 
         What it is above the lamp's fluence counts as shadow.
         """
-        brightest = np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
-        return np.maximum(self.fluence(points), brightest)
+        return np.maximum(*self._light(points))
+
+    def _light(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fluence float64 (N,) at world points (N, 3), and what it would be if each emitter faced each of them."""
+        if self.kernels is None:
+            fluence = np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
+            return fluence, np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
+        fluence, brightest = np.empty((2, len(points)))
+        data = LampFluence(
+            points=len(points),
+            positions=np.ascontiguousarray(points, np.float64),
+            lamp=len(self.emitters),
+            emitters=array_of([describe_emitter(emitter) for emitter in self.emitters]),
+            fluence=fluence,
+            brightest=brightest,
+        )
+        self.kernels.prepare("lamp_fluence", data)
+        return fluence, brightest
 
 
 def place_lamp(
@@ -142,7 +162,7 @@ def place_lamp(
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces))
+    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces), kernels)
 
 
 def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:
