@@ -183,7 +183,7 @@ typedef struct {
     const int64_t *slices;       /* (planes), that each ends, or 0 */
     const double *ways;          /* (planes, 2), half the distances to the planes before and after */
     float *running;              /* (columns), depths so far */
-    float *scratch;              /* (4 * columns of a row + voxels of a row + 6, and those of a plane if sparse) */
+    float *scratch;              /* (5 * columns of a row + voxels of a row + 6 + those of a plane) */
     int32_t *cells;              /* (columns of a row), scratch */
 } LampSlices;
 

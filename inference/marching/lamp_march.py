@@ -10,6 +10,8 @@ exponentially within a step, as for suns.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -116,6 +118,11 @@ class LampInMedia:
         """
         return np.maximum(*self._light(points))
 
+    @cached_property
+    def _described(self) -> Any:
+        """The emitters as compiled kernels read them."""
+        return array_of([describe_emitter(emitter) for emitter in self.emitters])
+
     def _light(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fluence float64 (N,) at world points (N, 3), and what it would be if each emitter faced each of them."""
         if self.kernels is None:
@@ -126,7 +133,7 @@ class LampInMedia:
             points=len(points),
             positions=np.ascontiguousarray(points, np.float64),
             lamp=len(self.emitters),
-            emitters=array_of([describe_emitter(emitter) for emitter in self.emitters]),
+            emitters=self._described,
             fluence=fluence,
             brightest=brightest,
         )

@@ -81,7 +81,8 @@ class LampInCube:
         for axis in range(3):
             near = np.moveaxis(near, axis, 0)
             near = np.moveaxis(near[:-2] | near[1:-1] | near[2:], 0, axis)
-        light, unhindered = self._light(cells, near, 1, cancel)
+        # The shadows of several emitters blend: each of them may be coarser.
+        light, unhindered = self._light(cells, near, 1, cancel, len(self.emitters) ** 0.25)
         lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
         # Beside the cone of a spot there is no light to take away.
         least = max(MIN_SHARE * unhindered.max(initial=0.0), 1e-30)
@@ -91,16 +92,22 @@ class LampInCube:
         return depth
 
     def _light(
-        self, solver: DiscreteOrdinates | CubeCells, filled: np.ndarray, few: int, cancel: CancelToken
+        self,
+        solver: DiscreteOrdinates | CubeCells,
+        filled: np.ndarray,
+        few: int,
+        cancel: CancelToken,
+        apart: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Means of the unscattered light float64 (n, n, n) over those cells that are `filled`, bool (n, n, n).
 
         Once as it is, and once without what lies in between. few: parts of an edge of a cell that is not near the lamp.
+        apart: as for LampOpticalDepth.
         """
         n = len(solver.density)
         grid, linear, offset = DenseGrid(solver.density), n * np.eye(3), np.full(3, 0.5 * n - 0.5)
         lamps = self.cube.positions(np.array([emitter.position for emitter in self.emitters]))
-        depths = [LampOpticalDepth(grid, linear, offset, lamp, 1.0, cancel, solver.kernels) for lamp in lamps]
+        depths = [LampOpticalDepth(grid, linear, offset, lamp, apart, cancel, solver.kernels) for lamp in lamps]
         light, near = np.zeros((2, n, n, n)), np.zeros((n, n, n), bool)
         for lamp in lamps:
             first, end = (np.ceil((lamp + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
