@@ -20,8 +20,8 @@ from .validation import affine_matrix, rgb_triple
 #: Shapes of area lights.
 SHAPES = ("square", "rectangle", "disk", "ellipse")
 # Size of a lamp, over its distance to what it lights, up to which it has a single emitter; and up to which a flat one
-# has four.
-SMALL, MEDIUM_SIZE = 0.05, 0.35
+# has four and nine.
+SMALL, MEDIUM_SIZE, LARGE = 0.05, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
 # Distance over the longest edge of a flat emitter from which its solid angle is a quadrature of two nodes along each
@@ -350,7 +350,7 @@ class AreaLight:
         axes = self.world_matrix[:3, :2] * half
         size = float(2.0 * np.linalg.norm(axes, axis=0).max())
         apart = size / max(distance_from_box(self.centre, low, high), 1e-6 * size)
-        count = 1 if apart < SMALL else 2 if apart < MEDIUM_SIZE else 4
+        count = 1 + sum(apart >= size for size in (SMALL, MEDIUM_SIZE, LARGE))
         count = min(count, int(most**0.5))
         quads = _disk_quads(count) if self._round else _square_quads(count)
         found, normal = [], self.normal
@@ -410,10 +410,11 @@ def _square_quads(count: int) -> list[np.ndarray]:
 
 
 def _disk_quads(count: int) -> list[np.ndarray]:
-    """The unit disk in one, four or sixteen parts of equal area, as quadrilaterals (4, 2) of about that area."""
+    """The unit disk in count x count parts of equal area, up to 16, as quadrilaterals (4, 2) of about that area."""
     if count == 1:
         return [np.sqrt(np.pi / 4.0) * quad for quad in _square_quads(1)]
-    rings = [(0.0, 1.0, 4)] if count == 2 else [(0.0, 0.5, 4), (0.5, 1.0, 12)]
+    inner = {2: 1.0, 3: 1.0 / np.sqrt(3.0), 4: 0.5}[count]
+    rings = [(0.0, 1.0, 4)] if count == 2 else [(0.0, inner, count), (inner, 1.0, count**2 - count)]
     found = []
     for inner, outer, parts in rings:
         angles = np.arange(parts + 1) * (2.0 * np.pi / parts)
