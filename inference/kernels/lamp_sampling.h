@@ -37,53 +37,66 @@ static inline int64_t slice_before(const Pyramid *pyramid, double along) {
     return low;
 }
 
+/* One over the square roots of numbers within 1e-30 and 1e30: Newton's method from a guess of the bits. */
+static inline Floats inverse_roots(Floats x) {
+    Floats y = (Floats)(0x5f375a86 - ((Ints)x >> 1)), half = 0.5f * x;
+    for (int n = 0; n < 3; n++) y = y * (1.5f - half * y * y);
+    return y;
+}
+
 /* Optical depths towards a lamp at continuous indices. */
 static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
     static const float zeros[2] = {0.0f, 0.0f};
-    Floats away[3], part[2], begin, share, span, length, along;
+    Floats away[3], size[3], part[2], begin, share, span, length = in_all(0.0f);
     Pairs near[2], far[2];
-    Ints inside = {0};
     for (int axis = 0; axis < 3; axis++) {
         away[axis] = clamped_to(index[axis] - (float)lamp->lamp[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        size[axis] = choose(away[axis] < 0.0f, -away[axis], away[axis]);
+    }
+    /* The axis along which each is farthest from the lamp, and the places along the others, in order. */
+    Ints second = size[1] > size[0], third = size[2] > choose(second, size[1], size[0]);
+    Floats along = choose(third, size[2], choose(second, size[1], size[0]));
+    Ints inside = along > 0.0f;
+    Floats once = 1.0f / choose(inside, along, in_all(1.0f));
+    Floats slope[2] = {choose(second | third, away[0], away[1]) * once, choose(third, away[1], away[2]) * once};
+    Floats main = choose(third, away[2], choose(second, away[1], away[0]));
+    Ints number = choose_int(third, (Ints){0} + 4, choose_int(second, (Ints){0} + 2, (Ints){0})) - (main < 0.0f);
+    for (int i = 0; i < 3; i++) {
+        const double *row = lamp->world_from_index + 3 * i;
+        Floats sum = (float)row[0] * (away[0] * once) + (float)row[1] * (away[1] * once) + (float)row[2] * (away[2] * once);
+        length += sum * sum;
+    }
+    length = length * inverse_roots(clamped_to(length, in_all(1e-30f), in_all(1e30f)));
+    Ints cell[2];
+    for (int k = 0; k < 2; k++) {
+        Floats first, spacing, last;
+        FOR_LANES(n) {
+            const Pyramid *pyramid = lamp->pyramids + number[n];
+            first[n] = (float)pyramid->first[k], spacing[n] = (float)pyramid->spacing[k];
+            last[n] = (float)(pyramid->size[k] - 1);
+        }
+        Floats place = (slope[k] - first) / spacing;
+        inside &= (place >= -COLUMN_ROUNDING) & (place <= last + COLUMN_ROUNDING);
+        place = clamped_to(place, in_all(0.0f), choose(last > 0.0f, last, in_all(0.0f)));
+        cell[k] = to_ints(place);
+        cell[k] += to_floats(cell[k]) > last - 1.0f;
+        part[k] = place - to_floats(cell[k]);
     }
     FOR_LANES(n) {
-        float size[3] = {fabsf(away[0][n]), fabsf(away[1][n]), fabsf(away[2][n])};
-        int axis = size[1] > size[0] ? 1 : 0;
-        if (size[2] > size[axis]) axis = 2;
-        const Pyramid *pyramid = lamp->pyramids + 2 * axis + (away[axis][n] < 0.0f);
-        int others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
+        const Pyramid *pyramid = lamp->pyramids + number[n];
         near[0][n] = near[1][n] = far[0][n] = far[1][n] = pair_at(zeros);
-        part[0][n] = part[1][n] = begin[n] = share[n] = span[n] = length[n] = 0.0f;
-        along[n] = size[axis];
-        if (pyramid->slices < 2 || !(along[n] > 0.0f)) continue;
-        int64_t cell[2];
-        int outside = 0;
-        for (int k = 0; k < 2; k++) {
-            float place = (away[others[k]][n] / along[n] - (float)pyramid->first[k]) / (float)pyramid->spacing[k];
-            float last = (float)(pyramid->size[k] - 1);
-            outside |= place < -COLUMN_ROUNDING || place > last + COLUMN_ROUNDING;
-            place = clamped(place, 0.0f, last);
-            cell[k] = within((int64_t)place, pyramid->size[k] - 2);
-            part[k][n] = place - (float)cell[k];
-        }
-        if (outside) continue;
-        inside[n] = -1;
+        begin[n] = share[n] = span[n] = 0.0f;
+        if (pyramid->slices < 2) inside[n] = 0;
+        if (!inside[n]) continue;
         int64_t slice = slice_before(pyramid, along[n]), width = pyramid->size[1], step = pyramid->size[0] * width;
         double start = pyramid->starts[slice], whole = pyramid->starts[slice + 1] - start;
-        double passed = ((double)along[n] - start) / whole;
+        double passed = larger(smaller((double)along[n] - start, whole), 0.0);
         begin[n] = (float)start;
-        share[n] = (float)(passed > 0.0 ? smaller(passed, 1.0) : 0.0);
-        span[n] = (float)(larger(smaller(passed, 1.0), 0.0) * whole);
-        const float *at = pyramid->depths + slice * step + cell[0] * width + cell[1];
+        share[n] = (float)(passed / whole);
+        span[n] = (float)passed;
+        const float *at = pyramid->depths + slice * step + cell[0][n] * width + cell[1][n];
         near[0][n] = pair_at(at), near[1][n] = pair_at(at + width);
         far[0][n] = pair_at(at + step), far[1][n] = pair_at(at + step + width);
-        double square = 0.0;
-        for (int i = 0; i < 3; i++) {
-            double sum = 0.0;
-            for (int j = 0; j < 3; j++) sum += lamp->world_from_index[3 * i + j] * (double)(away[j][n] / along[n]);
-            square += sum * sum;
-        }
-        length[n] = (float)sqrt(square);
     }
     if (!any_lane(inside)) return in_all(0.0f);
     Floats depth = lerp_lanes(lerp_pairs(near[0], part[1]), lerp_pairs(near[1], part[1]), part[0]);
@@ -203,13 +216,6 @@ static inline double emitter_fluence(const Emitter *emitter, const double *point
     double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
     double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
     return found * inside * inside * (3.0 - 2.0 * inside);
-}
-
-/* One over the square roots of numbers within 1e-30 and 1e30: Newton's method from a guess of the bits. */
-static inline Floats inverse_roots(Floats x) {
-    Floats y = (Floats)(0x5f375a86 - ((Ints)x >> 1)), half = 0.5f * x;
-    for (int n = 0; n < 3; n++) y = y * (1.5f - half * y * y);
-    return y;
 }
 
 /* Lengths of vectors squared, within the range of inverse_roots. */
