@@ -45,7 +45,7 @@ WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 # and after that; they end when less than the fraction CONVERGED of the scattered light changes.
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
 # The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
-EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 5e-4
+EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-3
 # Tolerance and maximal iterations of the diffusion solver, which works on cells twice as large.
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
