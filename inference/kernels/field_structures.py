@@ -222,6 +222,7 @@ class LampBeam(Shared):
         ("emitters", c_void_p),
         ("shadow_maps", c_void_p),
         ("cells", c_int64),
+        ("first", c_int64 * 3),
         ("count", c_int64),
         ("numbers", c_void_p),
         ("parts", c_int64),

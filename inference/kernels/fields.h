@@ -199,10 +199,11 @@ typedef struct {
 /* Unscattered light of a lamp in cells of the working cube: LampInCube. */
 typedef struct {
     int64_t lamp;                /* its parts */
-    const LampColumns *const *columns;  /* (lamp), through the cells, whose indices they take */
+    const LampColumns *const *columns;  /* (lamp), through the cells, whose indices from `first` they take */
     const Emitter *emitters;     /* (lamp) */
     const LampShadowMap *const *shadow_maps;  /* (lamp), each may be NULL */
     int64_t cells;               /* along an edge */
+    int64_t first[3];
     int64_t count;
     const int64_t *numbers;      /* (count), of the cells to fill */
     int64_t parts;               /* of a cell along each axis, in whose middles the light is sampled */

@@ -190,7 +190,7 @@ int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
         }
         for (int i = 0; i < 3; i++) {
             const double *row = beam->world + 3 * i;
-            index[i] = __builtin_convertvector(place[i], Floats);
+            index[i] = __builtin_convertvector(place[i] - (double)beam->first[i], Floats);
             point[i] = row[0] * place[0] + row[1] * place[1] + row[2] * place[2] + beam->offset[i];
         }
         for (int64_t part = 0; part < beam->lamp; part++) add_light(beam, part, index, point, &light, &open);

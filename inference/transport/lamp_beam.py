@@ -34,6 +34,18 @@ def _centres(n: int, numbers: np.ndarray) -> np.ndarray:
     return (np.stack(np.unravel_index(numbers, (n, n, n)), axis=1) + 0.5) / n - 0.5
 
 
+def _support(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first cell (3,) that holds density and the one behind the last along each axis, at least two cells."""
+    ends = []
+    for axis in range(3):
+        held = np.flatnonzero(density.max(axis=tuple(other for other in range(3) if other != axis)) > 0.0)
+        first, end = (held[0], held[-1] + 1) if len(held) else (0, 2)
+        first = min(first, density.shape[axis] - 2)
+        ends.append((first, max(end, first + 2)))
+    low, high = np.array(ends).T
+    return low, high
+
+
 @dataclass(frozen=True)
 class CubeCells:
     """Cells of the working cube that light is cast into.
@@ -105,7 +117,10 @@ class LampInCube:
         apart: as for LampOpticalDepth.
         """
         n = len(solver.density)
-        grid, linear, offset = DenseGrid(solver.density), n * np.eye(3), np.full(3, 0.5 * n - 0.5)
+        # Columns through the cells that hold density alone.
+        low, high = _support(solver.density)
+        linear, offset = n * np.eye(3), 0.5 * n - 0.5 - low
+        grid = DenseGrid(solver.density[tuple(map(slice, low, high))])
         lamps = self.cube.positions(np.array([emitter.position for emitter in self.emitters]))
         depths = [LampOpticalDepth(grid, linear, offset, lamp, apart, cancel, solver.kernels) for lamp in lamps]
         light, near = np.zeros((2, n, n, n)), np.zeros((n, n, n), bool)
@@ -114,7 +129,7 @@ class LampInCube:
             near[tuple(slice(*ends) for ends in np.clip([first, end], 0, n).astype(int).T)] = True
         for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
             if solver.kernels is not None:
-                self._add_compiled(solver, depths, (cells, parts), light, cancel)
+                self._add_compiled(solver, (depths, low), (cells, parts), light, cancel)
                 continue
             centres, found = _centres(n, cells), np.zeros((2, len(cells)))
             inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
@@ -136,28 +151,29 @@ class LampInCube:
     def _add_compiled(
         self,
         solver: DiscreteOrdinates | CubeCells,
-        depths: Sequence[LampOpticalDepth],
+        columns: tuple[Sequence[LampOpticalDepth], np.ndarray],
         samples: tuple[np.ndarray, int],
         light: np.ndarray,
         cancel: CancelToken,
     ) -> None:
         """Add the light, as it is and without what lies in between, to cells (2, n, n, n) with compiled kernels.
 
-        depths: of each emitter, through the solver's cells. samples: numbers of cells, and into how many parts their
-        edges are divided.
+        columns: optical depths of each emitter through the solver's cells, and the first of these, (3,). samples:
+        numbers of cells, and into how many parts their edges are divided.
         """
-        (cells, parts), n = samples, len(solver.density)
+        (depths, first), (cells, parts), n = columns, samples, len(solver.density)
         assert solver.kernels is not None
-        columns = [depth.described(float(solver.sigma)) for depth in depths]
+        described = [depth.described(float(solver.sigma)) for depth in depths]
         maps = [
             shadow_map and describe_shadow_map(shadow_map) for shadow_map in self.shadow_maps or [None] * len(depths)
         ]
         data = field_structures.LampBeam(
             lamp=len(depths),
-            columns=structures.pointers_to(columns),
+            columns=structures.pointers_to(described),
             emitters=structures.array_of([describe_emitter(emitter) for emitter in self.emitters]),
             shadow_maps=structures.pointers_to(maps),
             cells=n,
+            first=first,
             parts=parts,
             world=self.cube.rotation * (self.cube.edge / n),
             offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
