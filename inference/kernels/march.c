@@ -747,13 +747,15 @@ static inline Floats scattered_back_at(const float *phase, Doubles behind, doubl
 
 /* A ray as a part of a lamp sees it. */
 typedef struct {
+    const Emitter *emitter;
+    const Ray *ray;
     double origin[3];  /* of the ray, from the part */
     double nearest;    /* distance on the ray to where it passes the part, */
     double passing;    /* and the square of the part's distance from there */
 } Pass;
 
 static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
-    Pass pass = {.passing = 0.0};
+    Pass pass = {.emitter = emitter, .ray = ray};
     for (int k = 0; k < 3; k++) pass.origin[k] = ray->origin[k] - emitter->position[k];
     pass.nearest = -dot_of(pass.origin, ray->direction);
     for (int k = 0; k < 3; k++) {
@@ -766,9 +768,10 @@ static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
 /* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
 the angle under which that sees the step, in which the inverse square is constant.
 
-begin, end: of the step, from where the ray passes the part. weight: of its light. */
-static void add_bent(const Scene *scene, const Emitter *emitter, const Ray *ray, const Pass *pass, const double *ends,
-                     double weight, int64_t s, const Work *work, double *single, int64_t stride) {
+ends: of the step, from where the ray passes the part. weight: of its light. */
+static void add_bent(const Scene *scene, const Pass *pass, const double *ends, double weight, int64_t s,
+                     const Work *work, double *single, int64_t stride) {
+    const Emitter *emitter = pass->emitter;
     double begin = ends[0], end = ends[1], length = end - begin;
     double height = sqrt(pass->passing + emitter->extent * emitter->extent + 1e-6 * length * length);
     double from = atan2(begin, height), turn = atan2(end, height) - from;
@@ -776,7 +779,7 @@ static void add_bent(const Scene *scene, const Emitter *emitter, const Ray *ray,
         double behind = height * tan(from + scene->wide_nodes[node] * turn), point[3];
         double light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
         for (int k = 0; k < 3; k++) {
-            point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * ray->direction[k];
+            point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * pass->ray->direction[k];
         }
         light *= emitter_fluence(emitter, point) * weight;
         double distance = sqrt(pass->passing + behind * behind);
@@ -811,7 +814,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
             if (!straight[n] || !(length[n] * length[n] > wide * (extent + middle * middle))) continue;
             straight[n] = 0;
             double ends[2] = {begin[n], begin[n] + length[n]};
-            add_bent(scene, emitter, ray, &pass, ends, (double)weight[n], s, work, single, stride);
+            add_bent(scene, &pass, ends, (double)weight[n], s, work, single, stride);
         }
         if (!any_lane(straight)) continue;
         weight *= 0.5f * __builtin_convertvector(length, Floats);

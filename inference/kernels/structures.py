@@ -294,6 +294,6 @@ def array_of(values: list) -> ctypes.Array | None:
 
 def pointers_to(values: Sequence[Shared | None]) -> ctypes.Array:
     """Pointers to structures, which it keeps alive, or to nothing."""
-    array = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))
+    array: Any = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))
     array.kept = values
     return array

@@ -25,7 +25,7 @@ SMALL, MEDIUM_SIZE, LARGE = 0.05, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
 # Distance over the longest edge of a flat emitter from which its solid angle is a quadrature of two nodes along each
-# edge, with an error of 1e-4; nearer, it is exact.
+# edge, with an error of up to 5e-4; nearer, it is exact.
 FAR = 4.0
 # Square of the smallest distance, over the largest size of a coordinate: nearer, rounding decides.
 CLOSEST = 1e-12

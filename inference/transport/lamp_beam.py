@@ -164,9 +164,7 @@ class LampInCube:
         (depths, first), (cells, parts), n = columns, samples, len(solver.density)
         assert solver.kernels is not None
         described = [depth.described(float(solver.sigma)) for depth in depths]
-        maps = [
-            shadow_map and describe_shadow_map(shadow_map) for shadow_map in self.shadow_maps or [None] * len(depths)
-        ]
+        maps = [None if one is None else describe_shadow_map(one) for one in self.shadow_maps or [None] * len(depths)]
         data = field_structures.LampBeam(
             lamp=len(depths),
             columns=structures.pointers_to(described),
