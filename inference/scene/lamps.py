@@ -21,7 +21,7 @@ from .validation import affine_matrix, rgb_triple
 SHAPES = ("square", "rectangle", "disk", "ellipse")
 # Size of a lamp, over its distance to what it lights, up to which it has a single emitter; and up to which a flat one
 # has four and nine.
-SMALL, MEDIUM_SIZE, LARGE = 0.05, 0.35, 1.0
+SMALL, MEDIUM_SIZE, LARGE = 0.1, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
 # Distance over the longest edge of a flat emitter from which its solid angle is a quadrature of two nodes along each
