@@ -159,6 +159,7 @@ typedef struct {
     const Lamp *lamp_list;           /* (lamps) */
     const Fluence *lamp_fluence;     /* (groups), or NULL without ray features of lamps */
     double lamp_radius;              /* by which lamps are softened in ray features */
+    double brief;                    /* steps up to this part of their distance to a lamp take one node, in their middle; */
     double wide;                     /* steps longer than this part of their distance to a lamp are wide; */
     int64_t wide_count;              /* these take so many nodes in the angle under which it sees them */
     const double *wide_nodes, *wide_weights;  /* in [0, 1] */

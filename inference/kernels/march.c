@@ -793,17 +793,36 @@ static void add_bent(const Scene *scene, const Pass *pass, const double *ends, d
     }
 }
 
+/* Add the single scattering of a node of some steps: where it lies behind the place where the ray passes the part, and
+the light there times the length that it stands for. */
+static inline void add_node(const Scene *scene, const Pass *pass, Ints some, Doubles behind, Floats light, int64_t first,
+                            const Work *work, double *single, int64_t stride) {
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        Ints filled = some & (load(work->sigma + v * work->stride + first) > 0.0f);
+        if (!any_lane(filled)) continue;
+        Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, pass->passing);
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
+            double sum = 0.0;
+            FOR_LANES(n) sum += filled[n] ? (double)found[n] : 0.0;
+            single[v * stride + c] += sum;
+        }
+    }
+}
+
 /* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
-function: of two nodes, or in steps that are not far shorter than their distance those of add_bent. */
+function: of one node in the middle of steps that are very short for their distance, of two in others, and in steps
+that are not far shorter than it those of add_bent. */
 static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
                         int64_t stride) {
     const Pass pass = pass_of(emitter, ray);
-    double wide = scene->wide * scene->wide, extent = pass.passing + emitter->extent * emitter->extent;
+    double wide = scene->wide * scene->wide, brief = scene->brief * scene->brief;
+    double extent = pass.passing + emitter->extent * emitter->extent;
     int64_t steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
         Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
-        Ints straight = (load(work->total + first) > 0.0f) & (weight > 0.0f);
+        Ints straight = (load(work->total + first) > 0.0f) & (weight > 0.0f), once = {0};
         Doubles begin, length;
         FOR_LANES(n) {
             int64_t s = least_int(first + n, steps - 1);
@@ -811,30 +830,29 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
             length[n] = work->size[s / STEPS] * ray->dt;
             double middle = begin[n] + 0.5 * length[n];
             if (first + n >= steps) straight[n] = 0;
-            if (!straight[n] || !(length[n] * length[n] > wide * (extent + middle * middle))) continue;
+            double square = length[n] * length[n], away = extent + middle * middle;
+            if (!straight[n] || !(square > brief * away)) {
+                once[n] = straight[n], straight[n] = 0;
+                continue;
+            }
+            if (!(square > wide * away)) continue;
             straight[n] = 0;
             double ends[2] = {begin[n], begin[n] + length[n]};
             add_bent(scene, &pass, ends, (double)weight[n], s, work, single, stride);
         }
+        weight *= __builtin_convertvector(length, Floats);
+        if (any_lane(once)) {
+            Floats light = load(work->light + first) * weight;
+            add_node(scene, &pass, once, begin + 0.5 * length, light, first, work, single, stride);
+        }
         if (!any_lane(straight)) continue;
-        weight *= 0.5f * __builtin_convertvector(length, Floats);
         for (int node = 0; node < 2; node++) {
             Doubles behind = begin + (double)GAUSS_NODES[node] * length, point[3];
             for (int k = 0; k < 3; k++) {
                 point[k] = (emitter->position[k] + pass.origin[k]) + (pass.nearest + behind) * ray->direction[k];
             }
-            Floats light = emitter_fluences(emitter, point) * weight;
-            for (int64_t v = 0; v < scene->volumes; v++) {
-                Ints some = straight & (load(work->sigma + v * work->stride + first) > 0.0f);
-                if (!any_lane(some)) continue;
-                Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, pass.passing);
-                for (int64_t c = 0; c < scene->scattering; c++) {
-                    Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
-                    double sum = 0.0;
-                    FOR_LANES(n) sum += some[n] ? (double)found[n] : 0.0;
-                    single[v * stride + c] += sum;
-                }
-            }
+            Floats light = emitter_fluences(emitter, point) * (0.5f * weight);
+            add_node(scene, &pass, straight, behind, light, first, work, single, stride);
         }
     }
 }
@@ -850,53 +868,85 @@ static inline void points_in(const Ray *ray, const Work *work, const int64_t *nu
     for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
 }
 
-/* What a lamp gives to the steps and samples of a ray without what lies in between. */
-static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
-    /* Samples follow whole lanes of steps. */
-    int64_t steps = STEPS * work->blocks, whole = (steps + LANES - 1) / LANES * LANES;
-    for (int64_t first = 0; first < whole + count; first += LANES) {
-        int64_t sample = first - whole;
+/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added to what all
+of them give, and to what they would if they faced the steps. */
+static void look_up_fluence(const Emitter *emitter, const Ray *ray, int features, Work *work) {
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Doubles point[3];
+        points_in(ray, work, NULL, NULL, steps, first, point);
+        Floats found = emitter_fluences(emitter, point);
+        store(work->light + first, found);
+        if (!features) continue;
+        store(work->given + first, load(work->given + first) + found);
+        store(work->reference + first, load(work->reference + first) + brightest_of(emitter, point));
+    }
+}
+
+/* What stands for the light of a lamp in ray features: what it gives, or would if it faced the point. */
+static inline Floats reference_of(Floats given, Floats most) {
+    return clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
+}
+
+/* The light of a lamp at the samples of a ray on a coarse scale. */
+static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
+    for (int64_t first = 0; first < count; first += LANES) {
         Doubles point[3];
         Floats given = in_all(0.0f), most = in_all(0.0f);
-        if (sample < 0) points_in(ray, work, NULL, NULL, steps, first, point);
-        else points_in(ray, work, work->sample_step, work->sample_inside, count, sample, point);
+        points_in(ray, work, work->sample_step, work->sample_inside, count, first, point);
         for (int64_t e = 0; e < lamp->emitters; e++) {
             given += emitter_fluences(lamp->parts + e, point);
             most += brightest_of(lamp->parts + e, point);
         }
-        Floats reference = clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
-        Floats coarse = softened_all(reference, scene->lamp_radius);
-        if (sample < 0) {
-            store(work->given + first, given);
-            store(work->reference + first, reference);
-            store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
-        } else {
-            for (int n = 0; n < LANES && sample + n < count; n++) {
-                work->sample_light[sample + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
-            }
+        Floats coarse = softened_all(reference_of(given, most), scene->lamp_radius);
+        for (int n = 0; n < LANES && first + n < count; n++) {
+            work->sample_light[first + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
         }
     }
 }
 
-/* Add the transmittance towards a part of a lamp to its mean over all parts, and what surfaces let through of it. */
-static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray, int alone, Work *work) {
+/* Add the light of a part of a lamp behind the optical depths, and what surfaces let through of it, to those of all. */
+static void add_part(const Scene *scene, int alone, Work *work) {
     int64_t room = work->stride, steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
-        Doubles point[3];
-        points_in(ray, work, NULL, NULL, steps, first, point);
-        Floats found = emitter_fluences(emitter, point), given = load(work->given + first);
-        Floats share = choose(given > 1e-30f, found / given, in_all(0.0f)), next = share;
+        Floats found = load(work->light + first), next = found;
         Ints known = load(work->total + first) > 0.0f;
-        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first) / load(work->reference + first));
+        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first));
         if (alone) continue;
         /* The edge between two steps belongs to the second. */
         FOR_LANES(n) {
-            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = share[n + 1];
+            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = found[n + 1];
         }
         for (int64_t g = 0; g < scene->groups; g++) {
             float *starts = work->mean_start + g * room + first, *ends = work->mean_end + g * room + first;
-            store(starts, load(starts) + share * transmittance(load(work->start + g * room + first)));
+            store(starts, load(starts) + found * transmittance(load(work->start + g * room + first)));
             store(ends, load(ends) + next * transmittance(load(work->end + g * room + first)));
+        }
+    }
+}
+
+/* A mean transmittance as an optical depth: the light behind it over that without. */
+static inline float depth_of(float passed, float given, float dark) {
+    float mean = given > 1e-30f ? passed / given : 0.0f;
+    return least(-logf(mean > 1e-30f ? mean : 1e-30f), dark);
+}
+
+/* A lamp as one light: what it is on a coarse scale, what is let through of that, and its optical depths. */
+static void join_parts(const Scene *scene, int alone, Work *work) {
+    int64_t room = work->stride, steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats reference = reference_of(load(work->given + first), load(work->reference + first));
+        Floats coarse = softened_all(reference, scene->lamp_radius);
+        store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
+        store(work->lit + first, load(work->lit + first) / reference);
+    }
+    for (int64_t g = 0; g < scene->groups && !alone; g++) {
+        float *start = work->start + g * room, *end = work->end + g * room, dark = (float)scene->dark;
+        for (int64_t s = 0; s < steps; s++) {
+            int64_t next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? s + 1 : s;
+            int known = work->total[s] > 0.0f;
+            start[s] = known ? depth_of(work->mean_start[g * room + s], work->given[s], dark) : dark;
+            end[s] = known ? depth_of(work->mean_end[g * room + s], work->given[next], dark) : dark;
         }
     }
 }
@@ -911,8 +961,10 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     for (int64_t v = 0; v < scene->volumes; v++) {
         for (int64_t c = 0; c < scene->scattering; c++) single[v * stride + c] = 0.0;
     }
-    if (count) look_up_fluence(scene, lamp, ray, count, work);
-    for (int64_t s = 0; s < steps; s++) work->lit[s] = 0.0f, work->visible[s] = 1.0f;
+    int64_t whole = (steps + LANES - 1) / LANES * LANES;
+    for (int64_t s = 0; s < whole; s++) {
+        work->lit[s] = work->given[s] = work->reference[s] = 0.0f, work->visible[s] = 1.0f;
+    }
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->mean_start[g * room + s] = work->mean_end[g * room + s] = 0.0f;
     }
@@ -924,15 +976,15 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
             for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + distance * ray->direction[j];
             work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
         }
+        look_up_fluence(lamp->parts + e, ray, count > 0, work);
         add_emitter(scene, lamp->parts + e, ray, work, single, stride);
-        if (count) add_part(scene, lamp->parts + e, ray, lamp->emitters == 1, work);
+        if (count) add_part(scene, lamp->emitters == 1, work);
+    }
+    if (count) {
+        light_samples(scene, lamp, ray, count, work);
+        join_parts(scene, lamp->emitters == 1, work);
     }
     for (int64_t g = 0; g < scene->groups && count; g++) {
-        for (int64_t s = g * room; s < g * room + steps && lamp->emitters > 1; s++) {
-            float dark = (float)scene->dark;
-            work->start[s] = least(-logf(work->mean_start[s] > 1e-30f ? work->mean_start[s] : 1e-30f), dark);
-            work->end[s] = least(-logf(work->mean_end[s] > 1e-30f ? work->mean_end[s] : 1e-30f), dark);
-        }
         look_up_source(scene, scene->lamp_fluence + g, g, k, ray, work);
         Gathering of = {.fluence = scene->lamp_fluence + g, .visible = work->lit, .received = work->received,
                         .unit = work->sample_light, .stride = scene->groups * scene->lamps * COLUMNS};

@@ -219,6 +219,7 @@ class Scene(Shared):
         ("lamp_list", c_void_p),
         ("lamp_fluence", c_void_p),
         ("lamp_radius", c_double),
+        ("brief", c_double),
         ("wide", c_double),
         ("wide_count", c_int64),
         ("wide_nodes", c_void_p),

@@ -51,8 +51,8 @@ SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
-# it, instead of FEW in its length.
-WIDE, FEW, MANY = 0.2, 2, 10
+# it, instead of FEW in its length; and up to which one in its middle is enough.
+WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
 
 
 @dataclass(frozen=True)
@@ -270,10 +270,11 @@ class _Steps:
         begin, end = self.begin - nearest, self.end - nearest
         length, square = end - begin, height**2 + emitter.extent**2
         found = np.zeros((len(media), len(self.ray)))
-        wide = length**2 > WIDE**2 * (square + (0.5 * (begin + end)) ** 2)
+        away = square + (0.5 * (begin + end)) ** 2
+        wide, brief = length**2 > WIDE**2 * away, length**2 <= BRIEF**2 * away
         height = np.sqrt(square + 1e-6 * length**2)
-        for bent, count in ((False, FEW), (True, MANY)):
-            some = np.flatnonzero(wide == bent)
+        for bent, count, which in ((False, 1, brief), (False, FEW, ~(brief | wide)), (True, MANY, wide)):
+            some = np.flatnonzero(which)
             first, last = (np.arctan2(ends[some], height[some]) for ends in (begin, end))
             nodes, weights = np.polynomial.legendre.leggauss(count)
             for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights):
