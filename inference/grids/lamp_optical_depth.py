@@ -157,7 +157,7 @@ class LampOpticalDepth:
                 running += np.float32(after) * density
             return
         b, c = (self.grid.shape[axis] for axis in pyramid.others)
-        scratch = np.empty(4 * running.shape[1] + c + 6 + b * c * isinstance(self.grid, SparseGrid), np.float32)
+        scratch = np.empty(5 * running.shape[1] + c + 6 + b * c, np.float32)
         cells = np.empty(running.shape[1], np.int32)
         each = max(CELLS_PER_CALL // max(running.size, b * c), 1)
         for start in range(0, len(slices), each):

@@ -9,6 +9,7 @@ import numpy as np
 from ..marching.joined_lamps import PredictedLamp, predicted_lamps
 from ..marching.lamp_march import LampMarch
 from ..marching.ray_steps import RayBatch
+from ..network.predictor import LampLight
 from ..plan.plan import Channels
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, pixel_size
@@ -34,9 +35,19 @@ def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: C
                 clusters = scene.plan.lamp_clusters[g]
                 of_part = {k: number for number, cluster in enumerate(clusters) for k in cluster}
                 with context.progress.stage("transport", len(clusters)):
-                    found = group.predictor.lamp_fluence(
-                        sigma_t, lamps_of_group(scene, g), scene.occluders, context.tasks
-                    )
+                    lights = []
+                    for lamp in lamps_of_group(scene, g):
+                        albedos = group.predictor.albedos(
+                            group.medium,
+                            sigma_t,
+                            channels.indices,
+                            lamp,
+                            scene.occluders,
+                            context.tasks,
+                            scene.plan.optimizations,
+                        )
+                        lights.append(LampLight(lamp, scene.lamp_radius, albedos.values))
+                    found = group.predictor.lamp_fluence(sigma_t, lights, scene.occluders, context.tasks)
                 fluence[g] = found.of_parts([of_part[k] for k in range(len(scene.lamps))])
     predicted = any(one is not None for one in fluence)
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius)

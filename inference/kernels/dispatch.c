@@ -28,6 +28,7 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t fill_lamp_columns_##variant(const LampSlices *data);                           \
     int64_t lamp_depths_##variant(const LampDepths *data);                                 \
     int64_t lamp_beam_##variant(const LampBeam *data);                                     \
+    int64_t lamp_fluence_##variant(const LampFluence *data);                               \
     int64_t gather_light_##variant(const LightGather *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
@@ -124,4 +125,5 @@ PREPARE(resample, const Resampling)
 PREPARE(fill_lamp_columns, const LampSlices)
 PREPARE(lamp_depths, const LampDepths)
 PREPARE(lamp_beam, const LampBeam)
+PREPARE(lamp_fluence, const LampFluence)
 PREPARE(gather_light, const LightGather)

@@ -81,6 +81,7 @@ class OrdinateSweep(Shared):
         ("emit", c_void_p),
         ("gather", c_void_p),
         ("field", c_void_p),
+        ("beams", c_void_p),
         ("leaving", c_void_p),
         ("within", c_void_p),
         ("links", c_void_p),
@@ -216,10 +217,12 @@ class LampDepths(Shared):
 
 class LampBeam(Shared):
     _fields_ = [
+        ("lamp", c_int64),
         ("columns", c_void_p),
-        ("emitter", c_void_p),
-        ("shadow_map", c_void_p),
+        ("emitters", c_void_p),
+        ("shadow_maps", c_void_p),
         ("cells", c_int64),
+        ("first", c_int64 * 3),
         ("count", c_int64),
         ("numbers", c_void_p),
         ("parts", c_int64),
@@ -228,6 +231,18 @@ class LampBeam(Shared):
         ("sigma", c_double),
         ("radius", c_double),
         ("light", c_void_p),
+        ("open", c_void_p),
+    ]
+
+
+class LampFluence(Shared):
+    _fields_ = [
+        ("points", c_int64),
+        ("positions", c_void_p),
+        ("lamp", c_int64),
+        ("emitters", c_void_p),
+        ("fluence", c_void_p),
+        ("brightest", c_void_p),
     ]
 
 
@@ -267,5 +282,6 @@ FUNCTIONS = {
     "fill_lamp_columns": LampSlices,
     "lamp_depths": LampDepths,
     "lamp_beam": LampBeam,
+    "lamp_fluence": LampFluence,
     "gather_light": LightGather,
 }

@@ -72,15 +72,17 @@ typedef struct {
     const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1 */
     const int64_t *kinds;        /* (directions), of `leaving` and `within` */
     const float *emit;           /* (directions, 5), weights of the field's parts in the source */
-    const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux */
+    const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux, or NULL */
     const float *field;          /* (5, n, n, n), fluence, flux and beam */
+    const float *beams;          /* (directions, n, n, n), of each direction in place of the field's; or NULL */
     const float *leaving;        /* (3, n, n, n), share of the source in what leaves a cell across a face, an edge and
                                     a corner */
     const float *within;         /* (3, n, n, n), and in the mean within it */
     const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
     const float *entering;       /* (directions), radiance at the faces of the cube, or NULL */
-    float *sums;                 /* (4, n, n, n), fluence and flux, added to */
-    float *scratch;              /* (2, directions, n + 2, n + 2) and (11, n) */
+    float *sums;                 /* (4, n, n, n), fluence and flux, added to; without weights (directions, n, n, n),
+                                    the mean radiance in each cell, filled */
+    float *scratch;              /* (2, directions, n + 2, n + 2) and (12, n) */
 } OrdinateSweep;
 
 /* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */
@@ -181,7 +183,7 @@ typedef struct {
     const int64_t *slices;       /* (planes), that each ends, or 0 */
     const double *ways;          /* (planes, 2), half the distances to the planes before and after */
     float *running;              /* (columns), depths so far */
-    float *scratch;              /* (4 * columns of a row + voxels of a row + 6, and those of a plane if sparse) */
+    float *scratch;              /* (5 * columns of a row + voxels of a row + 6 + those of a plane) */
     int32_t *cells;              /* (columns of a row), scratch */
 } LampSlices;
 
@@ -194,12 +196,14 @@ typedef struct {
     float *out;
 } LampDepths;
 
-/* Unscattered light of a part of a lamp in cells of the working cube: LampInCube. */
+/* Unscattered light of a lamp in cells of the working cube: LampInCube. */
 typedef struct {
-    const LampColumns *columns;  /* through the cells, whose indices they take */
-    const Emitter *emitter;
-    const LampShadowMap *shadow_map;  /* or NULL */
+    int64_t lamp;                /* its parts */
+    const LampColumns *const *columns;  /* (lamp), through the cells, whose indices from `first` they take */
+    const Emitter *emitters;     /* (lamp) */
+    const LampShadowMap *const *shadow_maps;  /* (lamp), each may be NULL */
     int64_t cells;               /* along an edge */
+    int64_t first[3];
     int64_t count;
     const int64_t *numbers;      /* (count), of the cells to fill */
     int64_t parts;               /* of a cell along each axis, in whose middles the light is sampled */
@@ -207,7 +211,18 @@ typedef struct {
     double sigma;
     double radius;               /* by which the light is softened */
     double *light;               /* (cells, cells, cells), added to */
+    double *open;                /* the same without what lies in between; or NULL */
 } LampBeam;
+
+/* Fluence of a lamp of power 1 at points: LampInMedia. */
+typedef struct {
+    int64_t points;
+    const double *positions;     /* (points, 3), in the world */
+    int64_t lamp;                /* its parts */
+    const Emitter *emitters;     /* (lamp) */
+    double *fluence;             /* (points) */
+    double *brightest;           /* (points), as if it faced each of them */
+} LampFluence;
 
 /* Light that points receive along rays around their camera rays: final_gather. */
 typedef struct {

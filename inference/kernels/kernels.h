@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 13
+#define MRPNN_INTERFACE 14
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -113,6 +113,8 @@ typedef struct {
     int64_t cone;            /* whether the sphere shines into a cone: */
     double axis[3], cosine, width;
     double corners[12], normal[3], radiance, area;  /* of the quadrilateral */
+    double nodes[12], areas[4];  /* of a quadrature over its surface, */
+    double far;              /* and the square of the distance from which on it is used */
     double tangent, focus;   /* of half its spread, and the brightness of its axis; tangent 0: diffuse */
     double focused;          /* what the tangent is divided by for the focus */
 } Emitter;
@@ -157,6 +159,7 @@ typedef struct {
     const Lamp *lamp_list;           /* (lamps) */
     const Fluence *lamp_fluence;     /* (groups), or NULL without ray features of lamps */
     double lamp_radius;              /* by which lamps are softened in ray features */
+    double brief;                    /* steps up to this part of their distance to a lamp take one node, in their middle; */
     double wide;                     /* steps longer than this part of their distance to a lamp are wide; */
     int64_t wide_count;              /* these take so many nodes in the angle under which it sees them */
     const double *wide_nodes, *wide_weights;  /* in [0, 1] */

@@ -10,8 +10,6 @@
 
 /* Part of a place between columns beyond the outermost of them that counts as rounding. */
 #define COLUMN_ROUNDING 1e-3f
-/* Distance squared over area from which a flat emitter is as good as a point: lamps.FAR. */
-#define FAR_EMITTER 1e4
 
 /* The nodes of Gauss and Legendre in [0, 1]. */
 static const float GAUSS_NODES[2] = {0.21132486540518713f, 0.78867513459481287f};
@@ -39,53 +37,66 @@ static inline int64_t slice_before(const Pyramid *pyramid, double along) {
     return low;
 }
 
+/* One over the square roots of numbers within 1e-30 and 1e30: Newton's method from a guess of the bits. */
+static inline Floats inverse_roots(Floats x) {
+    Floats y = (Floats)(0x5f375a86 - ((Ints)x >> 1)), half = 0.5f * x;
+    for (int n = 0; n < 3; n++) y = y * (1.5f - half * y * y);
+    return y;
+}
+
 /* Optical depths towards a lamp at continuous indices. */
 static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
     static const float zeros[2] = {0.0f, 0.0f};
-    Floats away[3], part[2], begin, share, span, length, along;
+    Floats away[3], size[3], part[2], begin, share, span, length = in_all(0.0f);
     Pairs near[2], far[2];
-    Ints inside = {0};
     for (int axis = 0; axis < 3; axis++) {
         away[axis] = clamped_to(index[axis] - (float)lamp->lamp[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        size[axis] = choose(away[axis] < 0.0f, -away[axis], away[axis]);
+    }
+    /* The axis along which each is farthest from the lamp, and the places along the others, in order. */
+    Ints second = size[1] > size[0], third = size[2] > choose(second, size[1], size[0]);
+    Floats along = choose(third, size[2], choose(second, size[1], size[0]));
+    Ints inside = along > 0.0f;
+    Floats once = 1.0f / choose(inside, along, in_all(1.0f));
+    Floats slope[2] = {choose(second | third, away[0], away[1]) * once, choose(third, away[1], away[2]) * once};
+    Floats main = choose(third, away[2], choose(second, away[1], away[0]));
+    Ints number = choose_int(third, (Ints){0} + 4, choose_int(second, (Ints){0} + 2, (Ints){0})) - (main < 0.0f);
+    for (int i = 0; i < 3; i++) {
+        const double *row = lamp->world_from_index + 3 * i;
+        Floats sum = (float)row[0] * (away[0] * once) + (float)row[1] * (away[1] * once) + (float)row[2] * (away[2] * once);
+        length += sum * sum;
+    }
+    length = length * inverse_roots(clamped_to(length, in_all(1e-30f), in_all(1e30f)));
+    Ints cell[2];
+    for (int k = 0; k < 2; k++) {
+        Floats first, spacing, last;
+        FOR_LANES(n) {
+            const Pyramid *pyramid = lamp->pyramids + number[n];
+            first[n] = (float)pyramid->first[k], spacing[n] = (float)pyramid->spacing[k];
+            last[n] = (float)(pyramid->size[k] - 1);
+        }
+        Floats place = (slope[k] - first) / spacing;
+        inside &= (place >= -COLUMN_ROUNDING) & (place <= last + COLUMN_ROUNDING);
+        place = clamped_to(place, in_all(0.0f), choose(last > 0.0f, last, in_all(0.0f)));
+        cell[k] = to_ints(place);
+        cell[k] += to_floats(cell[k]) > last - 1.0f;
+        part[k] = place - to_floats(cell[k]);
     }
     FOR_LANES(n) {
-        float size[3] = {fabsf(away[0][n]), fabsf(away[1][n]), fabsf(away[2][n])};
-        int axis = size[1] > size[0] ? 1 : 0;
-        if (size[2] > size[axis]) axis = 2;
-        const Pyramid *pyramid = lamp->pyramids + 2 * axis + (away[axis][n] < 0.0f);
-        int others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
+        const Pyramid *pyramid = lamp->pyramids + number[n];
         near[0][n] = near[1][n] = far[0][n] = far[1][n] = pair_at(zeros);
-        part[0][n] = part[1][n] = begin[n] = share[n] = span[n] = length[n] = 0.0f;
-        along[n] = size[axis];
-        if (pyramid->slices < 2 || !(along[n] > 0.0f)) continue;
-        int64_t cell[2];
-        int outside = 0;
-        for (int k = 0; k < 2; k++) {
-            float place = (away[others[k]][n] / along[n] - (float)pyramid->first[k]) / (float)pyramid->spacing[k];
-            float last = (float)(pyramid->size[k] - 1);
-            outside |= place < -COLUMN_ROUNDING || place > last + COLUMN_ROUNDING;
-            place = clamped(place, 0.0f, last);
-            cell[k] = within((int64_t)place, pyramid->size[k] - 2);
-            part[k][n] = place - (float)cell[k];
-        }
-        if (outside) continue;
-        inside[n] = -1;
+        begin[n] = share[n] = span[n] = 0.0f;
+        if (pyramid->slices < 2) inside[n] = 0;
+        if (!inside[n]) continue;
         int64_t slice = slice_before(pyramid, along[n]), width = pyramid->size[1], step = pyramid->size[0] * width;
         double start = pyramid->starts[slice], whole = pyramid->starts[slice + 1] - start;
-        double passed = ((double)along[n] - start) / whole;
+        double passed = larger(smaller((double)along[n] - start, whole), 0.0);
         begin[n] = (float)start;
-        share[n] = (float)(passed > 0.0 ? smaller(passed, 1.0) : 0.0);
-        span[n] = (float)(larger(smaller(passed, 1.0), 0.0) * whole);
-        const float *at = pyramid->depths + slice * step + cell[0] * width + cell[1];
+        share[n] = (float)(passed / whole);
+        span[n] = (float)passed;
+        const float *at = pyramid->depths + slice * step + cell[0][n] * width + cell[1][n];
         near[0][n] = pair_at(at), near[1][n] = pair_at(at + width);
         far[0][n] = pair_at(at + step), far[1][n] = pair_at(at + step + width);
-        double square = 0.0;
-        for (int i = 0; i < 3; i++) {
-            double sum = 0.0;
-            for (int j = 0; j < 3; j++) sum += lamp->world_from_index[3 * i + j] * (double)(away[j][n] / along[n]);
-            square += sum * sum;
-        }
-        length[n] = (float)sqrt(square);
     }
     if (!any_lane(inside)) return in_all(0.0f);
     Floats depth = lerp_lanes(lerp_pairs(near[0], part[1]), lerp_pairs(near[1], part[1]), part[0]);
@@ -143,10 +154,16 @@ static inline double spread_factor(const Emitter *emitter, double cosine) {
 }
 
 static inline double quad_fluence(const Emitter *emitter, const double *point, const double *away) {
-    double square = larger(dot_of(away, away), 1e-60), rise = dot_of(away, emitter->normal);
+    double rise = dot_of(away, emitter->normal), angle = 0.0;
     if (!(rise > 0.0)) return 0.0;
-    double angle = emitter->area * rise / (square * sqrt(square));
-    if (square < FAR_EMITTER * emitter->area) {
+    if (!(dot_of(away, away) < emitter->far)) {
+        for (int n = 0; n < 4; n++) {
+            double from[3];
+            for (int j = 0; j < 3; j++) from[j] = point[j] - emitter->nodes[3 * n + j];
+            double square = larger(dot_of(from, from), 1e-60);
+            angle += emitter->areas[n] * rise / (square * sqrt(square));
+        }
+    } else {
         double corners[4][3], length[4];
         for (int k = 0; k < 4; k++) {
             for (int j = 0; j < 3; j++) corners[k][j] = emitter->corners[3 * k + j] - point[j];
@@ -199,6 +216,97 @@ static inline double emitter_fluence(const Emitter *emitter, const double *point
     double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
     double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
     return found * inside * inside * (3.0 - 2.0 * inside);
+}
+
+/* Lengths of vectors squared, within the range of inverse_roots. */
+static inline Floats squares_of(const Floats *vector) {
+    Floats square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2];
+    return clamped_to(square, in_all(1e-30f), in_all(1e30f));
+}
+
+/* Vectors from a place to points, whose difference may have far fewer digits than they. */
+static inline void vectors_from(const double *place, const Doubles *point, Floats *away) {
+    for (int k = 0; k < 3; k++) away[k] = __builtin_convertvector(point[k] - place[k], Floats);
+}
+
+static inline Floats quad_fluences(const Emitter *emitter, const Doubles *point) {
+    Floats away[3], angle = in_all(0.0f);
+    vectors_from(emitter->position, point, away);
+    Floats rise = away[0] * (float)emitter->normal[0] + away[1] * (float)emitter->normal[1] + away[2] * (float)emitter->normal[2];
+    Ints lit = rise > 0.0f, near = lit & (squares_of(away) < (float)emitter->far);
+    for (int n = 0; n < 4; n++) {
+        Floats from[3];
+        vectors_from(emitter->nodes + 3 * n, point, from);
+        Floats inverse = inverse_roots(squares_of(from));
+        angle += (float)emitter->areas[n] * inverse * (rise * inverse) * inverse;
+    }
+    if (emitter->tangent > 0.0) {
+        Floats total = in_all(0.0f);
+        const double *c = emitter->corners;
+        for (int n = 0; n < 9; n++) {
+            double u = (1 + 2 * (n / 3)) / 6.0, v = (1 + 2 * (n % 3)) / 6.0, node[3];
+            for (int j = 0; j < 3; j++) {
+                node[j] = (1.0 - v) * ((1.0 - u) * c[j] + u * c[3 + j]) + v * ((1.0 - u) * c[9 + j] + u * c[6 + j]);
+            }
+            Floats from[3];
+            vectors_from(node, point, from);
+            Floats inverse = inverse_roots(squares_of(from)), cosine = clamped_to(rise * inverse, in_all(1e-9f), in_all(1.0f));
+            Floats sine = clamped_to(1.0f - cosine * cosine, in_all(1e-30f), in_all(1.0f));
+            Floats left = (float)emitter->tangent - sine * inverse_roots(sine) / cosine;
+            total += choose(left > 0.0f, left, in_all(0.0f));
+        }
+        angle *= total * (float)(1.0 / (9.0 * emitter->focused));
+    }
+    Floats found = choose(lit, angle * (float)emitter->radiance, in_all(0.0f));
+    if (any_lane(near)) {
+        FOR_LANES(n) {
+            double at[3] = {point[0][n], point[1][n], point[2][n]}, from[3];
+            for (int k = 0; k < 3; k++) from[k] = at[k] - emitter->position[k];
+            if (near[n]) found[n] = (float)quad_fluence(emitter, at, from);
+        }
+    }
+    return found;
+}
+
+/* As `brightest`, of several points. */
+static inline Floats brightest_of(const Emitter *emitter, const Doubles *point) {
+    Floats away[3];
+    vectors_from(emitter->flat ? emitter->position : emitter->centre, point, away);
+    Floats square = squares_of(away);
+    if (emitter->flat) {
+        double strength = emitter->radiance * emitter->focus * emitter->area;
+        return (float)strength / (square + (float)(emitter->extent * emitter->extent));
+    }
+    float area = (float)(emitter->radius * emitter->radius), twice = (float)(2.0 * emitter->intensity);
+    square = clamped_to(square, in_all((float)emitter->closest), in_all(1e30f));
+    if (emitter->soft_falloff) {
+        Floats slant = square + area;
+        return twice / (slant + square * inverse_roots(square) * (slant * inverse_roots(slant)));
+    }
+    Floats gap = clamped_to(1.0f - area / square, in_all(1e-30f), in_all(1.0f));
+    Floats outside = twice / (square * (1.0f + gap * inverse_roots(gap)));
+    return choose(square > area, outside, in_all((float)(2.0 * twice / larger(area, 1e-30))));
+}
+
+/* As emitter_fluence, of several points. */
+static inline Floats emitter_fluences(const Emitter *emitter, const Doubles *point) {
+    if (emitter->flat) return quad_fluences(emitter, point);
+    Floats found = brightest_of(emitter, point);
+    if (!emitter->cone) return found;
+    FOR_LANES(n) {
+        /* In double precision, as a cone's edge may be sharp. */
+        double away[3];
+        for (int k = 0; k < 3; k++) away[k] = point[k][n] - emitter->position[k];
+        double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
+        double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
+        found[n] *= (float)(inside * inside * (3.0 - 2.0 * inside));
+    }
+    return found;
+}
+
+/* As `softened`, of several points. */
+static inline Floats softened_all(Floats fluence, double radius) {
+    return fluence / (1.0f + fluence * (float)(4.0 * PI * radius * radius));
 }
 
 /* Mean length of the paths of a part's light to a world point, over the distance. */

@@ -8,32 +8,63 @@ transport/lamp_beam.py. */
 #include "lamp_sampling.h"
 #include "variants.h"
 
-/* Weights of four voxels at a fraction beyond the second: optical_depth_sweep.cubic. */
-static void cubic_weights(double f, float *weights) {
+/* Weights of four voxels at a fraction beyond the second: optical_depth_sweep.cubic. step: from one to the next. */
+static void cubic_weights(double f, float *weights, int64_t step) {
     weights[0] = (float)(0.5 * f * (-1.0 + f * (2.0 - f)));
-    weights[1] = (float)(1.0 + 0.5 * f * f * (3.0 * f - 5.0));
-    weights[2] = (float)(0.5 * f * (1.0 + f * (4.0 - 3.0 * f)));
-    weights[3] = (float)(0.5 * f * f * (f - 1.0));
+    weights[step] = (float)(1.0 + 0.5 * f * f * (3.0 * f - 5.0));
+    weights[2 * step] = (float)(0.5 * f * (1.0 + f * (4.0 - 3.0 * f)));
+    weights[3 * step] = (float)(0.5 * f * f * (f - 1.0));
 }
 
-/* Voxels of a plane across an axis: those of (row, n) lie at row * strides[0] + n * strides[1]. */
+/* Interpolate a row of voxels at columns. line: the row. cells: voxel below each column. weights: (4, columns). */
+static void columns_of(const float *line, const int32_t *cells, const float *weights, int64_t columns, int64_t low,
+                       int64_t high, float *out) {
+    int64_t n = low;
+    for (; n + LANES <= high; n += LANES) {
+        Pairs before, after;
+        FOR_LANES(k) {
+            const float *at = line + cells[n + k] - 1;
+            before[k] = pair_at(at), after[k] = pair_at(at + 2);
+        }
+        const float *weight = weights + n;
+        store(out + n, load(weight) * first_of(before) + load(weight + columns) * second_of(before) +
+                           load(weight + 2 * columns) * first_of(after) + load(weight + 3 * columns) * second_of(after));
+    }
+    for (; n < high; n++) {
+        const float *at = line + cells[n] - 1, *weight = weights + n;
+        out[n] = weight[0] * at[0] + weight[columns] * at[1] + weight[2 * columns] * at[2] + weight[3 * columns] * at[3];
+    }
+}
+
+/* Voxels of a plane across an axis: those of a row follow each other, `stride` after those of the row before. */
 typedef struct {
     const float *values;
-    int64_t strides[2], rows, width;
+    int64_t stride, rows, width;
 } Plane;
 
-/* A plane of a grid; others: the other axes. room: for the voxels of a sparse one. */
-static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int *others, float *room) {
-    Plane plane = {room, {grid->shape[others[1]], 1}, grid->shape[others[0]], grid->shape[others[1]]};
+/* A plane of a grid; others: the other axes. low, high: places between which its rows are wanted. room: for voxels that
+do not follow each other in the grid. */
+static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int *others, double low, double high,
+                      float *room) {
+    Plane plane = {room, grid->shape[others[1]], grid->shape[others[0]], grid->shape[others[1]]};
+    int64_t begin = (int64_t)larger(floor(smaller(low, (double)plane.rows + 1.0)) - 1.0, 0.0);
+    int64_t end = (int64_t)smaller(floor(larger(high, -3.0)) + 3.0, (double)plane.rows);
     if (!grid->table) {
         int64_t strides[3] = {grid->size[1] * grid->size[2], grid->size[2], 1};
-        plane.strides[0] = strides[others[0]], plane.strides[1] = strides[others[1]];
-        plane.values = grid->values + (number + 1) * strides[axis] + plane.strides[0] + plane.strides[1];
+        int64_t row = strides[others[0]], step = strides[others[1]];
+        const float *first = grid->values + (number + 1) * strides[axis] + row + step;
+        if (step == 1) {
+            plane.values = first, plane.stride = row;
+            return plane;
+        }
+        for (int64_t i = begin; i < end; i++) {
+            for (int64_t n = 0; n < plane.width; n++) room[i * plane.width + n] = first[i * row + n * step];
+        }
         return plane;
     }
     int64_t place[3];
     place[axis] = number + grid->first[axis];
-    for (int64_t row = 0; row < plane.rows; row++) {
+    for (int64_t row = begin; row < end; row++) {
         place[others[0]] = row + grid->first[others[0]];
         for (int64_t n = 0; n < plane.width; n++) {
             place[others[1]] = n + grid->first[others[1]];
@@ -45,26 +76,28 @@ static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int 
     return plane;
 }
 
+/* Whether any of some numbers is not 0; by their bits, which are compared many at a time. */
+static int any_of(const float *values, int64_t count) {
+    const int32_t *bits = (const int32_t *)values;
+    int32_t found = 0;
+    for (int64_t n = 0; n < count; n++) found |= bits[n] & 0x7fffffff;
+    return found != 0;
+}
+
 /* Interpolate the four rows of a plane around a place. Returns whether any voxel of theirs is not 0. */
 static int row_at(const Plane *plane, double place, float *out) {
     double below = floor(place);
     float weights[4];
-    int any = 0;
     if (!(below >= -2.0 && below <= (double)plane->rows)) return 0;
-    cubic_weights(place - below, weights);
+    cubic_weights(place - below, weights, 1);
     for (int64_t n = 0; n < plane->width; n++) out[n] = 0.0f;
     for (int tap = 0; tap < 4; tap++) {
         int64_t row = (int64_t)below + tap - 1;
         if (row < 0 || row >= plane->rows || weights[tap] == 0.0f) continue;
-        const float *from = plane->values + row * plane->strides[0];
-        if (plane->strides[1] == 1) {
-            for (int64_t n = 0; n < plane->width; n++) out[n] += weights[tap] * from[n];
-        } else {
-            for (int64_t n = 0; n < plane->width; n++) out[n] += weights[tap] * from[n * plane->strides[1]];
-        }
+        const float *from = plane->values + row * plane->stride;
+        for (int64_t n = 0; n < plane->width; n++) out[n] += weights[tap] * from[n];
     }
-    for (int64_t n = 0; n < plane->width; n++) any |= out[n] != 0.0f;
-    return any;
+    return any_of(out, plane->width);
 }
 
 int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
@@ -72,19 +105,21 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
     int axis = (int)data->axis, others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
     int64_t width = data->density.shape[others[1]], last = data->density.shape[axis] - 1;
     int64_t b = pyramid->size[0], c = pyramid->size[1];
-    float *weights = data->scratch, *line = weights + 4 * c + 3, *room = line + width + 3;
+    float *weights = data->scratch, *density = weights + 4 * c, *line = density + c + 3, *room = line + width + 3;
     for (int64_t n = 0; n < 3; n++) line[-1 - n] = line[width + n] = 0.0f;
     if (data->inside && data->planes > 0) {
         Floats place[3];
         for (int k = 0; k < 3; k++) place[k] = clamped_to(in_all((float)data->lamp[k]), in_all(-FAR_AWAY), in_all(FAR_AWAY));
-        float density = sample_grid(&data->density, place)[0] * (float)data->ways[0];
-        for (int64_t n = 0; n < b * c; n++) data->running[n] += density;
+        float first = sample_grid(&data->density, place)[0] * (float)data->ways[0];
+        for (int64_t n = 0; n < b * c; n++) data->running[n] += first;
     }
     for (int64_t p = 0; p < data->planes; p++) {
         double along = fabs((double)data->numbers[p] - data->lamp[axis]);
         float before = (float)data->ways[2 * p], whole = before + (float)data->ways[2 * p + 1];
         float *out = data->slices[p] ? pyramid->depths + within(data->slices[p], pyramid->slices - 1) * b * c : NULL;
-        Plane plane = plane_of(&data->density, axis, within(data->numbers[p], last), others, room);
+        double across = data->lamp[others[0]] + along * pyramid->first[0], apart = along * pyramid->spacing[0];
+        Plane plane = plane_of(&data->density, axis, within(data->numbers[p], last), others, across,
+                               across + apart * (double)(b - 1), room);
         int filled = data->numbers[p] >= 0 && data->numbers[p] <= last;
         double first = data->lamp[others[1]] + along * pyramid->first[1], step = along * pyramid->spacing[1];
         /* The columns that any of the row's voxels reaches. */
@@ -93,19 +128,16 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
         for (int64_t n = low; filled && n < high; n++) {
             double place = first + step * (double)n, below = floor(place);
             data->cells[n] = (int32_t)larger(smaller(below, (double)width), -2.0);
-            cubic_weights(place - below, weights + 4 * n);
+            cubic_weights(place - below, weights + n, c);
         }
         for (int64_t row = 0; row < b; row++) {
             float *running = data->running + row * c, *to = out ? out + row * c : NULL;
-            double across = data->lamp[others[0]] + along * (pyramid->first[0] + pyramid->spacing[0] * (double)row);
-            if (to) memcpy(to, running, (size_t)c * sizeof *running);
-            if (!filled || !row_at(&plane, across, line)) continue;
-            for (int64_t n = low; n < high; n++) {
-                const float *at = line + data->cells[n] - 1, *weight = weights + 4 * n;
-                float density = weight[0] * at[0] + weight[1] * at[1] + weight[2] * at[2] + weight[3] * at[3];
-                if (to) to[n] += before * density;
-                running[n] += whole * density;
-            }
+            /* Where columns have met nothing, depths stay the zeros that they are, and take no memory yet. */
+            if (to && any_of(running, c)) memcpy(to, running, (size_t)c * sizeof *running);
+            if (!filled || !row_at(&plane, across + apart * (double)row, line)) continue;
+            columns_of(line, data->cells, weights, c, low, high, density);
+            for (int64_t n = low; n < high && to; n++) to[n] += before * density[n];
+            for (int64_t n = low; n < high; n++) running[n] += whole * density[n];
         }
     }
     return data->planes;
@@ -125,38 +157,68 @@ int64_t NAMED(lamp_depths, VARIANT)(const LampDepths *data) {
     return data->points;
 }
 
-/* Light at a place among the cells, without what lies in between, and the mean length of its paths over the distance. */
-static double light_at(const LampBeam *beam, const double *place, float *slant) {
-    double point[3];
-    for (int i = 0; i < 3; i++) point[i] = dot_of(beam->world + 3 * i, place) + beam->offset[i];
-    *slant = (float)emitter_slant(beam->emitter, point);
-    double found = softened(emitter_fluence(beam->emitter, point), beam->radius);
-    return beam->shadow_map ? found * lamp_visibility(beam->shadow_map, point) : found;
+/* Add the light of one part of a lamp at places among the cells to what arrives, and to what would without anything in
+between. */
+static void add_light(const LampBeam *beam, int64_t part, const Floats *index, const Doubles *point, Floats *light,
+                      Floats *open) {
+    const Emitter *emitter = beam->emitters + part;
+    Floats found = softened_all(emitter_fluences(emitter, point), beam->radius), slant = in_all(1.0f);
+    *open += found;
+    if (beam->shadow_maps[part] || (!emitter->flat && emitter->soft_falloff)) {
+        FOR_LANES(n) {
+            double at[3] = {point[0][n], point[1][n], point[2][n]};
+            slant[n] = (float)emitter_slant(emitter, at);
+            if (beam->shadow_maps[part]) found[n] *= (float)lamp_visibility(beam->shadow_maps[part], at);
+        }
+    }
+    *light += found * transmittance(lamp_depth(beam->columns[part], index, (float)beam->sigma) * slant);
 }
 
 int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
     int64_t parts = beam->parts, samples = parts * parts * parts, n = beam->cells, all = beam->count * samples;
     for (int64_t first = 0; first < all; first += LANES) {
         int used = all - first < LANES ? (int)(all - first) : LANES;
-        Floats index[3], slant;
-        double light[LANES];
+        Floats index[3], light = in_all(0.0f), open = in_all(0.0f);
+        Doubles place[3], point[3];
         FOR_LANES(k) {
             int64_t sample = first + (k < used ? k : used - 1), number = beam->numbers[sample / samples];
-            int64_t cell[3] = {number / (n * n), number / n % n, number % n}, part = sample % samples;
-            double place[3];
+            int64_t cell[3] = {number / (n * n), number / n % n, number % n}, inside = sample % samples;
             for (int axis = 2; axis >= 0; axis--) {
-                place[axis] = (double)cell[axis] + ((double)(part % parts) + 0.5) / (double)parts - 0.5;
-                index[axis][k] = (float)place[axis];
-                part /= parts;
+                place[axis][k] = (double)cell[axis] + ((double)(inside % parts) + 0.5) / (double)parts - 0.5;
+                inside /= parts;
             }
-            float factor;
-            light[k] = light_at(beam, place, &factor);
-            slant[k] = factor;
         }
-        Floats passed = transmittance(lamp_depth(beam->columns, index, (float)beam->sigma) * slant);
+        for (int i = 0; i < 3; i++) {
+            const double *row = beam->world + 3 * i;
+            index[i] = __builtin_convertvector(place[i] - (double)beam->first[i], Floats);
+            point[i] = row[0] * place[0] + row[1] * place[1] + row[2] * place[2] + beam->offset[i];
+        }
+        for (int64_t part = 0; part < beam->lamp; part++) add_light(beam, part, index, point, &light, &open);
         for (int k = 0; k < used; k++) {
-            beam->light[beam->numbers[(first + k) / samples]] += light[k] * (double)passed[k] / (double)samples;
+            int64_t number = beam->numbers[(first + k) / samples];
+            beam->light[number] += (double)light[k] / (double)samples;
+            if (beam->open) beam->open[number] += (double)open[k] / (double)samples;
         }
     }
     return beam->count;
+}
+
+int64_t NAMED(lamp_fluence, VARIANT)(const LampFluence *data) {
+    for (int64_t first = 0; first < data->points; first += LANES) {
+        Doubles point[3];
+        Floats fluence = in_all(0.0f), most = in_all(0.0f);
+        FOR_LANES(n) {
+            const double *at = data->positions + 3 * least_int(first + n, data->points - 1);
+            for (int k = 0; k < 3; k++) point[k][n] = at[k];
+        }
+        for (int64_t part = 0; part < data->lamp; part++) {
+            fluence += emitter_fluences(data->emitters + part, point);
+            most += brightest_of(data->emitters + part, point);
+        }
+        for (int n = 0; n < LANES && first + n < data->points; n++) {
+            data->fluence[first + n] = (double)fluence[n];
+            data->brightest[first + n] = (double)most[n];
+        }
+    }
+    return data->points;
 }

@@ -14,6 +14,7 @@ Each lane is computed by the operations that one number alone would take, so tha
 typedef float Floats __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef int64_t Longs __attribute__((vector_size(8 * LANES)));
+typedef double Doubles __attribute__((vector_size(8 * LANES)));
 /* Two neighbouring floats per lane, moved as if they were one double. */
 typedef double Pairs __attribute__((vector_size(8 * LANES)));
 typedef float PairsOfFloats __attribute__((vector_size(8 * LANES)));

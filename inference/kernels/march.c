@@ -63,7 +63,7 @@ typedef struct {
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
     float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
-    double *given, *reference;   /* (steps), fluence of a lamp, and what stands for it in ray features */
+    float *given, *reference;    /* (steps), fluence of a lamp, and what stands for it in ray features */
     float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
@@ -729,105 +729,224 @@ static inline double scattered_back(const float *phase, double behind, double pa
     return table[cell] + (place - (double)cell) * (table[cell + 1] - table[cell]);
 }
 
+/* As scattered_back, of several points. */
+static inline Floats scattered_back_at(const float *phase, Doubles behind, double passing) {
+    Floats along = __builtin_convertvector(behind, Floats), size = choose(along > 0.0f, along, -along);
+    Floats square = __builtin_convertvector(behind * behind + passing, Floats);
+    square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
+    Floats distance = square * inverse_roots(square), share = (float)passing / (distance * (distance + size));
+    share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
+    Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
+    Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);
+    FOR_LANES(n) {
+        const float *at = phase + (along[n] > 0.0f ? MRPNN_PHASES + 1 : 0) + cell[n];
+        here[n] = at[0], next[n] = at[1];
+    }
+    return lerp_lanes(here, next, least_of(place - to_floats(cell), in_all(1.0f)));
+}
+
+/* A ray as a part of a lamp sees it. */
+typedef struct {
+    const Emitter *emitter;
+    const Ray *ray;
+    double origin[3];  /* of the ray, from the part */
+    double nearest;    /* distance on the ray to where it passes the part, */
+    double passing;    /* and the square of the part's distance from there */
+} Pass;
+
+static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
+    Pass pass = {.emitter = emitter, .ray = ray};
+    for (int k = 0; k < 3; k++) pass.origin[k] = ray->origin[k] - emitter->position[k];
+    pass.nearest = -dot_of(pass.origin, ray->direction);
+    for (int k = 0; k < 3; k++) {
+        double across = pass.origin[k] + pass.nearest * ray->direction[k];
+        pass.passing += across * across;
+    }
+    return pass;
+}
+
+/* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
+the angle under which that sees the step, in which the inverse square is constant.
+
+ends: of the step, from where the ray passes the part. weight: of its light. */
+static void add_bent(const Scene *scene, const Pass *pass, const double *ends, double weight, int64_t s,
+                     const Work *work, double *single, int64_t stride) {
+    const Emitter *emitter = pass->emitter;
+    double begin = ends[0], end = ends[1], length = end - begin;
+    double height = sqrt(pass->passing + emitter->extent * emitter->extent + 1e-6 * length * length);
+    double from = atan2(begin, height), turn = atan2(end, height) - from;
+    for (int64_t node = 0; node < scene->wide_count; node++) {
+        double behind = height * tan(from + scene->wide_nodes[node] * turn), point[3];
+        double light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
+        for (int k = 0; k < 3; k++) {
+            point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * pass->ray->direction[k];
+        }
+        light *= emitter_fluence(emitter, point) * weight;
+        double distance = sqrt(pass->passing + behind * behind);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            if (!(work->sigma[v * work->stride + s] > 0.0f)) continue;
+            double phase = scattered_back(scene->media[v].phase, behind, pass->passing, distance);
+            for (int64_t c = 0; c < scene->scattering; c++) {
+                single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
+            }
+        }
+    }
+}
+
+/* Add the single scattering of a node of some steps: where it lies behind the place where the ray passes the part, and
+the light there times the length that it stands for. */
+static inline void add_node(const Scene *scene, const Pass *pass, Ints some, Doubles behind, Floats light, int64_t first,
+                            const Work *work, double *single, int64_t stride) {
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        Ints filled = some & (load(work->sigma + v * work->stride + first) > 0.0f);
+        if (!any_lane(filled)) continue;
+        Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, pass->passing);
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
+            double sum = 0.0;
+            FOR_LANES(n) sum += filled[n] ? (double)found[n] : 0.0;
+            single[v * stride + c] += sum;
+        }
+    }
+}
+
 /* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
-function. In steps that are not far shorter than their distance the nodes lie in the angle under which the lamp sees
-the step, in which the inverse square is constant. */
+function: of one node in the middle of steps that are very short for their distance, of two in others, and in steps
+that are not far shorter than it those of add_bent. */
 static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
                         int64_t stride) {
-    int64_t channels = scene->scattering;
-    double origin[3], passing = 0.0, nearest, wide = scene->wide * scene->wide;
-    for (int k = 0; k < 3; k++) origin[k] = ray->origin[k] - emitter->position[k];
-    nearest = -dot_of(origin, ray->direction);
-    for (int k = 0; k < 3; k++) {
-        double across = origin[k] + nearest * ray->direction[k];
-        passing += across * across;
-    }
-    double extent = emitter->extent * emitter->extent;
-    for (int64_t first = 0; first < STEPS * work->blocks; first += LANES) {
-        float passed[LANES];
-        Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
-        store(passed, load(work->transmitted + first) * mean_transmittance(start, end));
-        for (int64_t s = first; s < first + LANES && s < STEPS * work->blocks; s++) {
-            double weight = (double)passed[s - first] * (double)work->visible[s];
-            if (!(work->total[s] > 0.0f) || !(weight > 0.0)) continue;
-            double begin = ray->near + place_in(work, s, 0.0) * ray->dt - nearest;
-            double stop = ray->near + place_in(work, s, 1.0) * ray->dt - nearest, length = stop - begin;
-            double middle = 0.5 * (begin + stop), height = 0.0, turn = 0.0, from = 0.0;
-            int64_t count = 2;
-            int bent = length * length > wide * (passing + extent + middle * middle);
-            if (bent) {
-                height = sqrt(passing + extent + 1e-6 * length * length);
-                from = atan2(begin, height), turn = atan2(stop, height) - from;
-                count = scene->wide_count;
-            }
-            for (int64_t node = 0; node < count; node++) {
-                double behind, light, point[3];
-                if (bent) {
-                    behind = height * tan(from + scene->wide_nodes[node] * turn);
-                    light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
-                } else {
-                    behind = begin + (double)GAUSS_NODES[node] * length;
-                    light = 0.5 * length;
-                }
-                for (int k = 0; k < 3; k++) point[k] = emitter->position[k] + origin[k] + (nearest + behind) * ray->direction[k];
-                light *= emitter_fluence(emitter, point) * weight;
-                double distance = sqrt(passing + behind * behind);
-                for (int64_t v = 0; v < scene->volumes; v++) {
-                    float sigma = work->sigma[v * work->stride + s];
-                    if (!(sigma > 0.0f)) continue;
-                    double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
-                    for (int64_t c = 0; c < channels; c++) {
-                        single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
-                    }
-                }
-            }
-        }
-    }
-}
-
-/* What a lamp gives to the steps and samples of a ray without what lies in between. */
-static void look_up_fluence(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
+    const Pass pass = pass_of(emitter, ray);
+    double wide = scene->wide * scene->wide, brief = scene->brief * scene->brief;
+    double extent = pass.passing + emitter->extent * emitter->extent;
     int64_t steps = STEPS * work->blocks;
-    for (int64_t n = 0; n < steps + count; n++) {
-        int64_t s = n < steps ? n : work->sample_step[n - steps];
-        double inside = n < steps ? 0.5 : (double)work->sample_inside[n - steps], point[3], given = 0.0, most = 0.0;
-        if (n < steps && !(work->total[s] > 0.0f)) {
-            work->given[s] = work->reference[s] = 0.0, work->received[s] = 0.0f;
-            continue;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
+        Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
+        Ints straight = (load(work->total + first) > 0.0f) & (weight > 0.0f), once = {0};
+        Doubles begin, length;
+        FOR_LANES(n) {
+            int64_t s = least_int(first + n, steps - 1);
+            begin[n] = ray->near + place_in(work, s, 0.0) * ray->dt - pass.nearest;
+            length[n] = work->size[s / STEPS] * ray->dt;
+            double middle = begin[n] + 0.5 * length[n];
+            if (first + n >= steps) straight[n] = 0;
+            double square = length[n] * length[n], away = extent + middle * middle;
+            if (!straight[n] || !(square > brief * away)) {
+                once[n] = straight[n], straight[n] = 0;
+                continue;
+            }
+            if (!(square > wide * away)) continue;
+            straight[n] = 0;
+            double ends[2] = {begin[n], begin[n] + length[n]};
+            add_bent(scene, &pass, ends, (double)weight[n], s, work, single, stride);
         }
-        double distance = ray->near + place_in(work, s, inside) * ray->dt;
-        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
-        for (int64_t e = 0; e < lamp->emitters; e++) {
-            given += emitter_fluence(lamp->parts + e, point);
-            most += brightest(lamp->parts + e, point);
+        weight *= __builtin_convertvector(length, Floats);
+        if (any_lane(once)) {
+            Floats light = load(work->light + first) * weight;
+            add_node(scene, &pass, once, begin + 0.5 * length, light, first, work, single, stride);
         }
-        double reference = larger(larger(given, most), 1e-30), coarse = softened(reference, scene->lamp_radius);
-        if (n < steps) {
-            work->given[s] = given, work->reference[s] = reference, work->received[s] = (float)coarse;
-        } else {
-            work->sample_light[n - steps] = (float)larger(coarse, 1e-30);
+        if (!any_lane(straight)) continue;
+        for (int node = 0; node < 2; node++) {
+            Doubles behind = begin + (double)GAUSS_NODES[node] * length, point[3];
+            for (int k = 0; k < 3; k++) {
+                point[k] = (emitter->position[k] + pass.origin[k]) + (pass.nearest + behind) * ray->direction[k];
+            }
+            Floats light = emitter_fluences(emitter, point) * (0.5f * weight);
+            add_node(scene, &pass, straight, behind, light, first, work, single, stride);
         }
     }
 }
 
-/* Add the transmittance towards a part of a lamp to its mean over all parts, and what surfaces let through of it. */
-static void add_part(const Scene *scene, const Emitter *emitter, const Ray *ray, int alone, Work *work) {
-    int64_t room = work->stride, steps = STEPS * work->blocks;
-    for (int64_t s = 0; s < steps; s++) {
-        if (!(work->total[s] > 0.0f)) continue;
-        double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
-        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
-        double found = emitter_fluence(emitter, point), given = work->given[s];
-        work->light[s] = (float)(given > 1e-30 ? found / given : 0.0);
-        work->lit[s] += (float)(found * (double)work->visible[s] / work->reference[s]);
+/* Places within steps, in the world. The last step again where there are no more. */
+static inline void points_in(const Ray *ray, const Work *work, const int64_t *numbers, const float *inside, int64_t count,
+                             int64_t first, Doubles *point) {
+    Doubles distance;
+    FOR_LANES(n) {
+        int64_t k = least_int(first + n, count - 1);
+        distance[n] = ray->near + place_in(work, numbers ? numbers[k] : k, inside ? (double)inside[k] : 0.5) * ray->dt;
     }
-    for (int64_t s = 0; s < steps && !alone; s++) {
-        if (!(work->total[s] > 0.0f)) continue;
+    for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+}
+
+/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added to what all
+of them give, and to what they would if they faced the steps. */
+static void look_up_fluence(const Emitter *emitter, const Ray *ray, int features, Work *work) {
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Doubles point[3];
+        points_in(ray, work, NULL, NULL, steps, first, point);
+        Floats found = emitter_fluences(emitter, point);
+        store(work->light + first, found);
+        if (!features) continue;
+        store(work->given + first, load(work->given + first) + found);
+        store(work->reference + first, load(work->reference + first) + brightest_of(emitter, point));
+    }
+}
+
+/* What stands for the light of a lamp in ray features: what it gives, or would if it faced the point. */
+static inline Floats reference_of(Floats given, Floats most) {
+    return clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
+}
+
+/* The light of a lamp at the samples of a ray on a coarse scale. */
+static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
+    for (int64_t first = 0; first < count; first += LANES) {
+        Doubles point[3];
+        Floats given = in_all(0.0f), most = in_all(0.0f);
+        points_in(ray, work, work->sample_step, work->sample_inside, count, first, point);
+        for (int64_t e = 0; e < lamp->emitters; e++) {
+            given += emitter_fluences(lamp->parts + e, point);
+            most += brightest_of(lamp->parts + e, point);
+        }
+        Floats coarse = softened_all(reference_of(given, most), scene->lamp_radius);
+        for (int n = 0; n < LANES && first + n < count; n++) {
+            work->sample_light[first + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
+        }
+    }
+}
+
+/* Add the light of a part of a lamp behind the optical depths, and what surfaces let through of it, to those of all. */
+static void add_part(const Scene *scene, int alone, Work *work) {
+    int64_t room = work->stride, steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats found = load(work->light + first), next = found;
+        Ints known = load(work->total + first) > 0.0f;
+        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first));
+        if (alone) continue;
         /* The edge between two steps belongs to the second. */
-        float share = work->light[s], next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? work->light[s + 1] : share;
+        FOR_LANES(n) {
+            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = found[n + 1];
+        }
         for (int64_t g = 0; g < scene->groups; g++) {
-            work->mean_start[g * room + s] += share * (float)exp(-(double)work->start[g * room + s]);
-            work->mean_end[g * room + s] += next * (float)exp(-(double)work->end[g * room + s]);
+            float *starts = work->mean_start + g * room + first, *ends = work->mean_end + g * room + first;
+            store(starts, load(starts) + found * transmittance(load(work->start + g * room + first)));
+            store(ends, load(ends) + next * transmittance(load(work->end + g * room + first)));
+        }
+    }
+}
+
+/* A mean transmittance as an optical depth: the light behind it over that without. */
+static inline float depth_of(float passed, float given, float dark) {
+    float mean = given > 1e-30f ? passed / given : 0.0f;
+    return least(-logf(mean > 1e-30f ? mean : 1e-30f), dark);
+}
+
+/* A lamp as one light: what it is on a coarse scale, what is let through of that, and its optical depths. */
+static void join_parts(const Scene *scene, int alone, Work *work) {
+    int64_t room = work->stride, steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats reference = reference_of(load(work->given + first), load(work->reference + first));
+        Floats coarse = softened_all(reference, scene->lamp_radius);
+        store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
+        store(work->lit + first, load(work->lit + first) / reference);
+    }
+    for (int64_t g = 0; g < scene->groups && !alone; g++) {
+        float *start = work->start + g * room, *end = work->end + g * room, dark = (float)scene->dark;
+        for (int64_t s = 0; s < steps; s++) {
+            int64_t next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? s + 1 : s;
+            int known = work->total[s] > 0.0f;
+            start[s] = known ? depth_of(work->mean_start[g * room + s], work->given[s], dark) : dark;
+            end[s] = known ? depth_of(work->mean_end[g * room + s], work->given[next], dark) : dark;
         }
     }
 }
@@ -842,8 +961,10 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     for (int64_t v = 0; v < scene->volumes; v++) {
         for (int64_t c = 0; c < scene->scattering; c++) single[v * stride + c] = 0.0;
     }
-    if (count) look_up_fluence(scene, lamp, ray, count, work);
-    for (int64_t s = 0; s < steps; s++) work->lit[s] = 0.0f, work->visible[s] = 1.0f;
+    int64_t whole = (steps + LANES - 1) / LANES * LANES;
+    for (int64_t s = 0; s < whole; s++) {
+        work->lit[s] = work->given[s] = work->reference[s] = 0.0f, work->visible[s] = 1.0f;
+    }
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->mean_start[g * room + s] = work->mean_end[g * room + s] = 0.0f;
     }
@@ -855,15 +976,15 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
             for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + distance * ray->direction[j];
             work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
         }
+        look_up_fluence(lamp->parts + e, ray, count > 0, work);
         add_emitter(scene, lamp->parts + e, ray, work, single, stride);
-        if (count) add_part(scene, lamp->parts + e, ray, lamp->emitters == 1, work);
+        if (count) add_part(scene, lamp->emitters == 1, work);
+    }
+    if (count) {
+        light_samples(scene, lamp, ray, count, work);
+        join_parts(scene, lamp->emitters == 1, work);
     }
     for (int64_t g = 0; g < scene->groups && count; g++) {
-        for (int64_t s = g * room; s < g * room + steps && lamp->emitters > 1; s++) {
-            float dark = (float)scene->dark;
-            work->start[s] = least(-logf(work->mean_start[s] > 1e-30f ? work->mean_start[s] : 1e-30f), dark);
-            work->end[s] = least(-logf(work->mean_end[s] > 1e-30f ? work->mean_end[s] : 1e-30f), dark);
-        }
         look_up_source(scene, scene->lamp_fluence + g, g, k, ray, work);
         Gathering of = {.fluence = scene->lamp_fluence + g, .visible = work->lit, .received = work->received,
                         .unit = work->sample_light, .stride = scene->groups * scene->lamps * COLUMNS};
@@ -935,8 +1056,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(group_tau, float, groups * steps)
     TAKE(mean_start, float, scene->lamps ? groups * steps : 0)
     TAKE(mean_end, float, scene->lamps ? groups * steps : 0)
-    TAKE(given, double, scene->lamps ? steps : 0)
-    TAKE(reference, double, scene->lamps ? steps : 0)
+    TAKE(given, float, scene->lamps ? steps : 0)
+    TAKE(reference, float, scene->lamps ? steps : 0)
     TAKE(lit, float, scene->lamps ? steps : 0)
     TAKE(received, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)

@@ -3,12 +3,13 @@
 
 import ctypes
 import functools
+from collections.abc import Sequence
 from ctypes import c_double, c_int64, c_void_p
 from typing import Any
 
 import numpy as np
 
-INTERFACE = 13
+INTERFACE = 14
 CHANNELS = 3
 PHASES = 8192
 
@@ -161,6 +162,9 @@ class Emitter(Shared):
         ("normal", c_double * 3),
         ("radiance", c_double),
         ("area", c_double),
+        ("nodes", c_double * 12),
+        ("areas", c_double * 4),
+        ("far", c_double),
         ("tangent", c_double),
         ("focus", c_double),
         ("focused", c_double),
@@ -215,6 +219,7 @@ class Scene(Shared):
         ("lamp_list", c_void_p),
         ("lamp_fluence", c_void_p),
         ("lamp_radius", c_double),
+        ("brief", c_double),
         ("wide", c_double),
         ("wide_count", c_int64),
         ("wide_nodes", c_void_p),
@@ -284,5 +289,12 @@ def array_of(values: list) -> ctypes.Array | None:
         return None
     array = (type(values[0]) * len(values))(*values)
     # ctypes copies the structures, not the Python attributes of their objects.
+    array.kept = values
+    return array
+
+
+def pointers_to(values: Sequence[Shared | None]) -> ctypes.Array:
+    """Pointers to structures, which it keeps alive, or to nothing."""
+    array: Any = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))
     array.kept = values
     return array

@@ -6,7 +6,7 @@
 #include "fields.h"
 #include "variants.h"
 
-/* Parts of the field that sources depend on, and sums that a sweep adds to. */
+/* Parts of the field that sources depend on, the last of which is the beam, and sums that a sweep adds to. */
 #define PARTS 5
 #define SUMS 4
 
@@ -14,17 +14,21 @@ static void load(const float *from, int64_t stride, int64_t n, float *to) {
     for (int64_t c = 0; c < n; c++) to[c] = from[c * stride];
 }
 
-/* Follow one direction through a row of cells: radiance tends towards the source function. */
-static void follow(int64_t n, const float *restrict parts, const float *restrict emit, const float *restrict arriving,
-                   const float *restrict link, const float *restrict leaving, const float *restrict within,
-                   const float *restrict gather, float *restrict after, float *restrict sums) {
+/* Follow one direction through a row of cells: radiance tends towards the source function. gather: weights of its mean
+in a cell in the sums, or NULL, where that is what `sums` are to hold. */
+static void follow(int64_t n, const float *restrict parts, const float *restrict beam, const float *restrict emit,
+                   const float *restrict arriving, const float *restrict link, const float *restrict leaving,
+                   const float *restrict within, const float *restrict gather, float *restrict after,
+                   float *restrict sums) {
     for (int64_t c = 0; c < n; c++) {
         float source = emit[0] * parts[c];
-        for (int i = 1; i < PARTS; i++) source += emit[i] * parts[i * n + c];
+        for (int i = 1; i < PARTS - 1; i++) source += emit[i] * parts[i * n + c];
+        source += emit[PARTS - 1] * beam[c];
         float light = link ? arriving[c] * link[c] : arriving[c], rise = source - light;
         after[c] = rise * leaving[c] + light;
         float mean = rise * within[c] + light;
-        for (int i = 0; i < SUMS; i++) sums[i * n + c] += gather[i] * mean;
+        if (!gather) sums[c] = mean;
+        for (int i = 0; i < SUMS && gather; i++) sums[i * n + c] += gather[i] * mean;
     }
 }
 
@@ -33,6 +37,7 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
     int64_t across[3] = {n * n, n, 1}, slice = across[sweep->axis];
     int64_t row = sweep->axis == 0 ? n : n * n, column = sweep->axis == 2 ? n : 1;
     float *light[2] = {sweep->scratch, sweep->scratch + count * border * border};
+    int64_t own = sweep->beams ? PARTS - 1 : PARTS;
     float *parts = light[1] + count * border * border, *sums = parts + PARTS * n;
     /* The few rows whose cells are apart in memory; one kind of direction goes along them. */
     float *apart = sums + SUMS * n;
@@ -51,23 +56,32 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
             float *after = light[~k & 1];
             for (int64_t r = first; r < first + together; r++) {
                 int64_t at = number * slice + r * row;
-                for (int i = 0; i < PARTS; i++) load(sweep->field + i * cube + at, column, n, parts + i * n);
+                for (int i = 0; i < own; i++) load(sweep->field + i * cube + at, column, n, parts + i * n);
                 memset(sums, 0, (size_t)(SUMS * n) * sizeof *sums);
                 for (int64_t d = 0; d < count; d++) {
                     const int64_t *step = sweep->steps + 2 * d;
+                    const float *beam = sweep->beams ? sweep->beams + d * cube + at : parts + (PARTS - 1) * n;
                     int64_t kind = sweep->kinds[d] * cube + at;
                     const float *leaving = sweep->leaving + kind, *within = sweep->within + kind;
                     if (column != 1) {
                         load(leaving, column, n, apart);
                         load(within, column, n, apart + n);
                         leaving = apart, within = apart + n;
+                        if (sweep->beams) {
+                            load(beam, column, n, apart + 2 * n);
+                            beam = apart + 2 * n;
+                        }
                     }
-                    follow(n, parts, sweep->emit + PARTS * d,
+                    follow(n, parts, beam, sweep->emit + PARTS * d,
                            before + (d * border + r + 1 - step[0]) * border + 1 - step[1],
                            sweep->links ? sweep->links + ((number * count + d) * n + r) * n : NULL, leaving, within,
-                           sweep->gather + SUMS * d, after + (d * border + r + 1) * border + 1, sums);
+                           sweep->gather ? sweep->gather + SUMS * d : NULL, after + (d * border + r + 1) * border + 1,
+                           sums);
+                    if (sweep->gather) continue;
+                    float *to = sweep->sums + d * cube + at;
+                    for (int64_t c = 0; c < n; c++) to[c * column] = sums[c];
                 }
-                for (int i = 0; i < SUMS; i++) {
+                for (int i = 0; i < SUMS && sweep->gather; i++) {
                     float *to = sweep->sums + i * cube + at;
                     for (int64_t c = 0; c < n; c++) to[c * column] += sums[i * n + c];
                 }

@@ -24,7 +24,7 @@ from ..transport.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
-from .lamp_march import MANY, WIDE, LampInMedia, LampMarch
+from .lamp_march import BRIEF, MANY, WIDE, LampInMedia, LampMarch
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, LampSegment, MarchOptions, RaySegment, optical_depth_behind
 from .ray_steps import (
@@ -175,6 +175,7 @@ class CompiledMarch:
             lamp_list=structures.array_of([_lamp(lamp, self._media) for lamp in lamps.lamps] if lamps else []),
             lamp_fluence=structures.array_of([_fluence(f) for f in lamps.fluence or []] if lamps else []),
             lamp_radius=lamps.radius if lamps else 0.0,
+            brief=BRIEF,
             wide=WIDE,
             wide_count=MANY,
             wide_nodes=0.5 + 0.5 * wide,

@@ -10,19 +10,24 @@ exponentially within a step, as for suns.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import LampOpticalDepth
+from ..kernels.field_structures import LampFluence
 from ..kernels.library import Kernels
+from ..kernels.structures import array_of
 from ..numerics.quadrature import legendre_nodes
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.lamps import Emitter, Lamp
 from ..scene.mesh_light import MeshLight
+from ..transport.described_lamps import describe_emitter
 from ..transport.scattered_fluence import ScatteredFluence
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_march import (
@@ -47,8 +52,8 @@ SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
-# it, instead of FEW in its length.
-WIDE, FEW, MANY = 0.2, 2, 10
+# it, instead of FEW in its length; and up to which one in its middle is enough.
+WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class LampInMedia:
 
     emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
     coarse transport. shadow_maps: of each emitter, or None where no surface shadows anything from the lamp. key: digest
-    that is equal for lamps with the same light and shadows.
+    that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
     """
 
     lamp: Lamp
@@ -66,6 +71,7 @@ class LampInMedia:
     coarse: Sequence[Emitter]
     shadow_maps: list[LampShadowMap] | None = None
     key: bytes = b""
+    kernels: Kernels | None = None
 
     @property
     def power(self) -> np.ndarray:
@@ -104,15 +110,36 @@ class LampInMedia:
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3), for power 1, without what lies in between."""
-        return np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
+        return self._light(points)[0]
 
     def reference(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) that networks take as a lamp's light at points (N, 3): not 0 where it shines elsewhere.
 
         What it is above the lamp's fluence counts as shadow.
         """
-        brightest = np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
-        return np.maximum(self.fluence(points), brightest)
+        return np.maximum(*self._light(points))
+
+    @cached_property
+    def _described(self) -> Any:
+        """The emitters as compiled kernels read them."""
+        return array_of([describe_emitter(emitter) for emitter in self.emitters])
+
+    def _light(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fluence float64 (N,) at world points (N, 3), and what it would be if each emitter faced each of them."""
+        if self.kernels is None:
+            fluence = np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
+            return fluence, np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
+        fluence, brightest = np.empty((2, len(points)))
+        data = LampFluence(
+            points=len(points),
+            positions=np.ascontiguousarray(points, np.float64),
+            lamp=len(self.emitters),
+            emitters=self._described,
+            fluence=fluence,
+            brightest=brightest,
+        )
+        self.kernels.prepare("lamp_fluence", data)
+        return fluence, brightest
 
 
 def place_lamp(
@@ -143,7 +170,7 @@ def place_lamp(
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces))
+    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces), kernels)
 
 
 def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:
@@ -244,10 +271,11 @@ class _Steps:
         begin, end = self.begin - nearest, self.end - nearest
         length, square = end - begin, height**2 + emitter.extent**2
         found = np.zeros((len(media), len(self.ray)))
-        wide = length**2 > WIDE**2 * (square + (0.5 * (begin + end)) ** 2)
+        away = square + (0.5 * (begin + end)) ** 2
+        wide, brief = length**2 > WIDE**2 * away, length**2 <= BRIEF**2 * away
         height = np.sqrt(square + 1e-6 * length**2)
-        for bent, count in ((False, FEW), (True, MANY)):
-            some = np.flatnonzero(wide == bent)
+        for bent, count, which in ((False, 1, brief), (False, FEW, ~(brief | wide)), (True, MANY, wide)):
+            some = np.flatnonzero(which)
             first, last = (np.arctan2(ends[some], height[some]) for ends in (begin, end))
             nodes, weights = legendre_nodes(count)
             for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights):

@@ -257,10 +257,10 @@ class VolumePredictor:
 
         bounds: as for `prepare`.
         """
-        lamp, nearby = light.lamp, None
-        conditions = self._lamp_conditions(sigma_t, lamp, bounds, occluders)
-        prepared = self._predictor.prepare_lamp(conditions, tasks)
-        share = transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
+        lamp, prepared, nearby = light.lamp, None, None
+        conditions, share = self._lamp_conditions(sigma_t, lamp, bounds, occluders), self._transport_share(lamp)
+        if share < 1.0:
+            prepared = self._predictor.prepare_lamp(conditions, tasks)
         if share > 0.0:
             conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
             nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, tasks)
@@ -280,15 +280,25 @@ class VolumePredictor:
     def lamp_fluence(
         self,
         sigma_t: float,
-        lamps: Sequence[PredictedLamp],
+        lights: Sequence["LampLight"],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence:
-        """Scattered light of lamps of power 1 for lookups along camera rays. Raises Cancelled."""
-        anywhere = np.full(3, -0.5), np.full(3, 0.5)
-        return self._predictor.lamp_fluence(
-            [self._lamp_conditions(sigma_t, lamp, anywhere, occluders) for lamp in lamps], tasks
-        )
+        """Scattered light of lamps of power 1 for lookups along camera rays. Raises Cancelled.
+
+        That which networks read, for albedo 1; of lamps whose light they do not predict that for the largest albedo.
+        """
+        anywhere, asked = (np.full(3, -0.5), np.full(3, 0.5)), []
+        for light in lights:
+            conditions, albedo = self._lamp_conditions(sigma_t, light.lamp, anywhere, occluders), None
+            if light.albedos and self._transport_share(light.lamp) >= 1.0:
+                conditions, albedo = replace(conditions, sigma_hat=sigma_t * self.cube.edge), max(light.albedos)
+            asked.append((conditions, albedo))
+        return self._predictor.lamp_fluence(asked, tasks)
+
+    def _transport_share(self, lamp: PredictedLamp) -> float:
+        """As `transport_share`."""
+        return transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
 
     def _lamp_conditions(self, sigma_t: float, lamp: PredictedLamp, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
@@ -400,11 +410,12 @@ class LampLight:
 class PreparedLampPredictor:
     """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
 
-    used, most: as in PreparedPredictor, `most` for an irradiance of 1. radius: by which the lamp's light is softened.
-    nearby: what replaces the network in part or altogether, or None. outside: as of `VolumePredictor.outside`.
+    prediction: None where the network is not asked. used, most: as in PreparedPredictor, `most` for an irradiance of 1.
+    radius: by which the lamp's light is softened. nearby: what replaces the network in part or altogether, or None.
+    outside: as of `VolumePredictor.outside`.
     """
 
-    prediction: PreparedLampRays
+    prediction: PreparedLampRays | None
     cube: Cube
     albedo_range: tuple[float, float]
     used: float
@@ -416,8 +427,8 @@ class PreparedLampPredictor:
 
     @property
     def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.prediction.lattice_cells
+        """Cells of the lookup lattices; 0 where there are none."""
+        return self.prediction.lattice_cells if self.prediction else 0
 
     def predict(
         self,
@@ -457,6 +468,7 @@ class PreparedLampPredictor:
         share = self.nearby.share if self.nearby else 0.0
         found = np.full((len(radiance), len(positions)), share * NEARBY_DEVIATION, np.float32)
         if share < 1.0:
+            assert self.prediction is not None
             x, omega, towards, irradiance = self._lit(positions, directions)
             of_sun = {
                 albedo: predicted / np.maximum(irradiance, 1e-30).astype(np.float32)
@@ -489,6 +501,7 @@ class PreparedLampPredictor:
         ray_features: np.ndarray | None,
     ) -> np.ndarray:
         """As `predict`, by the network alone; x, omega, towards: in the cube's frame."""
+        assert self.prediction is not None
         radiance = self.prediction.predict(
             x,
             omega,
@@ -605,7 +618,7 @@ def _prepare_lamp(
     placed, radius = light.lamp, light.radius
     assert isinstance(placed, LampInMedia)
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
-    fluence, bound = predictor.lamp_fluence(sigma_t, [placed]), BoundMedium(grid, medium, sigma_t, [])
+    fluence, bound = predictor.lamp_fluence(sigma_t, [light]), BoundMedium(grid, medium, sigma_t, [])
 
     def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
         return lamp_features_at(bound, positions, directions, placed, fluence, radius).of(slice(None), 0, 0)

@@ -255,14 +255,31 @@ class RayPredictor(StencilPredictor):
         gather = self._final_gather(depth, fluence_and_flux(cells), conditions)
         return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, scale, self.anisotropy)
 
-    def lamp_fluence(self, lamps: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
-        """Scattered light of several lamps of power 1 for lookups along camera rays. Raises Cancelled."""
+    def lamp_fluence(
+        self, lamps: Sequence[tuple[Conditions, float | None]], tasks: AnyTasks = SERIAL
+    ) -> ScatteredFluence:
+        """Scattered light of several lamps of power 1 for lookups along camera rays. Raises Cancelled.
+
+        lamps: conditions of each, and the albedo for which the transport alone is its light, or None where networks
+        predict it.
+        """
+
+        def solve(lamp: tuple[Conditions, float | None]) -> tuple[np.ndarray, float]:
+            conditions, albedo = lamp
+            if albedo is None:
+                cells, scale = self._solve_lamp(conditions, tasks.cancel)
+                return fluence_and_flux(cells), scale
+            cells, scale = self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO))
+            return cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16), scale
+
         with tasks.cancel.locked(self._lock):
-            if lamps:
-                self._solver(lamps[0])
-            solved = list(tasks.each(lambda lamp: self._solve_lamp(lamp, tasks.cancel), lamps))
-        lights, scales = [fluence_and_flux(cells) for cells, _ in solved], [scale for _, scale in solved]
-        return ScatteredFluence.in_cube(self.cube, lights, self.anisotropy, scales)
+            for conditions, albedo in lamps:
+                if albedo is None:
+                    self._solver(conditions)
+            solved = list(tasks.each(solve, lamps))
+        return ScatteredFluence.in_cube(
+            self.cube, [light for light, _ in solved], self.anisotropy, [scale for _, scale in solved]
+        )
 
     def lamp_nearby(
         self, conditions: Conditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL

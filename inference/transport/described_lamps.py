@@ -28,6 +28,7 @@ def describe_emitter(emitter: Emitter) -> structures.Emitter:
         )
     half = max(0.5 * emitter.spread, 1e-4)
     diffuse = emitter.spread >= FULL_SPREAD
+    nodes, areas = emitter.nodes
     tangent, focused = float(np.tan(half)), float(np.tan(half) - half)
     return structures.Emitter(
         flat=1,
@@ -35,6 +36,9 @@ def describe_emitter(emitter: Emitter) -> structures.Emitter:
         normal=np.float64(emitter.normal),
         radiance=emitter.radiance,
         area=emitter.area,
+        nodes=np.float64(nodes),
+        areas=np.float64(areas),
+        far=emitter.far,
         tangent=0.0 if diffuse else tangent,
         focus=1.0 if diffuse else tangent / focused,
         focused=1.0 if diffuse else focused,

@@ -21,7 +21,7 @@ feature for the network, which otherwise knows a point's surroundings in outline
 """
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,15 @@ WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 # and after that; they end when less than the fraction CONVERGED of the scattered light changes.
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
 # The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
-EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-4
+EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-3
 # Tolerance and maximal iterations of the diffusion solver, which works on cells twice as large.
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
 CELL_DIFFUSION = 0.2
 # Lower bound of the optical thickness of a cell.
 MIN_DEPTH = np.float32(1e-6)
+# Fluence and flux: no axis has as many directions on one side.
+SUMS = 4
 # Optical thickness of a cell below which a series takes the place of differences.
 THIN_CELL = np.float32(0.03)
 
@@ -214,35 +216,20 @@ class DiscreteOrdinates:
         """
         n = len(self.density)
         light, towards = beam(self, cancel)
-        # Of the beam along each direction, so that none of it is lost whatever the quadrature of the phase function.
-        field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
-        beams = self._beams(light.astype(np.float32), towards.astype(np.float32))
-        one, source = np.ones(1), self._source(field)
-        follow = [
-            self._follower(axis, sign, one, source, swept, None, slice(k, k + 1))
-            for axis, steps in enumerate(STEPS)
-            for sign in (1, -1)
-            for k in range(len(steps))
-        ]
+        field, sweeps, converged = np.zeros((5, n, n, n), np.float32), SWEEPS, CONVERGED
+        beams, source = self._beams(light.astype(np.float32), towards.astype(np.float32)), self._source(field)
+        if self.varies:
+            beams *= self.albedo
+        swept = np.empty((4, n, n, n), np.float32)
+        follow = self._lamp_followers(source, beams, [swept] * 6)
         if self.coarser is not None:
-            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel, exact)[:4]]
+            # Only a start, however exact the answer is to be.
+            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
             sweeps = FINE_SWEEPS
-
-        def directions() -> Iterator[Callable[[], object]]:
-            """What sweeps along each of ORDINATES, after it has its share of the beam."""
-            if self.boundaries is not None:
-                np.multiply(field, ~self.boundaries.inside, out=field)
-            self._scatter(field, source)
-            for along, of_beam in zip(follow, beams):
-                cancel.check()
-                source[4] = self.albedo * of_beam if self.varies else of_beam
-                yield along
-
-        sweeps, converged = (EXACT_SWEEPS, EXACTLY_CONVERGED) if exact else (sweeps, CONVERGED)
+        if exact:
+            sweeps, converged = EXACT_SWEEPS, EXACTLY_CONVERGED
         for number in range(sweeps):
-            swept.fill(0.0)
-            for along in directions():
-                along()
+            self._sweep_lamp(field, source, swept, follow, cancel)
             change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
@@ -253,13 +240,41 @@ class DiscreteOrdinates:
         if not exact:
             return swept
         field[:4] = swept
-        of_each = np.empty((len(ORDINATES), n, n, n), np.float32)
-        for along, of_one in zip(directions(), of_each):
-            swept.fill(0.0)
-            along()
-            of_one[...] = swept[0]
-        harmonics = spherical_harmonics(-ORDINATES).astype(np.float32)
-        return (harmonics @ of_each.reshape(len(of_each), -1)).reshape(-1, n, n, n)
+        radiance = np.empty_like(beams)
+        follow = self._lamp_followers(source, beams, np.split(radiance, INFLOW_ENDS))
+        self._sweep_lamp(field, source, radiance, follow, cancel)
+        weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
+        return (weights.astype(np.float32) @ radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
+
+    def _lamp_followers(
+        self, source: np.ndarray, beams: np.ndarray, swept: Sequence[np.ndarray]
+    ) -> list[Callable[[], object]]:
+        """What follows light along all directions; source and beams: as for `_follower`, swept: for each axis and sign.
+
+        Beams are those of each direction, so that no light is lost whatever the quadrature of the phase function.
+        """
+        sides = [(axis, sign) for axis in range(3) for sign in (1, -1)]
+        return [
+            self._follower(axis, sign, np.ones(len(STEPS[axis])), source, one, beams=some)
+            for (axis, sign), some, one in zip(sides, np.split(beams, INFLOW_ENDS), swept)
+        ]
+
+    def _sweep_lamp(
+        self,
+        field: np.ndarray,
+        source: np.ndarray,
+        swept: np.ndarray,
+        follow: Sequence[Callable[[], object]],
+        cancel: CancelToken,
+    ) -> None:
+        """Fill what the followers add to with the light of a field (5, x, y, z), and of the beams."""
+        if self.boundaries is not None:
+            field *= ~self.boundaries.inside
+        self._scatter(field, source)
+        swept.fill(0.0)
+        for one in follow:
+            cancel.check()
+            one()
 
     def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
         """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).
@@ -373,18 +388,19 @@ class DiscreteOrdinates:
         field: np.ndarray,
         swept: np.ndarray,
         entering: np.ndarray | None = None,
-        some: slice = slice(None),
+        beams: np.ndarray | None = None,
     ) -> Callable[[], object]:
         """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
 
         phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam. entering:
-        float32 (D,), radiance at the faces of the cube, or None. some: of the steps, D of them.
+        float32 (D,), radiance at the faces of the cube, or None. beams: float32 (D, x, y, z), of each step, in place of
+        the field's; with them, swept may be the mean radiance along each step in each cell, (D, x, y, z).
         """
-        steps = sign * STEPS[axis][some]
-        links = None if self.links is None else np.ascontiguousarray(self.links[axis][sign][:, some])
+        steps = sign * STEPS[axis]
+        links = None if self.links is None else self.links[axis][sign]
         emit, gather = self._weights(steps, phase)
         if self.kernels is None:
-            return lambda: self._follow_steps(axis, steps, (emit, gather), field, swept, links, entering)
+            return lambda: self._follow_steps(axis, steps, (emit, gather), (field, beams), swept, links, entering)
         n = len(self.density)
         data = OrdinateSweep(
             cells=n,
@@ -394,14 +410,15 @@ class DiscreteOrdinates:
             steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
             kinds=np.abs(steps).sum(axis=1) - 1,
             emit=emit,
-            gather=gather,
+            gather=gather if len(swept) == SUMS else None,
             field=field,
+            beams=beams,
             leaving=self.leaving,
             within=self.within,
             links=links,
             entering=entering,
             sums=swept,
-            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 11 * n, np.float32),
+            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 12 * n, np.float32),
         )
         return functools.partial(self.kernels.prepare, "sweep_ordinates", data)
 
@@ -419,37 +436,43 @@ class DiscreteOrdinates:
         axis: int,
         steps: np.ndarray,
         weights: tuple[np.ndarray, np.ndarray],
-        field: np.ndarray,
+        light: tuple[np.ndarray, np.ndarray | None],
         swept: np.ndarray,
         links: np.ndarray | None,
         entering: np.ndarray | None,
     ) -> None:
         """Add fluence and flux of light along steps (D, 3), all of which lead to one side along an axis, to `swept`.
 
-        weights: from `_weights`. entering: as for `_follower`.
+        weights: from `_weights`. light: field and beams; these, swept and entering: as for `_follower`.
         """
         n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
-        emit, gather = weights
+        (emit, gather), (field, beams) = weights, light
         across = [place for place in range(3) if place != axis]
         field, swept, leaving, within = (
             np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
         )
+        if beams is not None:
+            beams = np.moveaxis(beams, 1 + axis, 0)
         # Light that leaves the previous slice, with a border of what enters.
-        light = np.zeros((len(steps), n + 2, n + 2), np.float32)
+        passing = np.zeros((len(steps), n + 2, n + 2), np.float32)
         if entering is not None:
-            light[:] = entering[:, None, None]
+            passing[:] = entering[:, None, None]
         for k in range(n)[:: steps[0, axis]]:
             arriving = np.stack(
-                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(light, steps[:, across])]
+                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(passing, steps[:, across])]
             )
             if links is not None:
                 arriving *= links[k]
             # Within a cell radiance tends towards the source function: I = I_0 + (S - I_0) (1 - exp(-tau)).
-            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, field[k]))
+            parts = field[k] if beams is None else [*field[k][:4], beams[k]]
+            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, parts))
             rise = source - arriving
-            light[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
+            passing[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
             mean = arriving + rise * within[k][kinds]
-            swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
+            if swept.shape[1] == SUMS:
+                swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
+            else:
+                swept[k] = mean
 
 
 def _solid_angles(steps: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from ..grids.dense_grid import DenseGrid
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
-from ..kernels import field_structures
+from ..kernels import field_structures, structures
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
@@ -29,10 +29,21 @@ MAX_DEPTH = 60.0
 MIN_SHARE = 1e-6
 
 
-def _centres(n: int) -> np.ndarray:
-    """Centres (n^3, 3) of the cells of a cube from -1/2 to 1/2."""
-    place = (np.arange(n) + 0.5) / n - 0.5
-    return np.stack(np.meshgrid(place, place, place, indexing="ij"), axis=-1).reshape(-1, 3)
+def _centres(n: int, numbers: np.ndarray) -> np.ndarray:
+    """Centres (N, 3) of cells, by flat number, of a cube from -1/2 to 1/2 of n cells along an edge."""
+    return (np.stack(np.unravel_index(numbers, (n, n, n)), axis=1) + 0.5) / n - 0.5
+
+
+def _support(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first cell (3,) that holds density and the one behind the last along each axis, at least two cells."""
+    ends = []
+    for axis in range(3):
+        held = np.flatnonzero(density.max(axis=tuple(other for other in range(3) if other != axis)) > 0.0)
+        first, end = (held[0], held[-1] + 1) if len(held) else (0, 2)
+        first = min(first, density.shape[axis] - 2)
+        ends.append((first, max(end, first + 2)))
+    low, high = np.array(ends).T
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -62,104 +73,116 @@ class LampInCube:
     key: bytes
     centre: np.ndarray
 
-    def irradiance(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N,) at world points (N, 3) for power 1, without what lies in between."""
-        return np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
-
     def __call__(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
         """Mean of the unscattered light over each cell, and unit vectors (3, x, y, z) towards the lamp."""
-        n, centres = len(solver.density), _centres(len(solver.density))
-        light = self._light(solver, solver.density.ravel() > 0.0, PARTS if len(self.emitters) == 1 else 1, cancel)
-        away = self.cube.positions(self.centre[None])[0] - centres
-        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
-        return light.reshape(n, n, n), away.T.reshape(3, n, n, n)
+        n = len(solver.density)
+        light, _ = self._light(solver, solver.density > 0.0, PARTS if len(self.emitters) == 1 else 1, cancel)
+        lamp = self.cube.positions(self.centre[None])[0]
+        away = np.empty((3, n, n, n), np.float32)
+        for axis, along in enumerate(np.ogrid[:n, :n, :n]):
+            away[axis] = lamp[axis] + 0.5 - (along + 0.5) / n
+        away /= np.maximum(np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2), np.float32(1e-9))
+        return light, away
 
     def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> np.ndarray:
         """Optical depth float32 (n, n, n) towards the lamp for sigma = 1, what surfaces take of its light included.
 
         0 in cells that neither hold density nor touch one that does. Raises Cancelled.
         """
-        n = len(cells.density)
         near = np.pad(cells.density > 0.0, 1)
         for axis in range(3):
             near = np.moveaxis(near, axis, 0)
             near = np.moveaxis(near[:-2] | near[1:-1] | near[2:], 0, axis)
-        lit, depth = np.flatnonzero(near), np.zeros(n**3, np.float32)
-        open_light = self.irradiance(self.cube.world(_centres(n)[lit]))
+        # The shadows of several emitters blend: each of them may be coarser.
+        light, unhindered = self._light(cells, near, 1, cancel, len(self.emitters) ** 0.25)
+        lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
         # Beside the cone of a spot there is no light to take away.
-        least = max(MIN_SHARE * open_light.max(initial=0.0), 1e-30)
-        share = self._light(cells, near.ravel(), 1, cancel)[lit] / np.maximum(open_light, least)
-        depth[lit] = -np.log(np.clip(share, np.exp(-MAX_DEPTH), 1.0)) / max(cells.sigma, 1e-30)
-        return depth.reshape(n, n, n)
+        least = max(MIN_SHARE * unhindered.max(initial=0.0), 1e-30)
+        share = light.reshape(-1)[lit] / np.maximum(unhindered.reshape(-1)[lit], least)
+        share = np.clip(share.astype(np.float32), np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0))
+        depth.reshape(-1)[lit] = np.log(share) / np.float32(-max(cells.sigma, 1e-30))
+        return depth
 
     def _light(
-        self, solver: DiscreteOrdinates | CubeCells, filled: np.ndarray, few: int, cancel: CancelToken
-    ) -> np.ndarray:
-        """Mean of the unscattered light float64 (n^3,) over those cells that are `filled`, bool (n^3,).
+        self,
+        solver: DiscreteOrdinates | CubeCells,
+        filled: np.ndarray,
+        few: int,
+        cancel: CancelToken,
+        apart: float = 1.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Means of the unscattered light float64 (n, n, n) over those cells that are `filled`, bool (n, n, n).
 
-        few: parts of an edge of a cell that is not near the lamp.
+        Once as it is, and once without what lies in between. few: parts of an edge of a cell that is not near the lamp.
+        apart: as for LampOpticalDepth.
         """
         n = len(solver.density)
-        grid, linear, offset = DenseGrid(solver.density), n * np.eye(3), np.full(3, 0.5 * n - 0.5)
-        centres = _centres(n)
-        light = np.zeros(len(centres))
-        for e, emitter in enumerate(self.emitters):
-            lamp = self.cube.positions(emitter.position[None])[0]
-            depth = LampOpticalDepth(grid, linear, offset, lamp, 1.0, cancel, solver.kernels)
-            shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
-            near = np.abs(centres - lamp).max(axis=1) < NEAR_CELLS / n
-            for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
-                if solver.kernels is not None:
-                    self._add_compiled(solver, depth, e, (cells, parts), light, cancel)
-                    continue
-                inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
-                for shift in np.stack(np.meshgrid(inside, inside, inside, indexing="ij"), axis=-1).reshape(-1, 3):
-                    cancel.check()
-                    points = centres[cells] + shift
-                    world = self.cube.world(points)
-                    found = emitter.fluence(world)
+        # Columns through the cells that hold density alone.
+        low, high = _support(solver.density)
+        linear, offset = n * np.eye(3), 0.5 * n - 0.5 - low
+        grid = DenseGrid(solver.density[tuple(map(slice, low, high))])
+        lamps = self.cube.positions(np.array([emitter.position for emitter in self.emitters]))
+        depths = [LampOpticalDepth(grid, linear, offset, lamp, apart, cancel, solver.kernels) for lamp in lamps]
+        light, near = np.zeros((2, n, n, n)), np.zeros((n, n, n), bool)
+        for lamp in lamps:
+            first, end = (np.ceil((lamp + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
+            near[tuple(slice(*ends) for ends in np.clip([first, end], 0, n).astype(int).T)] = True
+        for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
+            if solver.kernels is not None:
+                self._add_compiled(solver, (depths, low), (cells, parts), light, cancel)
+                continue
+            centres, found = _centres(n, cells), np.zeros((2, len(cells)))
+            inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
+            for shift in np.stack(np.meshgrid(inside, inside, inside, indexing="ij"), axis=-1).reshape(-1, 3):
+                cancel.check()
+                points = centres + shift
+                world, index = self.cube.world(points), (n * points + offset).T.astype(np.float32)
+                for e, (emitter, depth) in enumerate(zip(self.emitters, depths)):
+                    one = emitter.fluence(world)
                     radius = SOFT * self.cube.edge / (n * parts)
-                    found = found / (1.0 + found * (4.0 * np.pi * radius**2))
-                    index = (n * points + offset).T.astype(np.float32)
-                    found *= np.exp(-depth(index, float(solver.sigma)) * emitter.slant(world))
-                    if shadow_map is not None:
-                        found *= shadow_map.visibility(world)
-                    light[cells] += found / parts**3
-        return light
+                    one = one / (1.0 + one * (4.0 * np.pi * radius**2))
+                    found[1] += one
+                    one *= np.exp(-depth(index, float(solver.sigma)) * emitter.slant(world))
+                    shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
+                    found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
+            light.reshape(2, -1)[:, cells] = found / parts**3
+        return light[0], light[1]
 
     def _add_compiled(
         self,
         solver: DiscreteOrdinates | CubeCells,
-        depth: LampOpticalDepth,
-        number: int,
+        columns: tuple[Sequence[LampOpticalDepth], np.ndarray],
         samples: tuple[np.ndarray, int],
         light: np.ndarray,
         cancel: CancelToken,
     ) -> None:
-        """Add the light of one emitter, by number, to cells (n^3,) with compiled kernels.
+        """Add the light, as it is and without what lies in between, to cells (2, n, n, n) with compiled kernels.
 
-        depth: through the solver's cells. samples: numbers of cells, and into how many parts their edges are divided.
+        columns: optical depths of each emitter through the solver's cells, and the first of these, (3,). samples:
+        numbers of cells, and into how many parts their edges are divided.
         """
-        (cells, parts), n = samples, len(solver.density)
+        (depths, first), (cells, parts), n = columns, samples, len(solver.density)
         assert solver.kernels is not None
-        columns, emitter = depth.described(float(solver.sigma)), describe_emitter(self.emitters[number])
-        shadow_map = None if self.shadow_maps is None else self.shadow_maps[number]
+        described = [depth.described(float(solver.sigma)) for depth in depths]
+        maps = [None if one is None else describe_shadow_map(one) for one in self.shadow_maps or [None] * len(depths)]
+        data = field_structures.LampBeam(
+            lamp=len(depths),
+            columns=structures.pointers_to(described),
+            emitters=structures.array_of([describe_emitter(emitter) for emitter in self.emitters]),
+            shadow_maps=structures.pointers_to(maps),
+            cells=n,
+            first=first,
+            parts=parts,
+            world=self.cube.rotation * (self.cube.edge / n),
+            offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
+            sigma=float(solver.sigma),
+            radius=SOFT * self.cube.edge / (n * parts),
+            light=light[0],
+            open=light[1],
+        )
         size = max(SAMPLES_PER_CALL // parts**3, 1)
         for start in range(0, len(cells), size):
             cancel.check()
             some = np.ascontiguousarray(cells[start : start + size], np.int64)
-            data = field_structures.LampBeam(
-                columns=columns,
-                emitter=emitter,
-                shadow_map=None if shadow_map is None else describe_shadow_map(shadow_map),
-                cells=n,
-                count=len(some),
-                numbers=some,
-                parts=parts,
-                world=self.cube.rotation * (self.cube.edge / n),
-                offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
-                sigma=float(solver.sigma),
-                radius=SOFT * self.cube.edge / (n * parts),
-                light=light,
-            )
+            data.count, data.numbers = len(some), some.ctypes.data
             solver.kernels.prepare("lamp_beam", data)

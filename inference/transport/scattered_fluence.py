@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,12 @@ def moment_lattice(moments: np.ndarray, boundaries: CellBoundaries | None = None
     """
     if boundaries is not None:
         moments = np.stack([boundaries.extrapolate_inside(values) for values in moments])
-    return np.pad(np.moveaxis(moments, 0, -1), [(1, 1)] * 3 + [(0, 0)], mode="edge").astype(np.float32)
+    lattice = np.empty((*(n + 2 for n in moments.shape[1:]), len(moments)), np.float32)
+    lattice[1:-1, 1:-1, 1:-1] = np.moveaxis(moments, 0, -1)
+    for axis in range(3):
+        along = np.moveaxis(lattice, axis, 0)
+        along[0], along[-1] = along[1], along[-2]
+    return lattice
 
 
 def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
@@ -64,9 +70,12 @@ class FluenceLattice:
 
     def __init__(self, cells: np.ndarray):
         self._edge = len(cells)
-        self._cells = cells.astype(np.float32).reshape(-1, cells.shape[-1])
-        # Three of four probes read nothing else.
-        self._logs = np.ascontiguousarray(self._cells[:, 0])
+        self._cells = cells.astype(np.float32, copy=False).reshape(-1, cells.shape[-1])
+
+    @cached_property
+    def _logs(self) -> np.ndarray:
+        """The first of the values, float32: three of four probes read nothing else."""
+        return np.ascontiguousarray(self._cells[:, 0])
 
     def values(self, positions: np.ndarray) -> np.ndarray:
         """All values of the cells, interpolated, float32 (N, K) at positions (N, 3) in the cube's frame."""

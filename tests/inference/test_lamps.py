@@ -22,7 +22,9 @@ from inference import (
 from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_march import place_lamp
+from inference.network.stencil_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
+from inference.scene.lamps import solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from inference.scene.phase_function import henyey_greenstein
 from tests.support.volumes import box, camera, cloud
@@ -136,6 +138,29 @@ def _sum_over_points(lamp, points, spread, count=200):
             radiance = radiance * np.maximum(half - tangent, 0.0) / (half - spread / 2)
         found.append((radiance / distance**2).mean())
     return np.array(found)
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "disk"])
+def test_solid_angles_from_four_edges_on_are_those_of_the_corners(shape):
+    lamp = AreaLight(placed((0.0, 0.0, 0.0)), shape, (0.9, 0.6), 1.0)
+    points = np.random.default_rng(1).normal(size=(200, 3))
+    points[:, 2] = -np.abs(points[:, 2])
+    for emitter in lamp.emitters(np.full(3, -3.0), np.full(3, -2.0)):
+        away = points / np.linalg.norm(points, axis=1)[:, None] * np.sqrt(1.001 * emitter.far) + emitter.position
+        corners = emitter.corners - away[:, None]
+        exact = solid_angles(corners[:, :3]) + solid_angles(corners[:, [0, 2, 3]])
+        assert emitter.fluence(away) == pytest.approx(emitter.radiance * exact, rel=5e-4)
+
+
+@pytest.mark.parametrize("shape", ["square", "disk"])
+@pytest.mark.parametrize("size, parts", [(0.04, 1), (0.2, 4), (0.6, 9), (2.0, 16)])
+def test_area_lights_have_more_parts_the_larger_they_appear(shape, size, parts):
+    lamp = AreaLight(placed((0.0, 0.0, 1.5)), shape, size, 1.0)
+    emitters = lamp.emitters(np.full(3, -0.5), np.full(3, 0.5))
+    assert len(emitters) == parts
+    assert [emitter.area for emitter in emitters] == pytest.approx([lamp.area / parts] * parts)
+    given = sum(emitter.radiance * emitter.area for emitter in emitters)
+    assert given == pytest.approx(1.0 / np.pi)
 
 
 def test_a_narrow_spread_makes_the_axis_brighter():
@@ -432,6 +457,18 @@ def _traced_towards_z(lamp, medium, photons, seed=8):
         weight *= albedo
         along = turned(along)
     return found.mean(), found.std() / photons**0.5
+
+
+def test_networks_read_nothing_of_lamps_inside(monkeypatch):
+    volume, settings = box(voxels=16), Settings(depth_samples=4)
+    medium, view = Medium(8.0, 0.9, 0.4), camera()
+    expected = render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple
+    for unneeded in ("prepare_lamp", "_solver", "_density_lattices"):
+        monkeypatch.delattr(RayPredictor, unneeded)
+    np.testing.assert_array_equal(render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple, expected)
+    assert expected.mean() > 0.0
+    with pytest.raises(AttributeError):
+        render([(volume, medium)], [LAMPS["point"]()], view, settings)
 
 
 def test_what_a_lamp_inside_dark_smoke_scatters_is_little():

@@ -108,7 +108,7 @@ static void check_march(int64_t variant, const float *padded, const float *depth
 /* A sweep without sources keeps nothing, and one of thin cells adds what they emit. */
 static void check_ordinates(int64_t variant) {
     enum { CELLS = 8, CUBE = CELLS * CELLS * CELLS };
-    static float field[5 * CUBE], leaving[3 * CUBE], within[3 * CUBE], sums[4 * CUBE], scratch[4096];
+    static float field[5 * CUBE], leaving[3 * CUBE], within[3 * CUBE], sums[4 * CUBE], scratch[8192];
     int64_t steps[2] = {0, 0}, kinds[1] = {0};
     float emit[5] = {1.0f, 0.0f, 0.0f, 0.0f, 0.0f}, gather[4] = {1.0f, 0.0f, 0.0f, 1.0f};
     for (int n = 0; n < CUBE; n++) field[n] = 1.0f, sums[n] = sums[3 * CUBE + n] = 0.0f;

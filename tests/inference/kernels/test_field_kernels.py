@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from inference import Camera, Medium, Settings, Sun, Surface, Volume, render
+from inference import Camera, Medium, PointLight, Settings, Sun, Surface, Volume, render
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import (
     SunLevels,
@@ -27,6 +27,7 @@ from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, fit_cube, level0_density
 from inference.kernels.field_structures import LampSlices
 from inference.kernels.library import Kernels, load_kernels
+from inference.marching.lamp_march import place_lamp
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken
@@ -125,6 +126,32 @@ def test_light_of_lamps_in_cells(kind, shadows):
         found = lamp(DiscreteOrdinates(density, 20.0, 0.4, None, kernels))
         assert_close(expected, found[0])
         np.testing.assert_array_equal(towards, found[1])
+
+
+@pytest.mark.parametrize("kind", LAMPS)
+def test_light_of_lamps_at_points(kind):
+    random, grid = np.random.default_rng(9), Grid(Volume(some_density("lumps", (12,) * 3), np.eye(4) / 12.0))
+    points = np.concatenate([random.normal(size=(301, 3)) * size for size in (0.3, 1.0, 20.0)])
+    lamp = random_lamp(random, kind)
+    expected = place_lamp(lamp, [grid])
+    for kernels in variants():
+        found = place_lamp(lamp, [grid], kernels=kernels)
+        np.testing.assert_allclose(found.fluence(points), expected.fluence(points), 1e-3, 1e-9)
+        np.testing.assert_allclose(found.reference(points), expected.reference(points), 1e-4)
+
+
+@pytest.mark.parametrize("albedo", [0.9, "varies"])
+def test_moments_of_a_lamps_light(albedo):
+    random, cube = np.random.default_rng(8), Cube(np.eye(3), np.zeros(3), 1.0, np.zeros(3), np.ones(3))
+    emitters = PointLight((0.1, -0.2, 0.05), 1.0).emitters(np.full(3, -0.5), np.full(3, 0.5), 4)
+    lamp, density = LampInCube(emitters, cube, None, b"", np.array([0.1, -0.2, 0.05])), some_density("lumps", (16,) * 3)
+    if albedo == "varies":
+        albedo = random.uniform(0.2, 1.0, density.shape).astype(np.float32)
+    triangles = np.array([[[-0.2, -0.5, -0.5], [-0.2, 0.5, -0.5], [-0.2, 0.0, 0.5]]])
+    expected = DiscreteOrdinates(density, 20.0, 0.4, triangles, None, albedo).lamp(lamp, exact=True)
+    assert expected.shape == (16, 16, 16, 16) and expected[0].max() > 0.0
+    for kernels in variants():
+        assert_close(expected, DiscreteOrdinates(density, 20.0, 0.4, triangles, kernels, albedo).lamp(lamp, exact=True))
 
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (2000.0, 0.857)])

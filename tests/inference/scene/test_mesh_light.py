@@ -48,7 +48,7 @@ def area_light(z, sign=1.0, half=0.3):
 
 
 def test_a_panel_is_an_area_light():
-    assert fluence(MeshLight(panel())) == pytest.approx(fluence(area_light(1.0)), rel=1e-6)
+    assert fluence(MeshLight(panel())) == pytest.approx(fluence(area_light(1.0)), rel=1e-4)
 
 
 def test_a_panel_inside_shines_to_both_sides():
