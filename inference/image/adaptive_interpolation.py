@@ -9,6 +9,7 @@ remains is evaluated pixel by pixel.
 
 import copy
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,9 +31,13 @@ CENTRE_ERROR = 0.5
 # Pixels of less opacity than this may be as wrong as if they had it: beside opaque ones they add nothing to a picture's
 # error, and what shows behind them outshines them.
 FAINT = 0.3
-# The scattered light ahead along the rays, where it is known, may deviate from its interpolation by so many times as
-# much.
-AHEAD_TOLERANCE = 3.0
+# Width in pixels of a voxel below which all pixels are evaluated: hardly any would agree with its neighbours, and one
+# large call takes less time than several small ones.
+LEAST_VOXEL = 0.5
+# What is known of all pixels may deviate from its interpolation by so many times as much.
+GUIDE_TOLERANCE = 3.0
+# Where that is the distance at which light scatters: differences are relative to so many voxels.
+DISTANCE_VOXELS = 50.0
 
 
 @functools.cache
@@ -47,6 +52,17 @@ def _weights(stride: int) -> np.ndarray:
 def _in_band(first: int, end: int) -> np.ndarray:
     """Places of rows or columns in their bands."""
     return np.arange(first, end) % BAND
+
+
+@dataclass(frozen=True)
+class Guide:
+    """What is known of all P pixels and varies across the image where their light does.
+
+    values: (P,). scale: (P,), what differences are relative to.
+    """
+
+    values: np.ndarray
+    scale: np.ndarray
 
 
 class Squares:
@@ -125,14 +141,15 @@ class Squares:
         known = self.known_values(values)
         return np.abs(known[4] - known[:4].mean(axis=0))
 
-    def deviation(self, values: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-        """(S,), largest error of interpolating values (P,), times opacity (P,), relative to their mean.
+    def deviation(self, guide: Guide, opacity: np.ndarray) -> np.ndarray:
+        """(S,), largest error of interpolating the guide's values, times opacity (P,), relative to its mean scale.
 
         The mean is as if no opacity were below FAINT.
         """
-        found, seen = values[self.pixels], opacity[self.pixels]
-        largest = (np.abs(found - self._interpolated(values)) * seen).max(axis=0, initial=0.0)
-        return largest / np.maximum((found * np.maximum(seen, np.float32(FAINT))).mean(axis=0), 1e-30)
+        found, seen = guide.values[self.pixels], opacity[self.pixels]
+        largest = (np.abs(found - self._interpolated(guide.values)) * seen).max(axis=0, initial=0.0)
+        scale = guide.scale[self.pixels] * np.maximum(seen, np.float32(FAINT))
+        return largest / np.maximum(scale.mean(axis=0), 1e-30)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
         """bool (S,): whether any pixel of each square is in a mask (P,)."""
@@ -164,14 +181,13 @@ def interpolable(
     error: np.ndarray,
     opacity: np.ndarray,
     single: np.ndarray,
-    ahead: np.ndarray | None,
+    guide: Guide,
     difference: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which squares may be interpolated, bool (S,), and the differences (S,) between their centres and corners.
 
     mean: (P,), multiple scattering over opacity in known pixels. error: (P,), its standard error. opacity: (P,).
-    single: (P,), single scattering. ahead: (P,), mean over opacity of the scattered light ahead along a pixel's ray, or
-    None. difference: (P,), tolerated error of a centre, as a fraction of the light there.
+    single: (P,), single scattering. difference: (P,), tolerated error of a centre, as a fraction of the light there.
     """
     fraction, seen = squares.centres(difference), squares.centres(opacity)
     centre_error = squares.centre_error(mean)
@@ -180,6 +196,4 @@ def interpolable(
     noise = NOISE * np.sqrt((error[squares.known] ** 2).mean(axis=0)) * seen
     allowed = tolerance + np.minimum(noise, MAX_NOISE * tolerance)
     smooth = squares.judged() & (centre_error * seen < allowed)
-    if ahead is not None:
-        smooth &= squares.deviation(ahead, opacity) < AHEAD_TOLERANCE * fraction
-    return smooth, centre_error
+    return smooth & (squares.deviation(guide, opacity) < GUIDE_TOLERANCE * fraction), centre_error

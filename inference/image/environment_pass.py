@@ -10,9 +10,11 @@ from ..marching.depth_samples import DepthSamples
 from ..network.albedos import Albedos
 from ..network.predictor import EnvironmentPredictor
 from ..plan.plan import last_albedo
+from .adaptive_interpolation import Guide
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 from .multiple_scattering import (
+    distance_guide,
     evaluate_adaptively,
     lattice_bounds,
     pixels_per_voxel,
@@ -152,10 +154,11 @@ class _EnvironmentEstimate:
         self.report.count("network points", len(points))
         self.report.count("network answers", len(points) * len(source.albedos.values))
 
-    def opacity(self) -> tuple[np.ndarray, None]:
-        """Opacity float32 (P,) of the group alone; the scattered light ahead is not known."""
+    def opacity(self) -> tuple[np.ndarray, Guide]:
+        """Opacity float32 (P,) of the group alone; its guide is the distance, as scattered light ahead is not known."""
         weight = self.samples.weight * self.share
-        return np.bincount(self.pixel, weight, len(self.error)).astype(np.float32), None
+        opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
+        return opacity, distance_guide(self, opacity, self.source.voxel)
 
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""

@@ -25,7 +25,16 @@ from ..runtime.report import Report
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_size
 from ..transport.scattered_fluence import ScatteredFluence
-from .adaptive_interpolation import CENTRE_ERROR, LEVELS, VOXEL_DIFFERENCE, Squares, interpolable
+from .adaptive_interpolation import (
+    CENTRE_ERROR,
+    DISTANCE_VOXELS,
+    LEAST_VOXEL,
+    LEVELS,
+    VOXEL_DIFFERENCE,
+    Guide,
+    Squares,
+    interpolable,
+)
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import add_at
 from .lamp_pass import lamps_of_group
@@ -248,8 +257,8 @@ class Estimate(Protocol):
     def evaluate(self, points: np.ndarray) -> None:
         """Predict at some samples and add their radiance."""
 
-    def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Opacity float32 (P,), and the mean over it of the scattered light ahead, (P,) or None."""
+    def opacity(self) -> tuple[np.ndarray, Guide]:
+        """Opacity float32 (P,), and what tells where light may vary between pixels."""
 
     def pixels_per_voxel(self) -> np.ndarray:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
@@ -369,15 +378,16 @@ class _Estimate:
         """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
         return pixels_per_voxel(self, self.source.voxel)
 
-    def opacity(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Opacity float32 (P,) of the group alone, and the mean over it of the scattered light ahead, (P,) or None."""
+    def opacity(self) -> tuple[np.ndarray, Guide]:
+        """Opacity float32 (P,) of the group alone; its guide is the mean over it of the scattered light ahead."""
         weight = self.samples.weight * self.share
         opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
         features = self._features(slice(None))
         if features is None:
-            return opacity, None
+            return opacity, distance_guide(self, opacity, self.source.voxel)
         ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity))
-        return opacity, ahead / np.maximum(opacity, np.float32(1e-30))
+        ahead /= np.maximum(opacity, np.float32(1e-30))
+        return opacity, Guide(ahead, ahead)
 
     def scattered(self) -> np.ndarray | None:
         """What of the light that each pixel takes it scatters, (C, P); None where that is the same in all of them."""
@@ -411,6 +421,13 @@ def scattered_shares(
     return np.stack([np.bincount(estimate.pixel, column, pixels) for column in weight.T])
 
 
+def distance_guide(estimate: Estimate, opacity: np.ndarray, voxel: float) -> Guide:
+    """The distance at which light scatters, as a mean over the opacity (P,), in voxels of an edge."""
+    samples = estimate.samples
+    moment = np.bincount(estimate.pixel, samples.weight * estimate.share * samples.distance, len(opacity))
+    return Guide(moment / (np.maximum(opacity, np.float32(1e-30)) * voxel), np.full(len(opacity), DISTANCE_VOXELS))
+
+
 def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
     """Width (P,) of voxels of an edge in pixels, where the light of each pixel is scattered; 0 if none is."""
     samples = estimate.samples
@@ -430,7 +447,7 @@ def evaluate_adaptively(
     inside: samples to predict at. window: of the P pixels. single: (C, P), single scattering of the sun.
     """
     # What is interpolated is the mean over the opacity, which is known in every pixel.
-    opacity, ahead = estimate.opacity()
+    opacity, guide = estimate.opacity()
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
     # A pixel whose rays end at different surfaces differs from its neighbours.
     split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > 1
@@ -459,6 +476,7 @@ def evaluate_adaptively(
     for stride, least in LEVELS:
         difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
         squares = Squares(window, stride).of(shows).without(interpolated)
+        squares = squares.some(squares.centres(voxel) >= LEAST_VOXEL)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
@@ -469,7 +487,7 @@ def evaluate_adaptively(
                 error * (3.0 / estimate.quantities),
                 weight,
                 single.mean(axis=0),
-                ahead,
+                guide,
                 difference / np.sqrt(estimate.context.settings.depth_samples),
             )
             smooth, centre_error = smooth & found, np.maximum(centre_error, part_error)

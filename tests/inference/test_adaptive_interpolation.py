@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.image.adaptive_interpolation import FAINT, LEVELS, Squares, interpolable
+from inference import Camera, Environment, Medium, Settings, Sun, Volume, render
+from inference.image.adaptive_interpolation import FAINT, LEVELS, Guide, Squares, interpolable
 from inference.plan.plan import make_tiles
 from inference.plan.resolution import BAND
 from inference.scene.optimizations import ALL
@@ -64,7 +64,7 @@ def test_linear_functions_are_interpolated_exactly(stride):
     squares.fill(found, between)
     np.testing.assert_allclose(found, values, rtol=1e-6)
     assert squares.centre_error(values).max() < 1e-4
-    assert squares.deviation(values, np.ones_like(values)).max() < 1e-6
+    assert squares.deviation(Guide(values, values), np.ones_like(values)).max() < 1e-6
 
 
 def test_only_squares_whose_middles_are_predicted_are_interpolated():
@@ -72,24 +72,25 @@ def test_only_squares_whose_middles_are_predicted_are_interpolated():
     ones = np.ones(21 * 21, np.float32)
     mean, dark = ones.copy(), 0.0 * ones
     mean[squares.known[4, 7]] = 1.2
-    shared, surprise = interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)
+    shared, surprise = interpolable(squares, mean, dark, ones, dark, Guide(ones, ones), 0.03 * ones)
     assert list(np.flatnonzero(~shared)) == [7] and surprise[7] == pytest.approx(0.2)
     # Differences at low opacity, beside much more light, or within the noise do not count.
-    assert interpolable(squares, mean, dark, 0.1 * ones, ones, None, 0.03 * ones)[0].all()
-    assert interpolable(squares, mean, 0.25 * ones, ones, dark, None, 0.07 * ones)[0].all()
-    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, None, 0.03 * ones)[0].all()
+    assert interpolable(squares, mean, dark, 0.1 * ones, ones, Guide(ones, ones), 0.03 * ones)[0].all()
+    assert interpolable(squares, mean, 0.25 * ones, ones, dark, Guide(ones, ones), 0.07 * ones)[0].all()
+    assert not interpolable(squares, mean, 9.0 * ones, ones, dark, Guide(ones, ones), 0.03 * ones)[0].all()
     mean[squares.known[4, 7]] = 1.02
-    assert interpolable(squares, mean, dark, ones, dark, None, 0.03 * ones)[0].all()
-    assert not interpolable(squares, mean, dark, ones, dark, None, 0.01 * ones)[0].all()
+    assert interpolable(squares, mean, dark, ones, dark, Guide(ones, ones), 0.03 * ones)[0].all()
+    assert not interpolable(squares, mean, dark, ones, dark, Guide(ones, ones), 0.01 * ones)[0].all()
     # A shadow's edge between evaluated pixels.
     ahead = ones.copy()
     ahead[squares.pixels[2, 3]] = 0.3
-    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, ahead, 0.03 * ones)[0])) == [3]
+    shadow = Guide(ahead, ones)
+    assert list(np.flatnonzero(~interpolable(squares, ones, dark, ones, dark, shadow, 0.03 * ones)[0])) == [3]
     # A centre that does not show the volume tells nothing.
     opacity = ones.copy()
     opacity[squares.known[4, 12]] = 0.0
-    shown = squares.of(opacity > 0.0)
-    assert list(np.flatnonzero(~interpolable(shown, ones, dark, opacity, dark, None, 0.03 * ones)[0])) == [12]
+    shown, even = squares.of(opacity > 0.0), Guide(ones, ones)
+    assert list(np.flatnonzero(~interpolable(shown, ones, dark, opacity, dark, even, 0.03 * ones)[0])) == [12]
 
 
 def test_squares_that_show_no_volume_are_left_out():
@@ -124,7 +125,7 @@ def test_faint_pixels_may_be_as_wrong_as_less_faint_ones():
     mean, dark = ones.copy(), 0.0 * ones
     mean[squares.known[4, 7]] = 1.2
     for alpha, smooth in ((1.0, False), (FAINT, False), (0.1 * FAINT, True)):
-        assert interpolable(squares, mean, dark, alpha * ones, dark, None, 0.1 * ones)[0][7] == smooth
+        assert interpolable(squares, mean, dark, alpha * ones, dark, Guide(ones, ones), 0.1 * ones)[0][7] == smooth
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +150,29 @@ def test_interpolation_saves_predictions_and_keeps_the_picture(close):
     assert error(shared.rgb, many.rgb) < 1.1 * error(every.rgb, many.rgb)
     assert error(shared.rgb, many.rgb) < error(shared.sampling_error, 0.0)
     assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
+
+
+def test_light_of_an_environment_is_interpolated_where_distances_are_smooth():
+    """Towards a sphere before a wall, of a density at which a voxel is opaque."""
+    x, y, z = np.indices((48, 48, 48)) / 47.0 - 0.5
+    density = ((x**2 + y**2 + (z - 0.3) ** 2 < 0.03) | (z < -0.3)).astype(np.float32)
+    matrix = np.diag([1 / 48] * 3 + [1.0])
+    matrix[:3, 3] = 0.5 / 48 - 0.5
+    height = np.linspace(1.0, -1.0, 16)[:, None, None] * np.ones((1, 32, 3))
+    sky = Environment(np.maximum(1.0 + height, 0.1).astype(np.float32))
+    scene = [(Volume(density, matrix, "sphere"), Medium(400.0, 0.9, 0.8))], [sky], camera(resolution=(160, 160))
+    every, shared = (render(*scene, Settings(4, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
+    assert shared.report.counts["network points"] < 0.8 * every.report.counts["network points"]
+    shown = every.alpha > 0.02
+    off = np.sqrt(np.mean((shared.rgb - every.rgb)[shown] ** 2))
+    assert off < 0.03 * every.rgb[shown].mean()
+
+
+def test_pixels_larger_than_voxels_are_all_evaluated():
+    scene = [(cloud(), Medium(30.0, 0.9, 0.5))], [SUN]
+    small, large = (render(*scene, camera(resolution=(n, n)), Settings(2)).report.counts for n in (12, 120))
+    assert small["network points"] == small["network points wanted"]
+    assert large["network points"] < large["network points wanted"]
 
 
 def test_a_region_shows_what_the_whole_image_shows(close):
