@@ -38,7 +38,7 @@ def draw():
 
     def draw(leave_out=ALL, cache=None):
         settings = Settings(8, leave_out=leave_out)
-        return render(volumes, suns, camera(resolution=(72, 48)), settings, cache=cache, surfaces=[plate])
+        return render(volumes, suns, camera(resolution=(108, 72)), settings, cache=cache, surfaces=[plate])
 
     return draw
 

@@ -173,7 +173,7 @@ def test_sampling_error_is_what_more_depth_samples_remove():
     """Over the pixels: right in its size, and in where it is large."""
 
     def layer(samples):
-        return render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(), Settings(samples))
+        return render([(cloud(), Medium(30.0, 0.95, 0.5))], [SUN], camera(resolution=(96, 72)), Settings(samples))
 
     best = layer(96).multiple.mean(axis=2)
     for samples in (4, 8):
