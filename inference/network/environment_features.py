@@ -17,6 +17,7 @@ number of colours costs one evaluation.
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 
@@ -56,7 +57,7 @@ def open_direction(depths: np.ndarray, sigma_hat: np.ndarray | float, scale: flo
     depths: (N, 50), of `direction_depths` at the points. sigma_hat: (N,) or a number.
     """
     open_to = _open(depths, sigma_hat, scale)[0] * DIRECTION_WEIGHTS.astype(np.float32)
-    return (open_to / open_to.sum(axis=1, keepdims=True)) @ DIRECTIONS.astype(np.float32)
+    return product(open_to / open_to.sum(axis=1, keepdims=True), DIRECTIONS.astype(np.float32))
 
 
 def _open(depths: np.ndarray, sigma_hat: np.ndarray | float, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +78,7 @@ def probe_positions(
 
 def lobe_weights(omega: np.ndarray) -> np.ndarray:
     """Weights float32 (V, LOBES, 50) of DIRECTIONS, summing to 1, in lobes around camera rays (V, 3)."""
-    cosine = omega @ DIRECTIONS.T
+    cosine = product(omega, DIRECTIONS.T)
     lobes = np.stack([DIRECTION_WEIGHTS * (1.0 + g * g - 2.0 * g * cosine) ** -1.5 for g in LOBES], axis=1)
     return (lobes / lobes.sum(axis=2, keepdims=True)).astype(np.float32)
 
@@ -97,14 +98,14 @@ class OpenMeans:
             self.weights.append(weights / total)
             logs.append(np.log(total[:, :, 0]) + largest)
             even = open_to * DIRECTION_WEIGHTS.astype(np.float32)
-            self.directions.append((even / even.sum(axis=1, keepdims=True)) @ DIRECTIONS.astype(np.float32))
+            self.directions.append(product(even / even.sum(axis=1, keepdims=True), DIRECTIONS.astype(np.float32)))
         #: Logarithms float32 (N, SCALES * LOBES) of the transmittance of each lobe, at each scale.
         self.logs = np.maximum(np.concatenate(logs, axis=1), np.float32(MIN_LOG))
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
         """Means float32 (N, SCALES * LOBES, C) of the radiance (50, C) from DIRECTIONS."""
         light = directions.astype(np.float32)
-        return np.concatenate([weights @ light for weights in self.weights], axis=1)
+        return np.concatenate([product(weights, light) for weights in self.weights], axis=1)
 
 
 def inputs(

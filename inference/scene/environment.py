@@ -153,7 +153,7 @@ class Environment:
 
 def _peak(directions: np.ndarray, power: np.ndarray, irradiance: np.ndarray, name: str) -> Sun:
     """The light of nearby directions (n, 3) as one sun."""
-    mean = power @ directions
+    mean = (power[:, None] * directions).sum(axis=0)
     mean /= np.linalg.norm(mean)
     share = power / power.sum()
     if np.arccos(min(np.sqrt(share @ (directions @ mean) ** 2), 1.0)) < POINT_ANGLE:

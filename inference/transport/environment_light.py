@@ -14,6 +14,7 @@ import numpy as np
 
 from ..grids.halving import halve
 from ..kernels.library import Kernels
+from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_solid_angles
 from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
@@ -97,7 +98,7 @@ def _turned(environment: Environment, rotation: np.ndarray) -> np.ndarray:
         directions = pixel_directions(rows * block)
         weights = np.broadcast_to(pixel_solid_angles(rows * block), directions.shape[:2])
     assert environment.world_from_environment is not None
-    towards = directions.reshape(-1, 3) @ environment.world_from_environment.T @ rotation
+    towards = product(directions.reshape(-1, 3), environment.world_from_environment.T @ rotation)
     row = ((0.5 - np.arcsin(np.clip(towards[:, 2], -1.0, 1.0)) / np.pi) * ROWS).astype(int)
     column = np.floor(np.arctan2(towards[:, 1], towards[:, 0]) * (ROWS / np.pi)).astype(int) % (2 * ROWS)
     pixel = np.clip(row, 0, ROWS - 1) * (2 * ROWS) + column
@@ -141,9 +142,9 @@ def _parts(rows: int, number: int) -> np.ndarray:
     towards, weights = (ORDINATES, ORDINATE_WEIGHTS) if number == len(ORDINATES) else (DIRECTIONS, DIRECTION_WEIGHTS)
     directions = pixel_directions(rows).reshape(-1, 3)
     share = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
-    parts = np.exp(SHARPNESS * number * (towards @ directions.T - 1.0)) * share
+    parts = np.exp(SHARPNESS * number * (product(towards, directions.T) - 1.0)) * share
     for _ in range(ROUNDS):
-        parts *= share / (weights @ parts)
+        parts *= share / (weights[:, None] * parts).sum(axis=0)
         parts /= parts.sum(axis=1, keepdims=True)
     return parts
 
@@ -160,7 +161,7 @@ def direction_radiance(image: np.ndarray) -> np.ndarray:
 
 def _radiance(image: np.ndarray, number: int) -> np.ndarray:
     rows = len(image)
-    return _parts(rows, number) @ image.reshape(2 * rows * rows, -1).astype(np.float64)
+    return product(_parts(rows, number), image.reshape(2 * rows * rows, -1).astype(np.float64))
 
 
 def solve_environment(
