@@ -37,7 +37,7 @@ LEAST_VOXEL = 0.5
 # What is known of all pixels may deviate from its interpolation by so many times as much.
 GUIDE_TOLERANCE = 3.0
 # Where that is the distance at which light scatters: differences are relative to so many voxels.
-DISTANCE_VOXELS = 100.0
+DISTANCE_VOXELS = 200.0
 
 
 @functools.cache
