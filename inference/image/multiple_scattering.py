@@ -385,8 +385,7 @@ class _Estimate:
         features = self._features(slice(None))
         if features is None:
             return opacity, distance_guide(self, opacity, self.source.voxel)
-        ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity))
-        ahead /= np.maximum(opacity, np.float32(1e-30))
+        ahead = np.bincount(self.pixel, weight * features[:, -1], len(opacity)) / np.maximum(opacity, np.float32(1e-30))
         return opacity, Guide(ahead, ahead)
 
     def scattered(self) -> np.ndarray | None:
