@@ -30,7 +30,7 @@ SCALING = 0.9
 EVALUATED, VISIBLE = 0.25, 0.5
 # Share of points at which the network is evaluated, for one depth sample and so many pixels with density. The others
 # are interpolated: more of them in larger images and at fewer depth samples.
-QUERIED, QUERIED_PIXELS, QUERIED_BY_PIXELS, QUERIED_BY_SAMPLES = 0.5, 20_000, -0.25, 0.2
+QUERIED, QUERIED_PIXELS, QUERIED_BY_PIXELS, QUERIED_BY_SAMPLES = 0.5, 20_000, -0.4, 0.2
 # Stages shorter than this do not calibrate the machine's speed.
 SHORTEST = 0.1
 STAGES = ("march", "network", "fields")
@@ -83,7 +83,8 @@ def calibrate(known: Calibration, workload: Workload, report, alpha: np.ndarray)
         opacity=float(np.sqrt(opaque).mean()) if opaque.size else None,
     )
     pixels, points = _points(workload, shares)
-    if count("network points", 0) and points:
+    # Small pictures, of which every pixel is evaluated, do not tell how many of a larger one's are.
+    if 0 < count("network points", 0) < count("network points wanted", 0) and points:
         shares.queried = count("network points", 0) / (points * lights)
     known.shares[workload.names] = shares
     expected = _seconds(workload, evaluated, pixels, points * shares.queried)

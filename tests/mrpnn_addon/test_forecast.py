@@ -112,10 +112,11 @@ def shown_volumes(addon):
 def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
     """Steps and points at other resolutions, samples and lights, which do not depend on the machine."""
     cost_model = addon.mrpnn_addon.status.cost_model
+    scene.render.resolution_percentage = 200
     bpy.ops.mrpnn.render()
     known = addon.mrpnn_addon.status.calibration.calibration()
     second = blender_scenes.add_sun(scene, "Second", strength=0.0, rotation=(1.0, 0.4, 0.0))
-    for percentage, samples, strength in ((200, 1, 0.0), (200, 4, 0.0), (100, 4, 1.0), (150, 2, 1.0)):
+    for percentage, samples, strength in ((400, 1, 0.0), (400, 4, 0.0), (200, 4, 1.0), (300, 2, 1.0)):
         scene.render.resolution_percentage, scene.mrpnn.depth_samples = percentage, samples
         second.data.energy = strength
         found = described(addon)
