@@ -111,9 +111,10 @@ def test_reading_can_be_cancelled_at_once(scene, cloud, tmp_path, loading, kind)
     """Within a second of processor time: in a large file, and in the middle of a mesh's shader."""
     if kind == "file":
         vdb = blender_scenes.openvdb()
-        grid = vdb.FloatGrid()
+        # Takes over a second to read, so that it is cancelled in the middle.
+        noise, grid = np.random.default_rng(0).random((250,) * 3, np.float32), vdb.FloatGrid()
         for low in ((0, 0, 0), (500, 500, 500)):
-            grid.copyFromArray(np.random.default_rng(0).random((100,) * 3, np.float32), ijk=low)
+            grid.copyFromArray(noise, ijk=low)
         grid.name, path = "density", str(tmp_path / "large.vdb")
         vdb.write(path, grids=[grid])
         cloud.data.filepath = path
