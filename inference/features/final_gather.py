@@ -31,12 +31,12 @@ RINGS, AZIMUTHS = 4, 2
 RAYS = RINGS * AZIMUTHS
 #: Directions that networks tell apart: two across, on one cone, are averaged; and values per direction.
 DIRECTIONS, VALUES = 6, 4
-#: Which of the values the coarse transport's light gives.
-SCATTERED = 2
+#: Which of the values the light gives: unscattered, and that of the coarse transport.
+SINGLE, REDUCED, SCATTERED = range(3)
 STEPS = 8
 # Optical thickness of a step where tau is 0, and how much longer than the one before a step may be.
 THICKNESS, GROWTH = 0.4, 1.6
-# a, for light that is scattered forwards, and the lower bound of phi - 3 G' F . w over phi; the kernel holds them, too.
+#: a, for light that is scattered forwards, and the lower bound of phi - 3 G' F . w over phi; the kernel holds both.
 SCALE, MIN_SHARE = 1.0 / 3.0, 0.02
 # Optical depth that stands for the shadow of surfaces.
 SHADOW_DEPTH = 16.0

@@ -11,6 +11,9 @@
 /* Part of a place between columns beyond the outermost of them that counts as rounding. */
 #define COLUMN_ROUNDING 1e-3f
 
+/* Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less. */
+#define LEAST_FACING 0.25f
+
 /* The nodes of Gauss and Legendre in [0, 1]. */
 static const float GAUSS_NODES[2] = {0.21132486540518713f, 0.78867513459481287f};
 

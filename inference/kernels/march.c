@@ -883,8 +883,10 @@ static void look_up_fluence(const Emitter *emitter, const Ray *ray, int features
     }
 }
 
-/* What stands for the light of a lamp in ray features: what it gives, or would if it faced the point. */
+/* What stands for the light of a lamp in ray features: what it gives, but no less than a part of what it would if it
+faced the point. */
 static inline Floats reference_of(Floats given, Floats most) {
+    most *= LEAST_FACING;
     return clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
 }
 

@@ -51,6 +51,9 @@ ENCLOSED = 12.0
 SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 4
+# Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less;
+# the kernel holds it, too.
+LEAST_FACING = 0.25
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
 # it, instead of FEW in its length; and up to which one in its middle is enough.
 WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
@@ -117,7 +120,8 @@ class LampInMedia:
 
         What it is above the lamp's fluence counts as shadow.
         """
-        return np.maximum(*self._light(points))
+        fluence, brightest = self._light(points)
+        return np.maximum(fluence, LEAST_FACING * brightest)
 
     @cached_property
     def _described(self) -> Any:

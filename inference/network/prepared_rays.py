@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..features.descriptors import FieldLookup, angle_to_sun, distinct_rows
-from ..features.final_gather import SCATTERED, FinalGather
+from ..features.final_gather import REDUCED, SCALE, SCATTERED, SINGLE, FinalGather
 from ..features.stencil import frames
 from ..transport.scattered_fluence import PROBES, FluenceLattice
 from .uncertainty import UncertaintyNetwork, deviations
@@ -81,13 +81,14 @@ class PreparedRays:
 class PreparedLampRays:
     """A RayPredictor for one lamp under certain conditions. Immutable.
 
-    light: scattered light of a lamp of power 1, over `scale`.
+    light: scattered light of a lamp of power 1, over `scale`. gather: of its unscattered light, over `most`.
     """
 
     network: Any
     lookup: FieldLookup
     light: FluenceLattice
     gather: FinalGather
+    most: float
     scale: float
     anisotropy: float
 
@@ -145,6 +146,9 @@ class PreparedLampRays:
         around[:, : PROBES + 1] += np.log(of_sun)[:, None]
         gathered = self.gather(positions, frames(omega, towards))
         gathered[:, :, SCATTERED] *= of_sun[:, None]
+        unscattered = (self.most / np.maximum(irradiance, 1e-30)).astype(np.float32)[:, None]
+        gathered[:, :, SINGLE] *= unscattered
+        gathered[:, :, REDUCED] *= unscattered ** np.float32(SCALE)
         return {
             "stencil": stencil,
             "ray": np.concatenate([ray_features, around], axis=1),

@@ -251,9 +251,9 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             cells, scale = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        depth = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
+        depth, most = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
         gather = self._final_gather(depth, fluence_and_flux(cells), conditions)
-        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, scale, self.anisotropy)
+        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, most, scale, self.anisotropy)
 
     def lamp_fluence(
         self, lamps: Sequence[tuple[Conditions, float | None]], tasks: AnyTasks = SERIAL

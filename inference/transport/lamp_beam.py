@@ -25,8 +25,6 @@ PARTS, NEAR_PARTS, NEAR_CELLS, SOFT = 2, 8, 2.5, 0.4
 SAMPLES_PER_CALL = 1 << 19
 # Optical depth beyond which no light arrives.
 MAX_DEPTH = 60.0
-# Of the largest irradiance in a cube, below which it counts as dark.
-MIN_SHARE = 1e-6
 
 
 def _centres(n: int, numbers: np.ndarray) -> np.ndarray:
@@ -84,10 +82,12 @@ class LampInCube:
         away /= np.maximum(np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2), np.float32(1e-9))
         return light, away
 
-    def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> np.ndarray:
-        """Optical depth float32 (n, n, n) towards the lamp for sigma = 1, what surfaces take of its light included.
+    def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> tuple[np.ndarray, float]:
+        """The lamp's light in cells as an optical depth float32 (n, n, n) for sigma = 1, and the light where that is 0.
 
-        0 in cells that neither hold density nor touch one that does. Raises Cancelled.
+        The depth stands for all that the light in a cell lacks of that where it is brightest: what matter and surfaces
+        take, the distance, a spot's cone and an area light's side. 0 in cells that neither hold density nor touch one
+        that does. Raises Cancelled.
         """
         near = np.pad(cells.density > 0.0, 1)
         for axis in range(3):
@@ -96,12 +96,11 @@ class LampInCube:
         # The shadows of several emitters blend: each of them may be coarser.
         light, unhindered = self._light(cells, near, 1, cancel, len(self.emitters) ** 0.25)
         lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
-        # Beside the cone of a spot there is no light to take away.
-        least = max(MIN_SHARE * unhindered.max(initial=0.0), 1e-30)
-        share = light.reshape(-1)[lit] / np.maximum(unhindered.reshape(-1)[lit], least)
-        share = np.clip(share.astype(np.float32), np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0))
+        most = max(float(unhindered.max(initial=0.0)), 1e-30)
+        share = (light.reshape(-1)[lit] / most).astype(np.float32)
+        share = np.clip(share, np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0))
         depth.reshape(-1)[lit] = np.log(share) / np.float32(-max(cells.sigma, 1e-30))
-        return depth
+        return depth, most
 
     def _light(
         self,
