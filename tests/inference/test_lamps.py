@@ -63,6 +63,17 @@ LAMPS = {
 }
 
 
+FAR = 300.0
+ASIDE = np.cross(TOWARDS, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(TOWARDS, [0.0, 0.0, 1.0]))
+#: Of irradiance 2 in the middle: a point, and an area light that shines 60 degrees past the volume.
+FAR_LAMPS = {
+    "point": PointLight(FAR * TOWARDS, 8.0 * np.pi * FAR**2),
+    "area light from the side": AreaLight(
+        placed(FAR * TOWARDS, -0.5 * TOWARDS + np.sqrt(0.75) * ASIDE), "square", 1.0, 4.0 * np.pi * FAR**2
+    ),
+}
+
+
 @pytest.mark.parametrize(
     "make, problem",
     [
@@ -295,9 +306,9 @@ def test_a_lamp_in_its_step_leaves_no_spike():
 
 
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
-def test_a_far_lamp_is_a_sun(anisotropy):
-    far = 300.0
-    sun, lamp = Sun(TOWARDS, 2.0), PointLight(far * TOWARDS, 8 * np.pi * far**2)
+@pytest.mark.parametrize("lamp", FAR_LAMPS.values(), ids=FAR_LAMPS)
+def test_a_far_lamp_is_a_sun(lamp, anisotropy):
+    sun = Sun(TOWARDS, 2.0)
     a, b = (picture([light], anisotropy=anisotropy) for light in (sun, lamp))
     for name in ("single", "multiple"):
         one, other = getattr(a, name), getattr(b, name)
