@@ -189,9 +189,11 @@ def page(results) -> str:
     ]
     for name in scene_features.MEASURED:
         lines.append(row(name, results.get(name)))
-    notes = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
+    said = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
+    notes = {text: [name for name, other in said if other == text] for _, text in said}
     if notes:
-        lines += ["", "What the extension says of these:", ""] + [f"- {name}: {text}" for name, text in notes]
+        lines += ["", "What the extension says of these:", ""]
+        lines += [f"- {text} (*{'*, *'.join(names)}*)" for text, names in notes.items()]
     lines += [
         "",
         "## Named instead of rendered",
@@ -204,9 +206,9 @@ def page(results) -> str:
     for name in scene_features.NAMED:
         found = results.get(name)
         if found:
-            said = found.get("refused") or "; ".join(found["warnings"]) or "nothing"
-            said = said.replace(str(ROOT) + os.sep, "")
-            lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {said} |")
+            message = found.get("refused") or "; ".join(found["warnings"]) or "nothing"
+            message = message.replace(str(ROOT) + os.sep, "")
+            lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {message} |")
     return "\n".join(lines) + "\n"
 
 
