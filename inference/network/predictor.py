@@ -30,6 +30,7 @@ from ..transport.discrete_ordinates import CELLS
 from ..transport.environment_light import Skies, image_in_frame
 from ..transport.lamp_beam import LampInCube
 from ..transport.scattered_fluence import ScatteredFluence
+from ..transport.varying_albedo import mean_free_path
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
@@ -237,7 +238,7 @@ class VolumePredictor:
             conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
             image = image_in_frame(light, self.cube.rotation)
         coarse, places = self._predictor.varying_albedo(conditions, image, tasks)
-        ahead = self.anisotropy * coarse.mean_free_path(conditions.sigma_hat)
+        ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
         return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
 
     @property
@@ -439,20 +440,20 @@ class PreparedLampPredictor:
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedPredictor; the ray features are those of `march_lamps`."""
-        x, omega, towards, irradiance = self._lit(positions, directions)
+        x, omega, irradiance = self._lit(positions, directions)
         if self.nearby is None:
-            return self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+            return self._of_network(x, omega, irradiance, albedos, jitter, ray_features)
         assert ray_features is not None
         # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
         given = np.minimum(self.lamp.fluence(positions) / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
         depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
-        share, received = self.nearby.share, irradiance * given
+        share, received, towards = self.nearby.share, irradiance * given, self._towards(positions)
         found = np.stack(
             [self.nearby.radiance(albedo, x, omega, towards, received, depth) for albedo in albedos]
         ).astype(np.float32)
         if share < 1.0:
             found *= share
-            found += (1.0 - share) * self._of_network(x, omega, towards, irradiance, albedos, jitter, ray_features)
+            found += (1.0 - share) * self._of_network(x, omega, irradiance, albedos, jitter, ray_features)
         return found
 
     def deviation(
@@ -469,43 +470,42 @@ class PreparedLampPredictor:
         found = np.full((len(radiance), len(positions)), share * NEARBY_DEVIATION, np.float32)
         if share < 1.0:
             assert self.prediction is not None
-            x, omega, towards, irradiance = self._lit(positions, directions)
+            x, omega, irradiance = self._lit(positions, directions)
             of_sun = {
                 albedo: predicted / np.maximum(irradiance, 1e-30).astype(np.float32)
                 for albedo, predicted in radiance.items()
             }
             features = _in_range(ray_features, self.used)
             found += np.float32(1.0 - share) * self.prediction.deviation(
-                network, x, omega, towards, irradiance, of_sun, jitter, features
+                network, x, omega, irradiance, of_sun, jitter, features
             )
         return np.hypot(found, np.float32(self.outside))
 
-    def _lit(
-        self, positions: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, camera rays and directions towards the lamp (N, 3) in the cube's frame, and irradiance (N,)."""
+    def _lit(self, positions: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions and camera rays (N, 3) in the cube's frame, and irradiance (N,)."""
+        irradiance = softened(self.lamp.reference(positions), self.radius)
+        return self.cube.positions(positions), self.cube.directions(directions), irradiance
+
+    def _towards(self, positions: np.ndarray) -> np.ndarray:
+        """Unit vectors (N, 3) in the cube's frame towards the lamp."""
         away = self.lamp.centre - positions
         away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
-        irradiance = softened(self.lamp.reference(positions), self.radius)
-        x, omega = self.cube.positions(positions), self.cube.directions(directions)
-        return x, omega, self.cube.directions(away), irradiance
+        return self.cube.directions(away)
 
     def _of_network(
         self,
         x: np.ndarray,
         omega: np.ndarray,
-        towards: np.ndarray,
         irradiance: np.ndarray,
         albedos: Sequence[float],
         jitter: np.ndarray | None,
         ray_features: np.ndarray | None,
     ) -> np.ndarray:
-        """As `predict`, by the network alone; x, omega, towards: in the cube's frame."""
+        """As `predict`, by the network alone; x, omega: in the cube's frame."""
         assert self.prediction is not None
         radiance = self.prediction.predict(
             x,
             omega,
-            towards,
             irradiance,
             np.clip(albedos, *self.albedo_range),
             jitter,

@@ -81,7 +81,9 @@ class PreparedRays:
 class PreparedLampRays:
     """A RayPredictor for one lamp under certain conditions. Immutable.
 
-    light: scattered light of a lamp of power 1, over `scale`. gather: of its unscattered light, over `most`.
+    light: scattered light of a lamp of power 1, over `scale`. gather: of its unscattered light, over `most`. place:
+    (3,), of the lamp in the cube's frame. ahead: distance along camera rays at which its direction is taken: a forward
+    phase function scatters into a ray what arrives from ahead.
     """
 
     network: Any
@@ -89,6 +91,8 @@ class PreparedLampRays:
     light: FluenceLattice
     gather: FinalGather
     most: float
+    place: np.ndarray
+    ahead: float
     scale: float
     anisotropy: float
 
@@ -96,7 +100,6 @@ class PreparedLampRays:
         self,
         positions: np.ndarray,
         omega: np.ndarray,
-        towards: np.ndarray,
         irradiance: np.ndarray,
         albedos: np.ndarray,
         jitter: np.ndarray | None = None,
@@ -104,10 +107,10 @@ class PreparedLampRays:
     ) -> np.ndarray:
         """Radiance float32 (A, N) as if a sun of irradiance 1 stood in the lamp's place, as PreparedPrediction.
 
-        positions, omega: (N, 3) in the cube's frame. towards: (N, 3), unit vectors towards the lamp. irradiance: (N,),
-        of the lamp of power 1, over which the ray features are given. Raises ValueError without them.
+        positions, omega: (N, 3) in the cube's frame. irradiance: (N,), of the lamp of power 1, over which the ray
+        features are given. Raises ValueError without them.
         """
-        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        inputs = self._inputs(positions, omega, irradiance, jitter, ray_features)
         return self.network.run(**inputs, albedo=albedos)
 
     def deviation(
@@ -115,21 +118,19 @@ class PreparedLampRays:
         network: UncertaintyNetwork,
         positions: np.ndarray,
         omega: np.ndarray,
-        towards: np.ndarray,
         irradiance: np.ndarray,
         radiance: Mapping[float, np.ndarray],
         jitter: np.ndarray | None = None,
         ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedRays; the other arguments as for `predict`."""
-        inputs = self._inputs(positions, omega, towards, irradiance, jitter, ray_features)
+        inputs = self._inputs(positions, omega, irradiance, jitter, ray_features)
         return deviations(network, inputs, radiance)
 
     def _inputs(
         self,
         positions: np.ndarray,
         omega: np.ndarray,
-        towards: np.ndarray,
         irradiance: np.ndarray,
         jitter: np.ndarray | None,
         ray_features: np.ndarray | None,
@@ -137,6 +138,8 @@ class PreparedLampRays:
         """As PreparedRays."""
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
+        towards = self.place - (positions + self.ahead * omega)
+        towards /= np.maximum(np.linalg.norm(towards, axis=1), 1e-30)[:, None]
         view = np.arange(len(positions), dtype=np.int32)
         stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
         gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)

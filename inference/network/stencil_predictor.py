@@ -39,7 +39,7 @@ from ..transport.scattered_fluence import (
     fluence_lattice,
     moment_lattice,
 )
-from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
+from ..transport.varying_albedo import CoarseAlbedo, FluenceOf, mean_free_path
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
@@ -253,7 +253,11 @@ class RayPredictor(StencilPredictor):
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         depth, most = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
         gather = self._final_gather(depth, fluence_and_flux(cells), conditions)
-        return PreparedLampRays(self.network, lookup, FluenceLattice(cells), gather, most, scale, self.anisotropy)
+        place = self.cube.positions(conditions.lamp.centre[None])[0]
+        ahead = self.anisotropy * mean_free_path(self.coarse, conditions.sigma_hat)
+        return PreparedLampRays(
+            self.network, lookup, FluenceLattice(cells), gather, most, place, ahead, scale, self.anisotropy
+        )
 
     def lamp_fluence(
         self, lamps: Sequence[tuple[Conditions, float | None]], tasks: AnyTasks = SERIAL

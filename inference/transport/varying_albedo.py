@@ -42,6 +42,16 @@ MIN_FLUENCE = 1e-12
 FluenceOf = Callable[[DiscreteOrdinates], np.ndarray]
 
 
+def mean_free_path(density: np.ndarray, sigma_hat: float) -> float:
+    """Between scatterings where most are, in edges of the cube, and at most FARTHEST.
+
+    density: (n, n, n), of cells of the cube. sigma_hat: extinction for density 1, per edge of the cube.
+    """
+    density = density.astype(np.float64)
+    squares = float((density * density).sum()) * sigma_hat
+    return min(float(density.sum()) / squares, FARTHEST) if squares > 0.0 else FARTHEST
+
+
 class CoarseAlbedo:
     """The albedo of one volume on coarse cells. Raises Cancelled.
 
@@ -74,11 +84,6 @@ class CoarseAlbedo:
     def solver(self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo) -> DiscreteOrdinates:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, self.kernels, albedo)
-
-    def mean_free_path(self, sigma_hat: float) -> float:
-        """Between scatterings where most are, in edges of the cube, and at most FARTHEST; sigma_hat: of the cube."""
-        density = self.density.astype(np.float64)
-        return min(float(density.sum() / ((density * density).sum() * sigma_hat)), FARTHEST)
 
     def places(self, solver_of: Callable[..., DiscreteOrdinates], fluence: FluenceOf) -> np.ndarray:
         """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].

@@ -10,7 +10,7 @@ from inference.plan.plan import in_range
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.varying_albedo import FARTHEST, CoarseAlbedo
+from inference.transport.varying_albedo import FARTHEST, CoarseAlbedo, mean_free_path
 from tests.support.volumes import SUN, box, camera, cloud
 
 COLOUR = np.array([0.95, 0.6, 0.85], np.float32)
@@ -186,5 +186,5 @@ def test_the_mean_free_path_is_that_where_most_is_scattered():
     volume, _ = in_range(box(), Medium(4.0, np.linspace(0.2, 0.9, shape[0])[:, None, None] * np.ones(shape)))
     cube = fit_cube(volume)
     coarse = CoarseAlbedo(volume, cube, level0_density(volume, cube))
-    assert coarse.mean_free_path(20.0) == pytest.approx(1.0 / 20.0, rel=0.1)
-    assert coarse.mean_free_path(0.01) == FARTHEST
+    assert mean_free_path(coarse.density, 20.0) == pytest.approx(1.0 / 20.0, rel=0.1)
+    assert mean_free_path(coarse.density, 0.01) == FARTHEST
