@@ -110,6 +110,9 @@ class PreparedLampRays:
         positions, omega: (N, 3) in the cube's frame. irradiance: (N,), of the lamp of power 1, over which the ray
         features are given. Raises ValueError without them.
         """
+        if self.most == 0.0:
+            # It shines past the volume.
+            return np.zeros((len(albedos), len(positions)), np.float32)
         inputs = self._inputs(positions, omega, irradiance, jitter, ray_features)
         return self.network.run(**inputs, albedo=albedos)
 

@@ -96,8 +96,8 @@ class LampInCube:
         # The shadows of several emitters blend: each of them may be coarser.
         light, unhindered = self._light(cells, near, 1, cancel, len(self.emitters) ** 0.25)
         lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
-        most = max(float(unhindered.max(initial=0.0)), 1e-30)
-        share = (light.reshape(-1)[lit] / most).astype(np.float32)
+        most = float(unhindered.max(initial=0.0))
+        share = (light.reshape(-1)[lit] / max(most, 1e-30)).astype(np.float32)
         share = np.clip(share, np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0))
         depth.reshape(-1)[lit] = np.log(share) / np.float32(-max(cells.sigma, 1e-30))
         return depth, most

@@ -348,6 +348,18 @@ def test_a_small_sphere_is_a_point():
     assert np.abs(point - sphere).max() < 1e-3 * point.max()
 
 
+@pytest.mark.parametrize(
+    "lamp",
+    [
+        SpotLight((1.5, 1.0, 0.8), (0.0, -1.0, 0.5), 5.0, 0.3, 0.1),
+        AreaLight(placed((1.5, 1.0, 0.8), (1.5, 1.0, 0.8)), "square", 0.3, 5.0),
+    ],
+)
+def test_a_lamp_that_shines_past_smoke_gives_it_nothing(lamp):
+    layer = picture([lamp], sigma=1500.0, anisotropy=0.95, settings=Settings(4))
+    assert not layer.rgb.any() and np.isfinite(layer.uncertainty).all()
+
+
 def test_colours_follow_the_power():
     layer = picture([PointLight((0.9, 0.6, 0.5), (1.0, 0.5, 0.0))])
     assert layer.rgb[..., 1] == pytest.approx(0.5 * layer.rgb[..., 0], rel=1e-5)
