@@ -8,7 +8,7 @@ from .baking.bake import bake
 from .baking.lit_volume import LitVolume
 from .image.layer import Layer
 from .network.network import available_models
-from .network.predictor import predict_multiple
+from .predict_multiple import predict_multiple
 from .render import render, render_tiles
 from .render_cache import RenderCache
 from .runtime.report import Report

@@ -109,9 +109,9 @@ def measured(name, stage, options) -> dict:
         # Without bounces, Cycles' image still holds emitted light that was scattered once.
         parts = parts[1:]
     for kind, image, bounces in parts:
-        # Single scattering is cheap: less noise, and a smaller error to tell.
         samples = options.samples * (FORWARD_SAMPLES if FORWARD in name else 1)
-        samples = max(min(4 * options.samples, MOST_SINGLE), samples) if bounces == 0 else samples
+        # Single scattering is cheap: less noise, and a smaller error to tell.
+        samples = max(min(4 * samples, MOST_SINGLE), samples) if bounces == 0 else samples
         start = time.process_time()
         reference = render_reference(
             stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world

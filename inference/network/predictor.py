@@ -2,42 +2,35 @@
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..grids.bound_medium import BoundMedium
-from ..grids.grid import Grid
 from ..grids.working_cube import Cube, fit_cube
 from ..kernels.library import Kernels
 from ..marching.joined_lamps import PredictedLamp
-from ..marching.lamp_march import LampInMedia, lamp_features_at, place_lamp, softened
-from ..marching.ray_march import ray_features_at
+from ..marching.lamp_march import softened
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
-from ..plan.lights import LAMP_MODELS
-from ..plan.plan import distinct_albedos, in_range
+from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
-from ..scene.description import Medium, Sun, Volume
+from ..scene.description import Medium, Volume
 from ..scene.environment import Environment
-from ..scene.errors import SceneError
-from ..scene.lamps import LAMPS, Lamp
 from ..scene.optimizations import ALL
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
 from ..transport.environment_light import Skies, image_in_frame
 from ..transport.lamp_beam import LampInCube
+from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
-from ..transport.varying_albedo import mean_free_path
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
 from .lamp_nearby import LampNearby, transport_share
-from .network import load_network
-from .prepared_rays import PreparedLampRays
+from .prepared_rays import PreparedLampRays, directions_to
 from .uncertainty import UncertaintyNetwork
 
 # Points per network call.
@@ -447,7 +440,8 @@ class PreparedLampPredictor:
         # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
         given = np.minimum(self.lamp.fluence(positions) / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
         depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
-        share, received, towards = self.nearby.share, irradiance * given, self._towards(positions)
+        share, received = self.nearby.share, irradiance * given
+        towards = directions_to(self.cube.positions(self.lamp.centre[None])[0], x)
         found = np.stack(
             [self.nearby.radiance(albedo, x, omega, towards, received, depth) for albedo in albedos]
         ).astype(np.float32)
@@ -485,12 +479,6 @@ class PreparedLampPredictor:
         """Positions and camera rays (N, 3) in the cube's frame, and irradiance (N,)."""
         irradiance = softened(self.lamp.reference(positions), self.radius)
         return self.cube.positions(positions), self.cube.directions(directions), irradiance
-
-    def _towards(self, positions: np.ndarray) -> np.ndarray:
-        """Unit vectors (N, 3) in the cube's frame towards the lamp."""
-        away = self.lamp.centre - positions
-        away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
-        return self.cube.directions(away)
 
     def _of_network(
         self,
@@ -541,86 +529,3 @@ class EnvironmentPredictor:
         """As `PreparedEnvironment.predict`, at world positions (N, 3) for camera rays along directions (N, 3)."""
         x, omega = self.cube.positions(positions), self.cube.directions(directions)
         return self.prediction.predict(x, omega, along, self.skies.shares(positions), albedos, jitter)
-
-
-def predict_multiple(
-    volume: Volume,
-    medium: Medium,
-    light: Sun | Lamp,
-    positions: np.ndarray,
-    directions: np.ndarray,
-    model: str = "mrpnn",
-) -> np.ndarray:
-    """Multiple-scattered in-scattered radiance at points, as the network predicts it.
-
-    light: a Sun, PointLight, SpotLight or AreaLight. positions, directions: (N, 3) world positions and unit camera-ray
-    directions. Returns float32 (N, 3), W/(m^2 sr) for the light's irradiance or power, without the factor of the local
-    albedo. Raises SceneError as `render` does, and for a lamp and a network that knows suns alone.
-    """
-    positions = np.asarray(positions, np.float64).reshape(-1, 3)
-    directions = np.asarray(directions, np.float64).reshape(-1, 3)
-    result = np.zeros((len(positions), 3), np.float32)
-    if not len(positions):
-        return result
-    if isinstance(light, LAMPS) and model not in LAMP_MODELS:
-        raise SceneError(f"{light.name}: the network {model} knows suns alone")
-    network = load_network(model)
-    volume, medium = in_range(volume, medium)
-    predictor, grid = VolumePredictor(network, volume, medium.anisotropy), Grid(volume)
-    bounds = predictor.bounds(positions)
-    colour = light.irradiance if isinstance(light, Sun) else light.power
-    for sigma_t in map(float, np.unique(medium.sigma_t[medium.sigma_t > 0.0])):
-        members = [c for c in range(3) if medium.sigma_t[c] == sigma_t]
-        if not distinct_albedos(medium, members):
-            continue
-        prepared: PreparedPredictor | PreparedLampPredictor
-        if isinstance(light, Sun):
-            albedos = predictor.albedos(medium, sigma_t, members, light.direction)
-            prepared, features_at = _prepare_sun(predictor, grid, medium, sigma_t, light, bounds)
-        else:
-            placed = place_lamp(light, [grid])
-            albedos = predictor.albedos(medium, sigma_t, members, placed)
-            asked = LampLight(placed, predictor.lamp_radius, albedos.values)
-            prepared, features_at = _prepare_lamp(predictor, grid, medium, sigma_t, asked, bounds)
-        for start in range(0, len(positions), POINTS_PER_TASK):
-            span = slice(start, start + POINTS_PER_TASK)
-            features = features_at(positions[span], directions[span])
-            radiance = prepared.predict(positions[span], directions[span], albedos.values, ray_features=features)
-            for c, row in albedos.by_channel(radiance, positions[span], directions[span]):
-                result[span, c] = row * colour[c]
-    return result
-
-
-# Ray features at positions (N, 3) for directions (N, 3), if the network needs any.
-FeaturesAt = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
-
-
-def _prepare_sun(
-    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, sun: Sun, bounds: Bounds
-) -> tuple[PreparedPredictor, FeaturesAt]:
-    """What predicts the light of a sun, and the ray features that it needs."""
-    prepared = predictor.prepare(sigma_t, sun.direction, bounds)
-    fluence = predictor.fluence(sigma_t, [sun.direction]) if predictor.network.needs_ray_features else None
-    bound = BoundMedium(grid, medium, sigma_t, grid.sun_depths([sun.direction]))
-
-    def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-        if fluence is None:
-            return None
-        return ray_features_at(bound, positions, directions, fluence).of(slice(None), 0, 0)
-
-    return prepared, features_at
-
-
-def _prepare_lamp(
-    predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, light: LampLight, bounds: Bounds
-) -> tuple[PreparedLampPredictor, FeaturesAt]:
-    """As `_prepare_sun`, of a lamp of power 1."""
-    placed, radius = light.lamp, light.radius
-    assert isinstance(placed, LampInMedia)
-    prepared = predictor.prepare_lamp(sigma_t, light, bounds)
-    fluence, bound = predictor.lamp_fluence(sigma_t, [light]), BoundMedium(grid, medium, sigma_t, [])
-
-    def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-        return lamp_features_at(bound, positions, directions, placed, fluence, radius).of(slice(None), 0, 0)
-
-    return prepared, features_at

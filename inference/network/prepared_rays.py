@@ -77,6 +77,12 @@ class PreparedRays:
         return self.lookup.lattices.values.size
 
 
+def directions_to(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) from positions (N, 3) to a place (3,)."""
+    away = place - positions
+    return away / np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
+
+
 @dataclass(frozen=True)
 class PreparedLampRays:
     """A RayPredictor for one lamp under certain conditions. Immutable.
@@ -141,8 +147,7 @@ class PreparedLampRays:
         """As PreparedRays."""
         if ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
-        towards = self.place - (positions + self.ahead * omega)
-        towards /= np.maximum(np.linalg.norm(towards, axis=1), 1e-30)[:, None]
+        towards = directions_to(self.place, positions + self.ahead * omega)
         view = np.arange(len(positions), dtype=np.int32)
         stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
         gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
@@ -152,6 +157,7 @@ class PreparedLampRays:
         around[:, : PROBES + 1] += np.log(of_sun)[:, None]
         gathered = self.gather(positions, frames(omega, towards))
         gathered[:, :, SCATTERED] *= of_sun[:, None]
+        # The gathered light of a lamp is that of a sun, dimmed as by matter: with the same exponents.
         unscattered = (self.most / np.maximum(irradiance, 1e-30)).astype(np.float32)[:, None]
         gathered[:, :, SINGLE] *= unscattered
         gathered[:, :, REDUCED] *= unscattered ** np.float32(SCALE)

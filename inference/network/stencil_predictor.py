@@ -31,6 +31,7 @@ from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..transport.lamp_beam import CubeCells
+from ..transport.mean_free_path import mean_free_path
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import (
     FluenceLattice,
@@ -39,7 +40,7 @@ from ..transport.scattered_fluence import (
     fluence_lattice,
     moment_lattice,
 )
-from ..transport.varying_albedo import CoarseAlbedo, FluenceOf, mean_free_path
+from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
 from .conditions import Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment

@@ -33,23 +33,11 @@ SAME = 1e-5
 LOWEST = 0.02
 # Cells of less than this part of the largest density do not widen the range of albedos.
 NEGLIGIBLE = 1e-3
-# Longest mean free path, in edges of the cube.
-FARTHEST = 0.125
 # Fluences below this are equal.
 MIN_FLUENCE = 1e-12
 
 #: Fluence (x, y, z) of scattered light, as a solver finds it.
 FluenceOf = Callable[[DiscreteOrdinates], np.ndarray]
-
-
-def mean_free_path(density: np.ndarray, sigma_hat: float) -> float:
-    """Between scatterings where most are, in edges of the cube, and at most FARTHEST.
-
-    density: (n, n, n), of cells of the cube. sigma_hat: extinction for density 1, per edge of the cube.
-    """
-    density = density.astype(np.float64)
-    squares = float((density * density).sum()) * sigma_hat
-    return min(float(density.sum()) / squares, FARTHEST) if squares > 0.0 else FARTHEST
 
 
 class CoarseAlbedo:

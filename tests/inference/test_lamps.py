@@ -26,7 +26,6 @@ from inference.network.stencil_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
 from inference.scene.lamps import solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
-from inference.scene.phase_function import henyey_greenstein
 from tests.support.volumes import box, camera, cloud
 
 FAINT = {"faint_lamps"}
@@ -436,50 +435,6 @@ def test_the_light_of_a_lamp_changes_steadily_as_it_enters_smoke():
         layer = picture([PointLight((0.0, height, 0.0), 5.0)], 5.0, 0.9, 0.0, (), settings, volume)
         means.append(layer.multiple.mean())
     assert np.abs(np.diff(np.log(means))).max() < 0.3
-
-
-@pytest.mark.parametrize(
-    "sigma, albedo, anisotropy", [(4.0, 0.9, 0.0), (12.0, 0.9, 0.0), (12.0, 0.5, 0.0), (12.0, 0.9, 0.8)]
-)
-def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo, anisotropy):
-    """Power that leaves through the faces of a box, of light scattered twice or more, against collisions counted."""
-    volume, lamp = box(voxels=16), np.array([0.28, -0.2, 0.1])
-    medium = Medium(sigma, albedo, anisotropy)
-    view = Camera(np.eye(4), "orthographic", (24, 24), ortho_scale=1.1)
-    view.world_matrix[2, 3] = 3.0
-    layer = render([(volume, medium)], [PointLight(lamp, 1.0)], view, Settings(depth_samples=24))
-    total = layer.multiple[..., 0].mean() * 1.1**2
-    expected, noise = _traced_towards_z(lamp, medium, 40000)
-    assert total == pytest.approx(expected, rel=0.07, abs=3.0 * noise)
-
-
-def _traced_towards_z(lamp, medium, photons, seed=8):
-    """Intensity along z of collisions after the first, of photons in a unit box, and its standard error."""
-    random = np.random.default_rng(seed)
-    sigma, albedo, g = medium.sigma_t[0], medium.albedo[0], medium.anisotropy
-
-    def turned(along):
-        """Directions at Henyey and Greenstein's angles to others (N, 3)."""
-        u, angle = random.uniform(-1.0, 1.0, len(along)), random.uniform(0.0, 2.0 * np.pi, len(along))
-        cosine = (1.0 + g * g - ((1.0 - g * g) / (1.0 + g * u)) ** 2) / (2.0 * g) if g else u
-        across = np.cross(along, np.where(np.abs(along[:, :1]) > 0.5, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]))
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        sideways = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(along, across)
-        return cosine[:, None] * along + np.sqrt(np.maximum(1.0 - cosine**2, 0.0))[:, None] * sideways
-
-    place, number, weight = np.tile(lamp, (photons, 1)), np.arange(photons), albedo
-    found, along = np.zeros(photons), random.normal(size=(photons, 3))
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    for order in range(400):
-        place = place + along * random.exponential(1.0 / sigma, (len(place), 1))
-        inside = np.abs(place).max(axis=1) < 0.5
-        place, number, along = place[inside], number[inside], along[inside]
-        if order:
-            phase = henyey_greenstein(along[:, 2], g)
-            found[number] += weight * np.exp(-sigma * (0.5 - place[:, 2])) * phase
-        weight *= albedo
-        along = turned(along)
-    return found.mean(), found.std() / photons**0.5
 
 
 def test_networks_read_nothing_of_lamps_inside(monkeypatch):

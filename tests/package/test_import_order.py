@@ -36,6 +36,7 @@ ROOMS = {
         "features",
         "network",
         "render_cache",
+        "predict_multiple",
         "image",
         "render",
         "baking",

@@ -5,13 +5,10 @@ import numpy as np
 import pytest
 
 from inference import Environment, Medium, PointLight, SceneError, Settings, Sun, Volume, render
-from inference.grids.working_cube import fit_cube, level0_density
-from inference.plan.plan import in_range
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.varying_albedo import FARTHEST, CoarseAlbedo, mean_free_path
-from tests.support.volumes import SUN, box, camera, cloud
+from tests.support.volumes import SUN, camera, cloud
 
 COLOUR = np.array([0.95, 0.6, 0.85], np.float32)
 LIGHTS = {
@@ -178,13 +175,3 @@ def test_a_volume_per_colour_channel_is_the_chromatic_medium(light):
     close(found.rgb, expected.rgb, 1e-4)
     close(found.multiple, expected.multiple, 1e-4)
     close(found.alpha, expected.alpha, 1e-4)
-
-
-def test_the_mean_free_path_is_that_where_most_is_scattered():
-    """In a box that of its medium; in thin fog no more than a part of the cube."""
-    shape = box().density.shape
-    volume, _ = in_range(box(), Medium(4.0, np.linspace(0.2, 0.9, shape[0])[:, None, None] * np.ones(shape)))
-    cube = fit_cube(volume)
-    coarse = CoarseAlbedo(volume, cube, level0_density(volume, cube))
-    assert mean_free_path(coarse.density, 20.0) == pytest.approx(1.0 / 20.0, rel=0.1)
-    assert mean_free_path(coarse.density, 0.01) == FARTHEST
