@@ -7,7 +7,8 @@ import numpy as np
 
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid
-from .marching.lamp_march import LampInMedia, lamp_features_at, place_lamp
+from .marching.lamp_in_media import LampInMedia, place_lamp
+from .marching.lamp_march import lamp_features_at
 from .marching.ray_march import ray_features_at
 from .network.network import load_network
 from .network.predictor import (

@@ -23,7 +23,7 @@ from .image.work_estimate import WorkEstimate
 from .kernels.library import Kernels, Unavailable, load_kernels, wanted
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
-from .marching.lamp_march import enclosed_warnings
+from .marching.lamp_in_media import enclosed_warnings
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
 from .occluders.depth_buffer import DepthBuffer
@@ -134,7 +134,7 @@ def _render_passes(
     passes = [(channels, suns) for channels in scene.plan.channels for suns in _suns_of_passes(scene)]
     work = WorkEstimate(context, scene, camera, len(passes))
     for number, (channels, suns) in enumerate(passes):
-        channel_pass = _channel_pass(context, scene, channels, suns)
+        channel_pass = _channel_pass(context, scene, channels, suns, camera)
         work.survey(channel_pass)
         for tile in _tiles(context, scene, channel_pass, camera, framebuffer, emission):
             window = tile.camera.window
@@ -200,7 +200,9 @@ def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:
     return [[sun] for sun in suns] if alone else [suns]
 
 
-def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int]) -> ChannelPass:
+def _channel_pass(
+    context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int], camera: Camera
+) -> ChannelPass:
     """Some colour channels and suns, ready to be marched."""
     fluence = solve_transport(context, scene, channels, suns)
     settings, media, shadow_maps = context.settings, scene.media(channels, suns), scene.occluders.shadow_maps
@@ -213,7 +215,9 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         scattering=scattering_channels(media, channels.indices),
     )
     first = suns[:1] in ([], [0])
-    lamps = prepare_lamp_march(context, scene, channels) if first else None
+    lamps = None
+    if first and scene.lamps:
+        lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(shown_pixels(scene, camera)))
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
     return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering)
 

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid
 from .grids.merge import merge
 from .kernels.library import Kernels
-from .marching.lamp_march import LampInMedia, lamp_key, place_lamp
+from .marching.lamp_in_media import LampInMedia, lamp_key, place_lamp
+from .marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
 from .network.environment_network import EnvironmentNetwork, load_environment_network
 from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
 from .network.uncertainty import UncertaintyNetwork, has_uncertainty, load_uncertainty_network
 from .runtime.cancellation import NEVER, CancelToken
+from .runtime.tasks import Tasks
 from .scene.description import Medium, Surface, Volume
 from .scene.lamps import Lamp
 from .transport.scattered_emission import ScatteredEmission
@@ -50,6 +53,7 @@ class RenderCache:
         self._uncertainty_networks: dict[str, UncertaintyNetwork] = {}
         self._grids: list[tuple[Volume, Grid]] = []
         self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
+        self._mean_depths: dict[tuple[bytes, float], tuple[Grid, MeanLampDepth]] = {}
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
         self._predictors: dict[int, VolumePredictor] = {}
         self._emission: dict[int, tuple[Members, ScatteredEmission]] = {}
@@ -108,7 +112,19 @@ class RenderCache:
                 # Its power may have changed.
                 found.append(replace(placed, lamp=lamp))
             self._lamps = [(grids, placed) for placed in found]
+            keys = {placed.key for placed in found}
+            self._mean_depths = {key: known for key, known in self._mean_depths.items() if key[0] in keys}
             return found
+
+    def mean_lamp_depth(self, lamp: LampInMedia, medium: BoundMedium, tasks: Tasks) -> MeanLampDepth:
+        """As the function of that name, for a lamp in one medium alone."""
+        key = lamp.key, medium.sigma_t
+        with tasks.cancel.locked(self._lock):
+            known = self._mean_depths.pop(key, None)
+            if known is None or known[0] is not medium.grid:
+                known = medium.grid, mean_lamp_depth(lamp, medium, tasks)
+            self._mean_depths[key] = known
+            return known[1]
 
     def group(
         self,

@@ -12,7 +12,7 @@ from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
-from ..marching.lamp_march import LampInMedia
+from ..marching.lamp_in_media import LampInMedia
 from ..marching.marcher import Marcher
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System

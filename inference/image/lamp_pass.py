@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..grids.bound_medium import BoundMedium
+from ..grids.dense_grid import DenseGrid
 from ..marching.joined_lamps import PredictedLamp, predicted_lamps
+from ..marching.lamp_in_media import LampInMedia
 from ..marching.lamp_march import LampMarch
+from ..marching.mean_lamp_depth import MeanLampDepth
 from ..marching.ray_steps import RayBatch
 from ..network.predictor import LampLight
 from ..plan.plan import Channels
@@ -19,12 +23,22 @@ from .context import ChannelPass, PreparedScene, RenderContext
 # Pixels whose ray passes a lamp at so many of their widths, from and up to, show the mean over so many rays squared.
 AROUND = ((0.0, 0.75, 16), (0.75, 2.5, 4))
 
+# Optical thickness of a voxel up to which a lamp's depths are interpolated between voxels, and most voxels of a volume.
+THICKEST_VOXEL, MOST_VOXELS = 0.75, 1 << 25
+# Steps in density of a camera ray through the box of a volume, over the voxels along its longest edge.
+CROSSED = 0.2
+
 # Where rays, of origins and directions (N, 3) and cosines (N,), meet volumes: near and far (N,).
 Intervals = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: Channels) -> LampMarch | None:
-    """The plan's lamps and their scattered light in some colour channels; None without any. Raises Cancelled."""
+def prepare_lamp_march(
+    context: RenderContext, scene: PreparedScene, channels: Channels, pixels: int = 0
+) -> LampMarch | None:
+    """The plan's lamps and their scattered light in some colour channels; None without any. Raises Cancelled.
+
+    pixels: whose rays may meet volumes; 0 for other rays than a camera's.
+    """
     if not scene.lamps:
         return None
     fluence: list[ScatteredFluence | None] = [None] * len(scene.groups)
@@ -50,7 +64,34 @@ def prepare_lamp_march(context: RenderContext, scene: PreparedScene, channels: C
                     found = group.predictor.lamp_fluence(sigma_t, lights, scene.occluders, context.tasks)
                 fluence[g] = found.of_parts([of_part[k] for k in range(len(scene.lamps))])
     predicted = any(one is not None for one in fluence)
-    return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius)
+    means = _mean_depths(context, scene, channels, pixels)
+    return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius, means)
+
+
+def _mean_depths(
+    context: RenderContext, scene: PreparedScene, channels: Channels, pixels: int
+) -> list[MeanLampDepth | None]:
+    """Of each lamp, where that is worth it. Raises Cancelled."""
+    media = scene.media(channels, [])
+    if len(media) != 1 or "soft_shadows" not in scene.plan.optimizations:
+        return [None] * len(scene.lamps)
+    found: list[MeanLampDepth | None] = []
+    with context.report.stage("shadows"):
+        for lamp in scene.lamps:
+            wanted = _worthwhile(lamp, media[0], pixels)
+            found.append(context.cache.mean_lamp_depth(lamp, media[0], context.tasks) if wanted else None)
+            context.report.count("lamps whose shadows are averaged at voxels", wanted)
+    return found
+
+
+def _worthwhile(lamp: LampInMedia, medium: BoundMedium, pixels: int) -> bool:
+    """Whether depths at voxels serve a lamp in a medium alone, and cost less than looking them up on camera rays."""
+    grid = medium.grid
+    if len(lamp.emitters) == 1 or lamp.shadow_maps is not None or not isinstance(grid.density, DenseGrid):
+        return False
+    if grid.density.padded.size > MOST_VOXELS or medium.voxel_thickness > THICKEST_VOXEL:
+        return False
+    return pixels * CROSSED * max(grid.shape) > grid.density.padded.size * min(grid.occupancy.share(), 1.0)
 
 
 def lamps_of_group(scene: PreparedScene, g: int) -> list[PredictedLamp]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
-from ..marching.lamp_march import LampInMedia
+from ..marching.lamp_in_media import LampInMedia
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..occluders.seen_surfaces import HIDING, ROWS, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap

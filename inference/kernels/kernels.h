@@ -125,6 +125,12 @@ typedef struct {
     const Emitter *parts;            /* (emitters) */
     const LampColumns *const *columns;  /* (emitters, volumes) */
     const LampShadowMap *shadow_maps;  /* (emitters), or NULL where no surface shadows volumes */
+    double centre[3], reach;         /* of a sphere around its parts */
+    double smooth;                   /* between places on a ray that are this part of their distance apart, or less, its
+                                        light varies about linearly; 0: nowhere */
+    const Grid *mean;                /* optical depth of all its light at the voxels of the only volume, and those around
+                                        it; or NULL */
+    double mean_from;                /* distance from which on that is used */
 } Lamp;
 
 /* Height of the highest surface above each cell of a plane that faces a sun. */

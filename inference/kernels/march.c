@@ -65,6 +65,11 @@ typedef struct {
     float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
     float *given, *reference;    /* (steps), fluence of a lamp, and what stands for it in ray features */
     float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
+    int64_t nodes;               /* ends of blocks; one that two blocks share counts once */
+    double *node_place;          /* (steps; at most twice as many as blocks), where they are on the ray */
+    int32_t *first_node;         /* (blocks), at the start of each block, which the one at its end follows */
+    float *node_light;           /* (volumes, steps), light of a lamp that each volume scatters towards the camera */
+    float *node_given, *node_reference;  /* (steps), as `given` and `reference` */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
     double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
@@ -822,23 +827,26 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
     for (int64_t first = 0; first < steps; first += LANES) {
         Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
         Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
-        Ints straight = (load(work->total + first) > 0.0f) & (weight > 0.0f), once = {0};
+        Ints filled = (load(work->total + first) > 0.0f) & (weight > 0.0f);
+        if (!any_lane(filled)) continue;
         Doubles begin, length;
-        FOR_LANES(n) {
-            int64_t s = least_int(first + n, steps - 1);
-            begin[n] = ray->near + place_in(work, s, 0.0) * ray->dt - pass.nearest;
-            length[n] = work->size[s / STEPS] * ray->dt;
-            double middle = begin[n] + 0.5 * length[n];
-            if (first + n >= steps) straight[n] = 0;
-            double square = length[n] * length[n], away = extent + middle * middle;
-            if (!straight[n] || !(square > brief * away)) {
-                once[n] = straight[n], straight[n] = 0;
-                continue;
+        for (int n = 0; n < LANES; n += STEPS) {
+            int64_t block = least_int((first + n) / STEPS, work->blocks - 1);
+            for (int k = 0; k < STEPS; k++) {
+                begin[n + k] = work->place[block] + (double)k * work->size[block], length[n + k] = work->size[block];
+                if ((first + n) / STEPS >= work->blocks) filled[n + k] = 0;
             }
-            if (!(square > wide * away)) continue;
-            straight[n] = 0;
+        }
+        begin = ray->near + begin * ray->dt - pass.nearest;
+        length *= ray->dt;
+        Doubles middle = begin + 0.5 * length, square = length * length, away = extent + middle * middle;
+        Ints not_brief = __builtin_convertvector(square > brief * away, Ints);
+        Ints bent = filled & not_brief & __builtin_convertvector(square > wide * away, Ints);
+        Ints once = filled & ~not_brief, straight = filled & not_brief & ~bent;
+        for (int n = 0; n < LANES && any_lane(bent); n++) {
+            if (!bent[n]) continue;
             double ends[2] = {begin[n], begin[n] + length[n]};
-            add_bent(scene, &pass, ends, (double)weight[n], s, work, single, stride);
+            add_bent(scene, &pass, ends, (double)weight[n], first + n, work, single, stride);
         }
         weight *= __builtin_convertvector(length, Floats);
         if (any_lane(once)) {
@@ -868,9 +876,9 @@ static inline void points_in(const Ray *ray, const Work *work, const int64_t *nu
     for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
 }
 
-/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added to what all
-of them give, and to what they would if they faced the steps. */
-static void look_up_fluence(const Emitter *emitter, const Ray *ray, int features, Work *work) {
+/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added, as often as
+there are parts that give the same, to what all of them give, and to what they would if they faced the steps. */
+static void look_up_fluence(const Emitter *emitter, const Ray *ray, float alike, int features, Work *work) {
     int64_t steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Doubles point[3];
@@ -878,9 +886,105 @@ static void look_up_fluence(const Emitter *emitter, const Ray *ray, int features
         Floats found = emitter_fluences(emitter, point);
         store(work->light + first, found);
         if (!features) continue;
-        store(work->given + first, load(work->given + first) + found);
-        store(work->reference + first, load(work->reference + first) + brightest_of(emitter, point));
+        store(work->given + first, load(work->given + first) + alike * found);
+        store(work->reference + first, load(work->reference + first) + alike * brightest_of(emitter, point));
     }
+}
+
+/* List the ends of blocks. */
+static void list_nodes(Work *work) {
+    work->nodes = 0;
+    for (int64_t b = 0; b < work->blocks; b++) {
+        double end = work->place[b] + STEPS * work->size[b];
+        int joined = b > 0 && work->place[b] == work->node_place[work->nodes - 1];
+        if (!joined) work->node_place[work->nodes++] = work->place[b];
+        work->first_node[b] = (int32_t)(work->nodes - 1);
+        work->node_place[work->nodes++] = end;
+    }
+}
+
+/* Add what a part of a lamp gives to the ends of blocks. */
+static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *ray, int features, Work *work) {
+    const Pass pass = pass_of(emitter, ray);
+    for (int64_t first = 0; first < work->nodes; first += LANES) {
+        Doubles distance, point[3];
+        FOR_LANES(n) distance[n] = ray->near + work->node_place[least_int(first + n, work->nodes - 1)] * ray->dt;
+        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+        Floats found = emitter_fluences(emitter, point);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            float *light = work->node_light + v * work->stride + first;
+            store(light, load(light) + found * scattered_back_at(scene->media[v].phase, distance - pass.nearest, pass.passing));
+        }
+        if (!features) continue;
+        store(work->node_given + first, load(work->node_given + first) + found);
+        store(work->node_reference + first, load(work->node_reference + first) + brightest_of(emitter, point));
+    }
+}
+
+static void clear_nodes(const Scene *scene, Work *work) {
+    size_t size = (size_t)(work->nodes + LANES - 1) / LANES * LANES * sizeof(float);
+    for (int64_t v = 0; v < scene->volumes; v++) memset(work->node_light + v * work->stride, 0, size);
+    memset(work->node_given, 0, size);
+    memset(work->node_reference, 0, size);
+}
+
+/* Interpolate between the ends of blocks: at the middles of steps, which are whole lanes. */
+static void spread(const float *at_nodes, const Work *work, float *out) {
+    const Floats share = {0.125f, 0.375f, 0.625f, 0.875f, 0.125f, 0.375f, 0.625f, 0.875f};
+    for (int64_t b = 0; b < work->blocks; b += LANES / STEPS) {
+        int32_t node = work->first_node[b], next = work->first_node[least_int(b + 1, work->blocks - 1)];
+        float a = at_nodes[node], c = at_nodes[next];
+        float more = at_nodes[node + 1] - a, further = at_nodes[next + 1] - c;
+        const Floats start = {a, a, a, a, c, c, c, c}, rise = {more, more, more, more, further, further, further, further};
+        store(out + STEPS * b, start + share * rise);
+    }
+}
+
+/* Single scattering, and what the middles of steps are given, from the light at the ends of blocks. */
+static void add_from_nodes(const Scene *scene, int features, Work *work, double *single, int64_t stride) {
+    int64_t steps = STEPS * work->blocks;
+    float *weight = work->received, *light = work->light;
+    for (int64_t s = 0; s < steps; s += LANES) {
+        Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
+        Floats passed = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
+        store(weight + s, passed * load(work->visible + s));
+    }
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        spread(work->node_light + v * work->stride, work, light);
+        for (int64_t s = 0; s < steps; s += LANES) store(light + s, load(light + s) * load(weight + s));
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            single[v * stride + c] += sum_of(scattering_of(scene, work, v, c), light, work);
+        }
+    }
+    if (!features) return;
+    spread(work->node_reference, work, light);
+    for (int64_t s = 0; s < steps; s += LANES) store(work->reference + s, load(work->reference + s) + load(light + s));
+    spread(work->node_given, work, light);
+    for (int64_t s = 0; s < steps; s += LANES) store(work->given + s, load(work->given + s) + load(light + s));
+}
+
+/* Optical depths of all light of a lamp, at the ends of filled steps, in the only volume. */
+static void look_up_mean(const Scene *scene, const Grid *mean, int64_t edges, Work *work) {
+    float dark = (float)scene->dark;
+    for (int64_t s = 0; s < STEPS * work->blocks; s++) work->start[s] = work->end[s] = dark;
+    for (int64_t e = 0; e < edges; e += LANES) {
+        double place[LANES];
+        Floats position[3];
+        FOR_LANES(n) place[n] = work->edge_place[least_int(e + n, edges - 1)];
+        positions_at(work->lines, place, position);
+        for (int axis = 0; axis < 3; axis++) position[axis] = position[axis] + 1.0f;
+        store_at_edges(work, e, (int)least_int(edges - e, LANES), sample_grid(mean, position), work->start, work->end);
+    }
+}
+
+/* Distance of a lamp's centre from the blocks of a ray. */
+static double distance_of(const Lamp *lamp, const Ray *ray, const Work *work) {
+    double away[3], begin = ray->near + work->place[0] * ray->dt, square = 0.0;
+    double end = ray->near + (work->place[work->blocks - 1] + STEPS * work->size[work->blocks - 1]) * ray->dt;
+    for (int k = 0; k < 3; k++) away[k] = lamp->centre[k] - ray->origin[k];
+    double nearest = larger(smaller(dot_of(away, ray->direction), end), begin);
+    for (int k = 0; k < 3; k++) square += (away[k] - nearest * ray->direction[k]) * (away[k] - nearest * ray->direction[k]);
+    return sqrt(square);
 }
 
 /* What stands for the light of a lamp in ray features: what it gives, but no less than a part of what it would if it
@@ -970,21 +1074,37 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->mean_start[g * room + s] = work->mean_end[g * room + s] = 0.0f;
     }
+    if (!work->blocks) return;
+    double distance = distance_of(lamp, ray, work), longest = 0.0;
+    for (int64_t b = 0; b < work->blocks; b++) longest = larger(longest, work->size[b]);
+    int mean = lamp->mean && distance >= lamp->mean_from, alone = lamp->emitters == 1 || mean;
+    int smooth = STEPS * longest * ray->dt <= lamp->smooth * (distance - lamp->reach);
+    if (mean) look_up_mean(scene, lamp->mean, edges, work);
+    if (smooth) clear_nodes(scene, work);
     for (int64_t e = 0; e < lamp->emitters; e++) {
-        look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
+        if (!mean) look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
         for (int64_t s = 0; s < steps && lamp->shadow_maps; s++) {
             double distance = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
             if (!(work->total[s] > 0.0f)) continue;
             for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + distance * ray->direction[j];
             work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
         }
-        look_up_fluence(lamp->parts + e, ray, count > 0, work);
-        add_emitter(scene, lamp->parts + e, ray, work, single, stride);
-        if (count) add_part(scene, lamp->emitters == 1, work);
+        if (smooth) {
+            add_at_nodes(scene, lamp->parts + e, ray, count > 0, work);
+            if (mean && e + 1 < lamp->emitters) continue;
+            add_from_nodes(scene, count > 0, work, single, stride);
+            if (!mean) clear_nodes(scene, work);
+        } else {
+            /* All parts of a sphere give the same. */
+            int whole = !lamp->parts[e].flat && !lamp->parts[e].cone;
+            if (!whole || e == 0) look_up_fluence(lamp->parts + e, ray, whole ? (float)lamp->emitters : 1.0f, count > 0, work);
+            add_emitter(scene, lamp->parts + e, ray, work, single, stride);
+        }
+        if (count) add_part(scene, alone, work);
     }
     if (count) {
         light_samples(scene, lamp, ray, count, work);
-        join_parts(scene, lamp->emitters == 1, work);
+        join_parts(scene, alone, work);
     }
     for (int64_t g = 0; g < scene->groups && count; g++) {
         look_up_source(scene, scene->lamp_fluence + g, g, k, ray, work);
@@ -1062,6 +1182,11 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(reference, float, scene->lamps ? steps : 0)
     TAKE(lit, float, scene->lamps ? steps : 0)
     TAKE(received, float, scene->lamps ? steps : 0)
+    TAKE(node_place, double, scene->lamps ? steps : 0)
+    TAKE(first_node, int32_t, scene->lamps ? blocks : 0)
+    TAKE(node_light, float, scene->lamps ? volumes * steps : 0)
+    TAKE(node_given, float, scene->lamps ? steps : 0)
+    TAKE(node_reference, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)
     TAKE(edge_place, double, 5 * blocks)
     TAKE(edge_depth, float, 5 * blocks)
@@ -1128,6 +1253,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
             gather_features(scene, g, &of, count, work);
         }
     }
+    if (scene->lamps) list_nodes(work);
     for (int64_t k = 0; k < scene->lamps; k++) add_lamp(scene, k, &ray, edges, of_lamps ? count : 0, work, r, out);
     out->sample_counts[r] = count;
     out->samples += count;

@@ -177,6 +177,11 @@ class Lamp(Shared):
         ("parts", c_void_p),
         ("columns", c_void_p),
         ("shadow_maps", c_void_p),
+        ("centre", c_double * 3),
+        ("reach", c_double),
+        ("smooth", c_double),
+        ("mean", c_void_p),
+        ("mean_from", c_double),
     ]
 
 

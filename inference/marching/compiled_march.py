@@ -24,7 +24,9 @@ from ..transport.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
-from .lamp_march import BRIEF, MANY, WIDE, LampInMedia, LampMarch
+from .lamp_in_media import LampInMedia
+from .lamp_march import BRIEF, MANY, WIDE, LampMarch
+from .mean_lamp_depth import MeanLampDepth
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import DARK, JITTER, MAX_OPTICAL_DEPTH, LampSegment, MarchOptions, RaySegment, optical_depth_behind
 from .ray_steps import (
@@ -172,7 +174,9 @@ class CompiledMarch:
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
             fluence=None if options.fluence is None else structures.array_of([_fluence(f) for f in options.fluence]),
             lamps=0 if lamps is None else len(lamps.lamps),
-            lamp_list=structures.array_of([_lamp(lamp, self._media) for lamp in lamps.lamps] if lamps else []),
+            lamp_list=structures.array_of(
+                [_lamp(lamp, self._media, lamps.mean(k)) for k, lamp in enumerate(lamps.lamps)] if lamps else []
+            ),
             lamp_fluence=structures.array_of([_fluence(f) for f in lamps.fluence or []] if lamps else []),
             lamp_radius=lamps.radius if lamps else 0.0,
             brief=BRIEF,
@@ -212,17 +216,23 @@ def _copied(features: np.ndarray | None, count: int) -> RayFeatures | None:
     return None if features is None else RayFeatures(features[:count].copy())
 
 
-def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium]) -> structures.Lamp:
+def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium], mean: MeanLampDepth | None) -> structures.Lamp:
     columns = [depth.described(medium.sigma_t) for each in lamp.depths for depth, medium in zip(each, media)]
     pointers = (c_void_p * len(columns))(*map(addressof, columns))
     shadow_maps = [describe_shadow_map(shadow_map) for shadow_map in lamp.shadow_maps or []]
+    grid = None if mean is None else describe_grid(mean.grid)
     described = structures.Lamp(
         emitters=len(lamp.emitters),
         parts=structures.array_of([describe_emitter(emitter) for emitter in lamp.emitters]),
         columns=pointers,
         shadow_maps=structures.array_of(shadow_maps),
+        centre=np.float64(lamp.centre),
+        reach=lamp.reach,
+        smooth=lamp.smooth(media),
+        mean=grid,
+        mean_from=0.0 if mean is None else mean.start,
     )
-    described.kept += columns
+    described.kept += [*columns, grid]
     return described
 
 

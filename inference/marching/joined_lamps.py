@@ -10,7 +10,7 @@ import numpy as np
 
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..scene.lamps import Emitter, QuadEmitter
-from .lamp_march import LampInMedia
+from .lamp_in_media import LampInMedia
 
 
 @dataclass(frozen=True)

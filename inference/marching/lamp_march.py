@@ -7,28 +7,18 @@ Fajardo, "Importance Sampling Techniques for Path Tracing in Participating Media
 exponentially within a step, as for suns.
 """
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import LampOpticalDepth
-from ..kernels.field_structures import LampFluence
-from ..kernels.library import Kernels
-from ..kernels.structures import array_of
 from ..numerics.quadrature import legendre_nodes
-from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
-from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.description import Medium, Surface, Volume
-from ..scene.lamps import Emitter, Lamp
-from ..scene.mesh_light import MeshLight
-from ..transport.described_lamps import describe_emitter
+from ..scene.lamps import Emitter
 from ..transport.scattered_fluence import ScatteredFluence
+from .lamp_in_media import LEAST_FACING, LampInMedia, softened
+from .mean_lamp_depth import MeanLampDepth
 from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
 from .ray_march import (
     DARK,
@@ -45,173 +35,9 @@ from .ray_march import (
 )
 from .ray_steps import STEPS, Cutting, RayBatch
 
-# Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
-ENCLOSED = 12.0
-# Share of the directions around a lamp from which on a volume surrounds it.
-SURROUNDED = 0.9
-# Most emitters of a lamp in the coarse transport.
-COARSE = 4
-# Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less;
-# the kernel holds it, too.
-LEAST_FACING = 0.25
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
 # it, instead of FEW in its length; and up to which one in its middle is enough.
 WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
-
-
-@dataclass(frozen=True)
-class LampInMedia:
-    """A lamp, and what lies between it and points of some volumes.
-
-    emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
-    coarse transport. shadow_maps: of each emitter, or None where no surface shadows anything from the lamp. key: digest
-    that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
-    """
-
-    lamp: Lamp
-    emitters: Sequence[Emitter]
-    depths: list[list[LampOpticalDepth]]
-    coarse: Sequence[Emitter]
-    shadow_maps: list[LampShadowMap] | None = None
-    key: bytes = b""
-    kernels: Kernels | None = None
-
-    @property
-    def power(self) -> np.ndarray:
-        """(3,), W."""
-        return self.lamp.power
-
-    def shares(self, points: np.ndarray) -> np.ndarray:
-        """Its share in its light at points (N, 3): float32 (N, 1), 1."""
-        return np.ones((len(points), 1), np.float32)
-
-    @property
-    def coarse_shadow_maps(self) -> list[LampShadowMap] | None:
-        """Of each emitter of the coarse transport, that of the nearest of all emitters."""
-        if self.shadow_maps is None:
-            return None
-        positions = np.array([emitter.position for emitter in self.emitters])
-        nearest = [np.linalg.norm(positions - emitter.position, axis=1).argmin() for emitter in self.coarse]
-        return [self.shadow_maps[number] for number in nearest]
-
-    def captured(self, sigma_t: Sequence[float]) -> float:
-        """Fraction of the light of a lamp that shone alike in all directions which would meet the volumes' matter.
-
-        sigma_t: extinction of each volume, per unit density.
-        """
-        passed = np.ones(len(self.emitters))
-        for e, each in enumerate(self.depths):
-            for depth, extinction in zip(each, sigma_t):
-                depths, shares = depth.outwards(extinction)
-                passed[e] *= 1.0 - (shares * -np.expm1(-depths)).sum()
-        return float(1.0 - passed.mean())
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(3,), the middle of the emitters in the world."""
-        return np.mean([emitter.position for emitter in self.emitters], axis=0)
-
-    def fluence(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N,) at world points (N, 3), for power 1, without what lies in between."""
-        return self._light(points)[0]
-
-    def reference(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N,) that networks take as a lamp's light at points (N, 3): not 0 where it shines elsewhere.
-
-        What it is above the lamp's fluence counts as shadow.
-        """
-        fluence, brightest = self._light(points)
-        return np.maximum(fluence, LEAST_FACING * brightest)
-
-    @cached_property
-    def _described(self) -> Any:
-        """The emitters as compiled kernels read them."""
-        return array_of([describe_emitter(emitter) for emitter in self.emitters])
-
-    def _light(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fluence float64 (N,) at world points (N, 3), and what it would be if each emitter faced each of them."""
-        if self.kernels is None:
-            fluence = np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
-            return fluence, np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
-        fluence, brightest = np.empty((2, len(points)))
-        data = LampFluence(
-            points=len(points),
-            positions=np.ascontiguousarray(points, np.float64),
-            lamp=len(self.emitters),
-            emitters=self._described,
-            fluence=fluence,
-            brightest=brightest,
-        )
-        self.kernels.prepare("lamp_fluence", data)
-        return fluence, brightest
-
-
-def place_lamp(
-    lamp: Lamp,
-    grids: Sequence[Grid],
-    surfaces: Sequence[Surface] = (),
-    cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
-) -> LampInMedia:
-    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled.
-
-    kernels: compiled ones, or None.
-    """
-    corners = np.concatenate([grid.corners() for grid in grids])
-    emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
-    # The shadows of many emitters blend: each of them may be coarser.
-    coarser = max(round(len(emitters) ** 0.5), 1)
-    shading = _shading(lamp, surfaces)
-    if shading:
-        cells = CELLS // (1 << (coarser - 1).bit_length())
-        maps = [LampShadowMap(shading, emitter.position, cells, cancel) for emitter in emitters]
-        maps = None if all(one.empty for one in maps) else maps
-    depths = [
-        [
-            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, coarser, cancel, kernels)
-            for grid in grids
-        ]
-        for emitter in emitters
-    ]
-    coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces), kernels)
-
-
-def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:
-    """Digest that is equal for lamps whose light differs in power alone, and whose shadows are equal."""
-    corners = np.concatenate([grid.corners() for grid in grids])
-    digest = hashlib.blake2b(digest_size=16)
-    for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
-        for value in vars(emitter).values():
-            digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    for surface in _shading(lamp, surfaces):
-        digest.update(np.ascontiguousarray(surface.triangles).tobytes())
-    return digest.digest()
-
-
-def _shading(lamp: Lamp, surfaces: Sequence[Surface]) -> list[Surface]:
-    """Surfaces that shade volumes from a lamp: not those that are the lamp."""
-    own = lamp.surface if isinstance(lamp, MeshLight) else None
-    return [surface for surface in surfaces if surface.shades and surface is not own]
-
-
-def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:
-    """Names volumes so dense around a lamp that little of its light comes out, and what does is less certain."""
-    found = []
-    for v, (volume, medium) in enumerate(volumes):
-        depths, shares = lamp.depths[0][v].outwards(float(medium.sigma_t.max()))
-        depth = float((depths * shares).sum())
-        if depth > ENCLOSED and shares.sum() > SURROUNDED and medium.albedo.any():
-            found.append(
-                f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
-                "average; what little of its light comes out may be much too bright"
-            )
-    return found
-
-
-def softened(fluence: np.ndarray, radius: float) -> np.ndarray:
-    """Fluence of a lamp of power 1 as if it were no nearer than a distance: a lamp's light on a coarse scale."""
-    return fluence / (1.0 + fluence * (4.0 * np.pi * radius**2))
 
 
 @dataclass(frozen=True)
@@ -219,12 +45,18 @@ class LampMarch:
     """Lamps whose light is gathered along camera rays.
 
     fluence: scattered light of the lamps in each group of volumes, None for a group without prediction; None altogether
-    if no ray features are wanted. radius: by which their light is softened for these.
+    if no ray features are wanted. radius: by which their light is softened for these. means: optical depths of all of a
+    lamp's light, for each lamp, or None; only for one volume alone, which no surface shadows from the lamp.
     """
 
     lamps: Sequence[LampInMedia]
     fluence: list[ScatteredFluence | None] | None
     radius: float
+    means: Sequence[MeanLampDepth | None] = ()
+
+    def mean(self, number: int) -> MeanLampDepth | None:
+        """Of a lamp by number."""
+        return self.means[number] if self.means else None
 
 
 class _Steps:
@@ -247,6 +79,35 @@ class _Steps:
         self.end = near + blocks.steps(1.0).ravel()[self.filled] * dt
         self.middle = self.positions(0.5 * (self.begin + self.end))
 
+    def distances(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of rays: the distance (R,) of a point (3,) from their blocks, and the length (R,) of the longest of these."""
+        blocks, lines, rays = self.medium.blocks, self.medium.lines, self.rays
+        size = STEPS * blocks.size * lines.dt[blocks.ray]
+        begin, end, longest = np.full(blocks.rays, np.inf), np.full(blocks.rays, -np.inf), np.zeros(blocks.rays)
+        start = lines.near[blocks.ray] + blocks.place * lines.dt[blocks.ray]
+        np.minimum.at(begin, blocks.ray, start)
+        np.maximum.at(end, blocks.ray, start + size)
+        np.maximum.at(longest, blocks.ray, size)
+        away = centre - rays.origins
+        nearest = np.maximum(np.minimum((away * rays.directions).sum(axis=1), end), begin)
+        nearest = np.where(longest > 0.0, nearest, 0.0)
+        return np.linalg.norm(away - nearest[:, None] * rays.directions, axis=1), longest
+
+    def between_nodes(self, function: Callable[[np.ndarray, np.ndarray], np.ndarray], some: np.ndarray) -> np.ndarray:
+        """Values (..., N) in the middles of some steps, by number, int (N,), between those at the ends of blocks.
+
+        function: values (..., M) at world points (M, 3) on rays by number, int (M,).
+        """
+        blocks, lines = self.medium.blocks, self.medium.lines
+        block, step = np.divmod(self.filled[some], STEPS)
+        used, place = np.unique(block, return_inverse=True)
+        ray, ends = blocks.ray[used], []
+        for steps in (0, STEPS):
+            distance = lines.near[ray] + (blocks.place[used] + steps * blocks.size[used]) * lines.dt[ray]
+            ends.append(function(self.rays.origins[ray] + distance[:, None] * self.rays.directions[ray], ray))
+        share = (step + 0.5) / STEPS
+        return (1.0 - share) * ends[0][..., place] + share * ends[1][..., place]
+
     def scattered(self, values: np.ndarray, dtype=np.float64) -> np.ndarray:
         """Values (S,) as (P, STEPS), 0 elsewhere."""
         found = np.zeros(self.medium.total.shape, dtype)
@@ -266,15 +127,43 @@ class _Steps:
             found[v].reshape(-1)[self.edge] = depth(index, bound.sigma_t) if bound.sigma_t > 0.0 else 0.0
         return found
 
-    def integrals(self, emitter: Emitter, media: Sequence[BoundMedium]) -> np.ndarray:
-        """Integrals (V, S) over the filled steps of the emitter's fluence times the phase function."""
-        origin = self.rays.origins[self.ray] - emitter.position
-        direction = self.rays.directions[self.ray]
+    def mean_depth(self, mean: MeanLampDepth) -> np.ndarray:
+        """Optical depth float32 (P, STEPS + 1) of all of a lamp's light in the only medium, at ends of filled steps."""
+        found = np.full((len(self.medium.total), STEPS + 1), DARK, np.float32)
+        found.reshape(-1)[self.edge] = mean(self.medium.lines.index(0, self.edge_ray, self.edge_place))
+        return found
+
+    def integrals(self, emitter: Emitter, media: Sequence[BoundMedium], smooth: np.ndarray) -> np.ndarray:
+        """Integrals (V, S) over the filled steps of the emitter's fluence times the phase function.
+
+        smooth: bool (S,), where both are interpolated between the ends of blocks.
+        """
+        found = np.zeros((len(media), len(self.ray)))
+        some = np.flatnonzero(smooth)
+        found[:, some] = self._smooth_light(emitter, media, some) * (self.end - self.begin)[some]
+        some = np.flatnonzero(~smooth)
+        found[:, some] = self._integrals(emitter, media, some)
+        return found
+
+    def _smooth_light(self, emitter: Emitter, media: Sequence[BoundMedium], some: np.ndarray) -> np.ndarray:
+        """The fluence times the phase function (V, N) in some steps, by number."""
+
+        def scattered(points: np.ndarray, ray: np.ndarray) -> np.ndarray:
+            away = points - emitter.position
+            cosine = -(away * self.rays.directions[ray]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+            return emitter.fluence(points) * np.stack([bound.medium.scattered(cosine) for bound in media])
+
+        return self.between_nodes(scattered, some)
+
+    def _integrals(self, emitter: Emitter, media: Sequence[BoundMedium], steps: np.ndarray) -> np.ndarray:
+        """The integrals (V, N) of some steps, by number."""
+        ray = self.ray[steps]
+        origin, direction = self.rays.origins[ray] - emitter.position, self.rays.directions[ray]
         nearest = -(origin * direction).sum(axis=1)
         height = np.linalg.norm(origin + nearest[:, None] * direction, axis=1)
-        begin, end = self.begin - nearest, self.end - nearest
+        begin, end = self.begin[steps] - nearest, self.end[steps] - nearest
         length, square = end - begin, height**2 + emitter.extent**2
-        found = np.zeros((len(media), len(self.ray)))
+        found = np.zeros((len(media), len(steps)))
         away = square + (0.5 * (begin + end)) ** 2
         wide, brief = length**2 > WIDE**2 * away, length**2 <= BRIEF**2 * away
         height = np.sqrt(square + 1e-6 * length**2)
@@ -297,11 +186,26 @@ class _Steps:
 
 
 class _LitSteps:
-    """One lamp in known steps: for each of its emitters optical depths (V, P, STEPS + 1) and visibility (S,)."""
+    """One lamp in known steps: for each of its emitters optical depths (V, P, STEPS + 1) and visibility (S,).
 
-    def __init__(self, steps: _Steps, media: Sequence[BoundMedium], lamp: LampInMedia):
+    smooth: bool (S,), steps in which its light is interpolated between the ends of blocks.
+    """
+
+    def __init__(
+        self, steps: _Steps, media: Sequence[BoundMedium], lamp: LampInMedia, mean: MeanLampDepth | None = None
+    ):
+        """mean: optical depth of all of the lamp's light in the only medium, or None."""
         self.steps, self.media, self.lamp = steps, media, lamp
+        distance, longest = steps.distances(lamp.centre)
+        self.smooth = (longest <= lamp.smooth(media) * (distance - lamp.reach))[steps.ray]
         self.depths = [steps.optical_depth(media, depths) for depths in lamp.depths]
+        # Blocks in which all emitters have the same depths.
+        self.together = np.zeros(len(steps.medium.blocks.ray), bool)
+        if mean is not None:
+            self.together = (distance >= mean.start)[steps.medium.blocks.ray]
+            depth = steps.mean_depth(mean)
+            for each in self.depths:
+                each[0][self.together] = depth[self.together]
         self.visible: list[np.ndarray | float] = [1.0] * len(lamp.emitters)
         if lamp.shadow_maps is not None:
             self.visible = [shadow_map.visibility(steps.middle) for shadow_map in lamp.shadow_maps]
@@ -316,19 +220,29 @@ class _LitSteps:
         for emitter, each, visible in zip(self.lamp.emitters, self.depths, self.visible):
             depth = each.sum(axis=0)
             passed = transmitted * mean_transmittance(depth[:, :-1], depth[:, 1:] + medium.tau)
-            light = steps.integrals(emitter, self.media) * (passed.ravel()[steps.filled] * visible)
+            light = steps.integrals(emitter, self.media, self.smooth) * (passed.ravel()[steps.filled] * visible)
             for v in range(len(self.media)):
                 inside = steps.scattered(light[v])
                 for s, sigma in enumerate(scattering):
                     found[:, v, s] += medium.blocks.sums(block_sums(inside * sigma[v]))
         return found
 
+    def _light(self, emitter: Emitter) -> np.ndarray:
+        """Fluence of an emitter and what it would be if it faced them, (2, S), in the middles of the steps."""
+        steps = self.steps
+        found = np.stack([emitter.fluence(steps.middle), emitter.brightest(steps.middle)])
+        some = np.flatnonzero(self.smooth)
+        found[:, some] = steps.between_nodes(
+            lambda points, _: np.stack([emitter.fluence(points), emitter.brightest(points)]), some
+        )
+        return found
+
     def beam(self, groups: list[list[int]] | None, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lamp as one light: optical depth (G, P, STEPS + 1), softened fluence and visibility (P, STEPS)."""
         steps = self.steps
-        fluence = [emitter.fluence(steps.middle) for emitter in self.lamp.emitters]
-        total = np.maximum(np.sum(fluence, axis=0), 1e-30)
-        reference = np.maximum(self.lamp.reference(steps.middle), 1e-30)
+        fluence, brightest = np.stack([self._light(emitter) for emitter in self.lamp.emitters], axis=1)
+        total = np.maximum(fluence.sum(axis=0), 1e-30)
+        reference = np.maximum(np.maximum(total, LEAST_FACING * brightest.sum(axis=0)), 1e-30)
         visible = sum(part * lit for part, lit in zip(fluence, self.visible)) / reference
         depths = [group_sums(each, groups) for each in self.depths]
         if len(depths) == 1:
@@ -341,6 +255,7 @@ class _LitSteps:
                     share.reshape(-1)[ends] = part / total
                 passed += share * np.exp(-one.astype(np.float64))
             depth = np.minimum(-np.log(np.maximum(passed, 1e-30)), DARK).astype(np.float32)
+            depth[:, self.together] = depths[0][:, self.together]
         received = steps.scattered(softened(reference, radius), np.float32)
         return depth, received, steps.scattered(visible, np.float32)
 
@@ -365,7 +280,7 @@ def march_lamps(
     scattering = [medium.scattering(media, channel) for channel in options.scattering]
     single, beams = np.zeros((len(rays.near), len(media), len(lamps), len(scattering))), []
     for k, lamp in enumerate(lamps):
-        lit = _LitSteps(steps, media, lamp)
+        lit = _LitSteps(steps, media, lamp, march.mean(k))
         single[:, :, k] = lit.single(transmitted, scattering)
         if options.fluence is not None:
             beams.append(lit.beam(options.groups, radius))

@@ -11,7 +11,7 @@ import numpy as np
 from ..grids.working_cube import Cube, fit_cube
 from ..kernels.library import Kernels
 from ..marching.joined_lamps import PredictedLamp
-from ..marching.lamp_march import softened
+from ..marching.lamp_in_media import softened
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken

@@ -49,8 +49,9 @@ def lamp_bytes(volume: Volume, lamps: list[Lamp]) -> int:
     """Bytes of the optical depths in a volume towards lamps, at most."""
     edge = min(max(volume.density.shape) * (1 if isinstance(volume.density, SparseGrid) else
                                             refinement(volume.density.shape)), LAMP_EDGE)  # fmt: skip
-    # Three of six pyramids of a lamp in the middle are a cube of columns; the columns of several emitters are fewer.
-    return len(lamps) * 3 * 4 * edge**3
+    # Three of six pyramids of a lamp in the middle are a cube of columns; those of several emitters have fewer. The
+    # mean of their depths at voxels is another cube.
+    return len(lamps) * 4 * 4 * edge**3
 
 
 def ray_bytes(depth_samples: int, volumes: int, suns: int) -> int:

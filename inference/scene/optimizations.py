@@ -38,6 +38,9 @@ OPTIMIZATIONS = {
     "distant_lamps": Optimization(
         "Join Distant Lamps", "Multiple scattering of lamps from about the same direction is predicted once", 0.02
     ),
+    "soft_shadows": Optimization(
+        "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
+    ),
     "equal_channels": Optimization(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
     ),

@@ -9,10 +9,13 @@ from inference import AreaLight, Medium, PointLight, SpotLight, Surface, Volume
 from inference.grids.bound_medium import BoundMedium, scattering_channels
 from inference.grids.grid import Grid
 from inference.kernels.library import Kernels
-from inference.marching.lamp_march import LampMarch, place_lamp
+from inference.marching.lamp_in_media import place_lamp
+from inference.marching.lamp_march import LampMarch
+from inference.marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
 from inference.marching.ray_march import MarchOptions
 from inference.marching.ray_steps import RayBatch
 from inference.occluders.shadow_map import ShadowMap
+from inference.runtime.tasks import SERIAL
 from inference.scene.lamps import Lamp
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
@@ -36,8 +39,9 @@ class Recipe:
     """What a random scene is made of.
 
     voxels: along each axis of a volume. thickness: optical, of a volume whose density is 1. shear: of the voxels.
-    projection: of the rays. emission: power of the emission, 0 for none. lamps: kinds of LAMPS. albedo: channels of an
-    albedo that varies, 0 for none.
+    projection: of the rays. emission: power of the emission, 0 for none. lamps: kinds of LAMPS, "far" before
+    those that are far away. albedo: channels of an albedo that varies, 0 for none. means: whether the optical depths of
+    the parts of lamps are averaged at voxels.
     """
 
     volumes: int = 1
@@ -56,6 +60,7 @@ class Recipe:
     kind: str = "lumps"
     lamps: tuple[str, ...] = ()
     albedo: int = 0
+    means: bool = False
 
 
 #: Kinds of lamps.
@@ -65,6 +70,8 @@ LAMPS = ("point", "sphere", "soft spot", "square", "disk")
 def random_lamp(random: np.random.Generator, kind: str) -> Lamp:
     """A lamp around the origin, or near it."""
     position = random.normal(size=3) * random.choice([0.1, 0.6])
+    if kind.startswith("far "):
+        position, kind = position * 3.0 / np.linalg.norm(position), kind.removeprefix("far ")
     if kind == "point":
         return PointLight(position, 1.0)
     if kind == "sphere":
@@ -138,7 +145,10 @@ def _lamps(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium]
         fluence[0].scales = random.uniform(0.1, 5.0, len(lamps)).tolist()
         if len(groups) > 1:
             fluence[-1] = None
-    return LampMarch(lamps, fluence, random.uniform(0.0, 0.05))
+    means: list[MeanLampDepth] = []
+    if recipe.means:
+        means = [mean_lamp_depth(lamp, media[0], SERIAL) for lamp in lamps]
+    return LampMarch(lamps, fluence, random.uniform(0.0, 0.05), means)
 
 
 def _medium(random: np.random.Generator, recipe: Recipe, directions: np.ndarray, v: int) -> BoundMedium:

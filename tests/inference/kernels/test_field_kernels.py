@@ -27,7 +27,7 @@ from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, fit_cube, level0_density
 from inference.kernels.field_structures import LampSlices
 from inference.kernels.library import Kernels, load_kernels
-from inference.marching.lamp_march import place_lamp
+from inference.marching.lamp_in_media import place_lamp
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken

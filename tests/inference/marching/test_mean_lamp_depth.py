@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Optical depths of all of a lamp's light at voxels: what they are, what they change, and where they are not used."""
+
+import numpy as np
+import pytest
+
+from inference import AreaLight, Medium, PointLight, RenderCache, Settings, Surface, render
+from inference.grids.bound_medium import BoundMedium
+from inference.grids.grid import Grid
+from inference.kernels.library import load_kernels
+from inference.marching.lamp_in_media import place_lamp
+from inference.marching.mean_lamp_depth import mean_lamp_depth
+from inference.runtime.tasks import SERIAL
+from inference.scene.optimizations import ALL, OPTIMIZATIONS
+from tests.support.volumes import camera, cloud
+
+COUNT = "lamps whose shadows are averaged at voxels"
+CACHE = RenderCache()
+CLOUD = cloud(voxels=96)
+
+
+def panel(size=0.6, distance=1.4, **options):
+    """A square that shines at the cloud from the side."""
+    towards = np.array([0.7, 0.2, 0.68])
+    towards /= np.linalg.norm(towards)
+    across = np.cross(towards, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([across, np.cross(towards, across), towards], axis=1)
+    matrix[:3, 3] = distance * towards
+    return AreaLight(matrix, options.pop("shape", "square"), size, 30.0, **options)
+
+
+@pytest.mark.parametrize("kernels", [None, load_kernels()], ids=["numpy", "compiled"])
+@pytest.mark.parametrize("lamp", [panel(), PointLight((0.05, 0.1, 0.0), 1.0, 0.1)], ids=["panel", "sphere inside"])
+def test_depths_at_voxels_are_those_of_the_mean_transmittance(lamp, kernels):
+    """Against integrals of the density along lines from voxels to the parts."""
+    grid = Grid(CLOUD)
+    placed, sigma_t = place_lamp(lamp, [grid], kernels=kernels), 20.0
+    found = mean_lamp_depth(placed, BoundMedium(grid, Medium(sigma_t), sigma_t, []), SERIAL)
+    filled = np.argwhere(grid.density.padded[1:-2, 1:-2, 1:-2] > 0.0)
+    index = filled[np.random.default_rng(3).permutation(len(filled))[:60]].T
+    voxels = (index - grid.offset[:, None]).T @ np.linalg.inv(grid.linear).T
+    far = np.linalg.norm(voxels - placed.centre, axis=1) > found.start
+    assert far.sum() > 20
+    shares = (np.arange(400) + 0.5) / 400
+    light, passed = np.zeros((2, len(voxels)))
+    for emitter in placed.emitters:
+        ways = emitter.position - voxels
+        points = voxels[:, None] + shares[:, None] * ways[:, None]
+        places = (grid.linear @ points.reshape(-1, 3).T + grid.offset[:, None]).astype(np.float32)
+        density = grid.density.sample(places).reshape(len(voxels), -1).mean(axis=1)
+        given = emitter.fluence(voxels)
+        passed += given * np.exp(-sigma_t * density * np.linalg.norm(ways, axis=1))
+        light += given
+    error = np.exp(-found(index.astype(np.float32))) - passed / light
+    assert np.sqrt((error[far] ** 2).mean()) < 0.02 * np.sqrt(((passed / light)[far] ** 2).mean())
+
+
+def picture(lamp, leave_out, density=20.0, surfaces=(), size=(384, 256), anisotropy=0.857):
+    medium = Medium(density, (0.99, 0.9, 0.9), anisotropy)
+    settings = Settings(8, leave_out=leave_out)
+    return render([(CLOUD, medium)], [lamp], camera(resolution=size), settings, None, None, CACHE, surfaces)
+
+
+@pytest.mark.parametrize("anisotropy", [0.0, 0.857])
+@pytest.mark.parametrize(
+    "lamp",
+    [panel(), panel(1.2, shape="disk", spread=1.5), PointLight((0.05, 0.1, 0.0), 9.0, 0.04)],
+    ids=["panel", "wide disk", "sphere inside"],
+)
+def test_averaged_shadows_change_the_picture_within_the_budget(lamp, anisotropy):
+    names = ALL - {"shared_pixels"}
+    averaged, each = (picture(lamp, left_out, anisotropy=anisotropy) for left_out in (names, names - {"soft_shadows"}))
+    shown = each.alpha > 0.02
+    error = np.sqrt(((averaged.rgb - each.rgb)[shown] ** 2).mean()) / each.rgb[shown].mean()
+    assert 0.0 < error < OPTIMIZATIONS["soft_shadows"].budget
+    np.testing.assert_array_equal(averaged.alpha, each.alpha)
+    assert averaged.report.counts[COUNT] == 1 and COUNT not in each.report.counts
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        dict(size=(24, 16)),
+        dict(density=2000.0),
+        dict(surfaces=[Surface([[[0, -4, 1.2], [4, -4, 1.2], [0.4, 4, 1.2]]], covers=False)]),
+    ],
+    ids=["few rays", "thick voxels", "a plate that shadows the lamp"],
+)
+def test_shadows_are_not_averaged_where_that_is_dearer_or_wrong(changes):
+    assert picture(panel(), ALL, **changes).report.counts[COUNT] == 0
+    assert picture(PointLight((1.0, 1.0, 1.0), 9.0), ALL, **changes).report.counts[COUNT] == 0
