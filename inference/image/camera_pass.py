@@ -12,9 +12,8 @@ from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.small_matmul import product
-from ..occluders.depth_buffer import SAMPLES, DepthBuffer, split_rays_at_surfaces
+from ..occluders.depth_buffer import end_rays_at_surfaces
 from ..plan.plan import Plan, last_albedo
-from ..runtime.cancellation import CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays, pixel_rays, pixels_around
 from ..scene.errors import SceneError
@@ -289,9 +288,10 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
-            split, far, share, free = _split_at_surfaces(scene.depth_buffer, columns, rows, (near, far), context.cancel)
+            ended = end_rays_at_surfaces(scene.depth_buffer, (columns, rows), (near, far), context.cancel)
+        far, share, free = ended.far, ended.share, ended.free
         pixel, origins, directions, offsets, near = (
-            values[split] for values in (pixel, origins, directions, offsets, near)
+            values[ended.pixel] for values in (pixel, origins, directions, offsets, near)
         )
     hit = near < far
     report.count("rays that miss every volume", len(near) - np.count_nonzero(hit))
@@ -332,22 +332,3 @@ def _ray_intervals(
             near[hits] = np.minimum(near[hits], enter[hits])
             far[hits] = np.maximum(far[hits], leave[hits])
     return near, far, warnings
-
-
-def _split_at_surfaces(
-    depth_buffer: DepthBuffer,
-    columns: np.ndarray,
-    rows: np.ndarray,
-    interval: tuple[np.ndarray, np.ndarray],
-    cancel: CancelToken,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rays that end at surfaces, as `split_rays_at_surfaces`; columns, rows: int (N,), pixels of the image."""
-    near, far = interval
-    distances, some = np.full((len(near), SAMPLES**2), np.inf), near < far
-    if some.any():
-        # Only around the pixels that show a volume.
-        x, y = columns[some], rows[some]
-        left, top, right, bottom = x.min(), y.min(), x.max() + 1, y.max() + 1
-        found = depth_buffer.distances((left, top, right, bottom), cancel)
-        distances[some] = found[(y - top) * (right - left) + x - left]
-    return split_rays_at_surfaces(near, far, distances)

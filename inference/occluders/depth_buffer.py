@@ -5,7 +5,9 @@ Triangles are rasterized at several sample points per pixel; the nearest wins. A
 is rendered as several rays, one for each distance at which parts of it end.
 """
 
+import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +20,8 @@ from .rasterization import rasterize
 SAMPLES = 4
 # Distances that are distinguished within one pixel, as fractions of the interval of the ray within volumes.
 DISTANCES = 16
+# Pixels along the edges of the squares in which pixels are sampled.
+TILE = 64
 # Triangles are clipped at least at this fraction of the farthest one's distance.
 CLOSEST = 1e-6
 
@@ -84,7 +88,7 @@ class DepthBuffer:
     def _raster(self, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns and rows of a window's sample points, and which triangles may reach them, with their corners."""
         x0, y0, x1, y1 = window
-        near = np.flatnonzero(np.all((self.low < [x1, y1]) & (self.high > [x0, y0]), axis=1))
+        near = self._near(window)
         return np.array([x1 - x0, y1 - y0]) * SAMPLES, near, (self.place[near] - [x0, y0]) * SAMPLES - 0.5
 
     def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
@@ -97,21 +101,139 @@ class DepthBuffer:
         found = np.full(size[0] * size[1], -np.inf)
         for flat, value, _ in rasterize(place, self.value[near], size, cancel):
             np.maximum.at(found, flat, value)
-        distance = self._along(found.reshape(size[1], size[0]), x0, y0)
+        columns, rows = (first + (np.arange(n) + 0.5) / SAMPLES for first, n in zip((x0, y0), size))
+        distance = self._along(found.reshape(size[1], size[0]), columns, rows)
         parts = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
         return parts.reshape(-1, SAMPLES**2)
 
-    def _along(self, value: np.ndarray, x0: int, y0: int) -> np.ndarray:
-        """Distances along rays, from the values of `_project` at the sample points of a window from (x0, y0) on."""
+    def corner_distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
+        """Distances float64 (rows + 1, columns + 1) along rays through the corners of the window's pixels.
+
+        Infinity where there is no surface. Raises Cancelled.
+        """
+        x0, y0, x1, y1 = window
+        near = self._near(window)
+        size = np.array([x1 - x0, y1 - y0]) + 1
+        found = np.full(size[0] * size[1], -np.inf)
+        for flat, value, _ in rasterize(self.place[near] - [x0, y0], self.value[near], size, cancel):
+            np.maximum.at(found, flat, value)
+        return self._along(found.reshape(size[1], size[0]), x0 + np.arange(size[0]), y0 + np.arange(size[1]))
+
+    def outlined(self, window: tuple[int, int, int, int]) -> np.ndarray:
+        """bool (rows, columns): pixels of the window that an outline of a surface may cross, and those beside them.
+
+        Elsewhere distances vary continuously within a pixel.
+        """
+        low, high = np.array(window[:2]) - 2, np.array(window[2:]) + 2
+        found = np.zeros((high - low)[::-1], bool)
+        start, end = self._outlines[:, :2], self._outlines[:, 2:]
+        reached = np.all((np.minimum(start, end) < high) & (np.maximum(start, end) > low), axis=1)
+        start, end = start[reached], end[reached]
+        # Points at every half pixel along the axis in which an outline is longer, whatever the window; and its ends.
+        axis = np.abs(end - start).argmax(axis=1)[:, None]
+        begin, far = (np.take_along_axis(ends, axis, 1)[:, 0] for ends in (start, end))
+        limits = low[axis[:, 0]], high[axis[:, 0]]
+        first, last = (np.clip(np.sort([begin, far], axis=0), *limits) * 2.0).round()
+        counts = (last - first).astype(int) + 1
+        number = np.repeat(np.arange(len(counts)), counts)
+        at = 0.5 * (first[number] + np.arange(len(number)) - np.repeat(np.cumsum(counts) - counts, counts))
+        share = (at - begin[number]) / np.where(far == begin, 1.0, far - begin)[number]
+        points = start[number] + np.clip(share, 0.0, 1.0)[:, None] * (end - start)[number]
+        column, row = np.floor(points).astype(int).T - low[:, None]
+        inside = (column >= 0) & (column < found.shape[1]) & (row >= 0) & (row < found.shape[0])
+        found[row[inside], column[inside]] = True
+        for _ in range(2):
+            found[1:-1] = found[:-2] | found[1:-1] | found[2:]
+            found = found.T
+        return found[2:-2, 2:-2]
+
+    @functools.cached_property
+    def _outlines(self) -> np.ndarray:
+        """Ends (E, 4) in the image of those edges of triangles that no neighbour continues."""
+        turned = np.cross(self.place[:, 1] - self.place[:, 0], self.place[:, 2] - self.place[:, 0]) > 0.0
+        edges = np.concatenate([self.place[:, [k, (k + 1) % 3]] for k in range(3)]).reshape(-1, 4)
+        swapped = (edges[:, 0] > edges[:, 2]) | ((edges[:, 0] == edges[:, 2]) & (edges[:, 1] > edges[:, 3]))
+        edges[swapped] = edges[swapped][:, [2, 3, 0, 1]]
+        # Neighbours that face the camera alike continue each other; 0 where both do, or none.
+        order = np.lexsort(edges.T)
+        edges, side = edges[order], np.tile(turned, 3)[order]
+        same = np.all(edges[1:] == edges[:-1], axis=1)
+        first = np.concatenate([[True], ~same])
+        count = np.diff(np.append(np.flatnonzero(first), len(edges)))
+        facing = np.add.reduceat(side.astype(int), np.flatnonzero(first)) if len(edges) else np.zeros(0, int)
+        continued = (count == 2) & (facing != 1)
+        return edges[first][~continued]
+
+    def _near(self, window: tuple[int, int, int, int]) -> np.ndarray:
+        """Numbers of the triangles that may reach a window."""
+        x0, y0, x1, y1 = window
+        return np.flatnonzero(np.all((self.low < [x1, y1]) & (self.high > [x0, y0]), axis=1))
+
+    def _along(self, value: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Distances along rays (R, C), from the values of `_project` at columns (C,) and rows (R,) of the image."""
         if self.camera.projection == "orthographic":
             return -value
         width, height = self.camera.resolution
-        rows, columns = np.indices(value.shape)
-        u = (x0 + (columns + 0.5) / SAMPLES) / width - 0.5 + self.camera.shift[0]
-        v = (0.5 * height - y0 - (rows + 0.5) / SAMPLES) / width + self.camera.shift[1]
+        u = columns / width - 0.5 + self.camera.shift[0]
+        v = ((0.5 * height - rows) / width + self.camera.shift[1])[:, None]
         with np.errstate(divide="ignore"):
             depth = np.where(value > 0.0, 1.0 / value, np.inf)
         return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
+
+
+@dataclass(frozen=True)
+class EndedRays:
+    """Rays of pixels, some of which surfaces end: M of them.
+
+    pixel: int (M,), ascending, among the pixels asked for. far: (M,), where each ends. share: (M,), fraction of the
+    pixel that it stands for. free: (M,), fraction of it that no surface ends beyond the interval either.
+    """
+
+    pixel: np.ndarray
+    far: np.ndarray
+    share: np.ndarray
+    free: np.ndarray
+
+
+def end_rays_at_surfaces(
+    buffer: DepthBuffer,
+    pixels: tuple[np.ndarray, np.ndarray],
+    interval: tuple[np.ndarray, np.ndarray],
+    cancel: CancelToken = NEVER,
+) -> EndedRays:
+    """Rays of pixels by columns and rows, int (N,), in intervals, near and far (N,), as surfaces end them.
+
+    Within most pixels a surface is smooth, and one ray stands for all of it; others are sampled, see
+    `split_rays_at_surfaces`. A surface in front of the interval leaves no ray. Raises Cancelled.
+    """
+    (columns, rows), (near, far) = pixels, interval
+    some = np.flatnonzero(near < far)
+    if not len(some):
+        return EndedRays(some, *np.empty((3, 0)))
+    left, top, right, bottom = columns[some].min(), rows[some].min(), columns[some].max() + 1, rows[some].max() + 1
+    window = left, top, right, bottom
+    corners, x, y = buffer.corner_distances(window, cancel), columns[some] - left, rows[some] - top
+    ends = np.stack([corners[y + down, x + across] for down in (0, 1) for across in (0, 1)])
+    hidden, first, last = np.isinf(ends), near[some], far[some]
+    clipped = np.clip(ends, first, last)
+    smooth = ~buffer.outlined(window)[y, x] & (hidden.all(axis=0) | ~hidden.any(axis=0))
+    smooth &= np.ptp(clipped, axis=0) * DISTANCES <= last - first
+    end = np.minimum(clipped.mean(axis=0), last)
+    kept = smooth & (end > first)
+    whole = EndedRays(some[kept], end[kept], np.ones(kept.sum()), hidden[0, kept].astype(float))
+    numbers, distances, rough = [some[:0]], [np.empty((0, SAMPLES**2))], some[~smooth]
+    tile = (columns[rough] - left) // TILE + (rows[rough] - top) // TILE * (1 + (right - left) // TILE)
+    order = np.argsort(tile, kind="stable")
+    for part in np.split(rough[order], np.flatnonzero(np.diff(tile[order])) + 1) if len(rough) else ():
+        x0, y0, x1, y1 = columns[part].min(), rows[part].min(), columns[part].max() + 1, rows[part].max() + 1
+        found = buffer.distances((x0, y0, x1, y1), cancel)
+        distances.append(found[(rows[part] - y0) * (x1 - x0) + columns[part] - x0])
+        numbers.append(part)
+    number = np.concatenate(numbers)
+    pixel, *values = split_rays_at_surfaces(near[number], far[number], np.concatenate(distances))
+    split = EndedRays(number[pixel], *values)
+    order = np.argsort(np.concatenate([whole.pixel, split.pixel]), kind="stable")
+    return EndedRays(*(np.concatenate(pair)[order] for pair in zip(vars(whole).values(), vars(split).values())))
 
 
 def split_rays_at_surfaces(

@@ -36,18 +36,26 @@ def rasterize(
             ends[start:end] - counts[some[start:end]] - done, counts[some[start:end]]
         )
         row, column = np.divmod(number, spans[triangle, 0])
-        at = np.stack([column, row], axis=1) + first[triangle]
-        edges = []
-        for one, two in ((1, 2), (2, 0), (0, 1)):
-            along, off = place[triangle, two] - place[triangle, one], at - place[triangle, one]
-            edges.append(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
+        column += first[triangle, 0]
+        row += first[triangle, 1]
+        corners = place[some[start:end]]
+        which = np.repeat(np.arange(end - start), counts[some[start:end]])
         # Edge functions, proportional to barycentric coordinates.
-        weights = np.stack(edges, axis=1)
-        area = weights.sum(axis=1)
-        hit = (area != 0.0) & (np.all(weights >= 0.0, axis=1) | np.all(weights <= 0.0, axis=1))
+        weights = []
+        for one, two in ((1, 2), (2, 0), (0, 1)):
+            x, y = corners[:, one].T
+            along_x, along_y = (corners[:, two] - corners[:, one]).T
+            weights.append(along_x[which] * (row - y[which]) - along_y[which] * (column - x[which]))
+        a, b, c = weights
+        hit = np.flatnonzero(((a >= 0.0) & (b >= 0.0) & (c >= 0.0)) | ((a <= 0.0) & (b <= 0.0) & (c <= 0.0)))
+        a, b, c = a[hit], b[hit], c[hit]
+        area = a + b + c
+        if not area.all():
+            hit, a, b, c, area = (values[area != 0.0] for values in (hit, a, b, c, area))
+        triangle = triangle[hit]
         yield (
-            at[hit, 1] * size[0] + at[hit, 0],
-            (weights[hit] * value[triangle[hit]]).sum(axis=1) / area[hit],
-            triangle[hit],
+            row[hit] * size[0] + column[hit],
+            (a * value[triangle, 0] + b * value[triangle, 1] + c * value[triangle, 2]) / area,
+            triangle,
         )
         start = end

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, render
-from inference.occluders.depth_buffer import SAMPLES, DepthBuffer
+from inference.occluders.depth_buffer import (
+    DISTANCES,
+    SAMPLES,
+    DepthBuffer,
+    EndedRays,
+    end_rays_at_surfaces,
+    split_rays_at_surfaces,
+)
 from inference.scene.camera_rays import camera_rays
 from inference.scene.optimizations import ALL
 from tests.support.surfaces import camera, fog, rectangle
@@ -139,3 +146,69 @@ def test_an_oblique_shadow_falls_along_the_suns_direction():
     edge = 2.0 - (4.0 - x[::-1][:, None]) / 2.0
     away = np.abs(x[None] - edge) > 0.05
     np.testing.assert_allclose(share[away], (x[None] > edge)[away], atol=1e-3)
+
+
+def ball(centre, radius, parts):
+    """A sphere of triangles that share their corners."""
+    polar, around = np.linspace(0.0, np.pi, parts + 1), np.linspace(0.0, 2.0 * np.pi, 2 * parts + 1)
+    polar[-1], around = np.pi, np.append(around[:-1], 0.0)
+    corner = np.stack(
+        [
+            np.outer(np.sin(polar), np.cos(around)),
+            np.outer(np.sin(polar), np.sin(around)),
+            np.outer(np.cos(polar), np.ones_like(around)),
+        ],
+        axis=-1,
+    )
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    return Surface(centre + radius * np.concatenate([np.stack([a, b, c], 2), np.stack([a, c, d], 2)]).reshape(-1, 3, 3))
+
+
+SEEN = {
+    "a floor": [rectangle(-50, 50, -50, 50, -0.7)],
+    "a ball": [ball(np.array([0.3, 0.1, -0.4]), 0.8, 24)],
+    "a ball through a floor": [ball(np.array([0.0, 0.0, -0.6]), 0.5, 24), rectangle(-50, 50, -50, 50, -0.7)],
+    "shards": [Surface(np.random.default_rng(4).normal(0.0, 0.7, (40, 3, 3)))],
+    "dust": [Surface(np.random.default_rng(5).normal(0.0, 0.9, (400, 1, 3)) + 0.01 * np.eye(3))],
+    "nothing in sight": [rectangle(50, 51, 50, 51, -0.7)],
+}
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+@pytest.mark.parametrize("name", SEEN)
+def test_rays_end_where_all_samples_of_their_pixels_say(name, projection):
+    """Coverage is that of the samples, and ends differ by less than what they distinguish."""
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, -0.8, 0.6]]).T
+    view = camera(projection, resolution=(90, 70), ortho_scale=3.0)
+    view.world_matrix[:3, :3], view.world_matrix[:3, 3] = turn, turn @ [0.0, 0.0, 4.0]
+    buffer = DepthBuffer(SEEN[name], view)
+    rows, columns = np.divmod(np.arange(90 * 70), 90)
+    random = np.random.default_rng(6)
+    near = random.uniform(2.5, 3.5, len(rows))
+    far = near + random.uniform(-0.3, 3.0, len(rows))
+    expected = EndedRays(*split_rays_at_surfaces(near, far, buffer.distances((0, 0, 90, 70))))
+    found = end_rays_at_surfaces(buffer, (columns, rows), (near, far))
+    assert np.all(np.diff(found.pixel) >= 0) and np.all(near[found.pixel] < found.far)
+    assert np.all(found.far <= far[found.pixel] * (1.0 + 1e-12))
+
+    def sums(rays, values):
+        return np.bincount(rays.pixel, values, len(near))
+
+    length = np.maximum(far - near, 0.0)
+    shares = [sums(rays, rays.share) for rays in (expected, found)]
+    # Where a surface lies about where the interval begins, a pixel may be hidden by a part of it.
+    begins = np.abs(shares[1] - shares[0]) > 1e-9
+    lengths = [sums(rays, rays.share * (rays.far - near[rays.pixel])) for rays in (expected, found)]
+    assert begins.mean() < 0.03
+    assert np.abs(lengths[1] - lengths[0]).max() < np.max(length) / DISTANCES
+    assert np.all(np.abs(lengths[1] - lengths[0]) <= length / DISTANCES + 1e-12)
+    free = [sums(rays, rays.share * rays.free) for rays in (expected, found)]
+    assert np.abs(free[1] - free[0])[~begins].max() < 1e-9
+    if name in ("a floor", "a ball"):
+        assert len(found.pixel) < len(expected.pixel)
+    # A part of the image has the same rays.
+    part = np.flatnonzero((rows > 20) & (rows < 50) & (columns > 13) & (columns < 60))
+    again = end_rays_at_surfaces(buffer, (columns[part], rows[part]), (near[part], far[part]))
+    there = np.isin(found.pixel, part)
+    np.testing.assert_array_equal(part[again.pixel], found.pixel[there])
+    np.testing.assert_allclose(again.far, found.far[there], rtol=1e-12)
