@@ -306,8 +306,8 @@ def _lamp_light(
             depth(bound.grid.index(seen.points).T.astype(np.float32), bound.sigma_t)
             for bound, depth in zip(media, lamp.depths[e])
         ]
-        if lamp.shadow_maps is not None:
-            shadow_map = lamp.shadow_maps[e]
+        if lamp.surface_shadow_maps is not None:
+            shadow_map = lamp.surface_shadow_maps[e]
             cell = 2.0 * distance / shadow_map.distances.shape[1]
             light *= shadow_map.visibility(seen.points + (CLEARANCE * cell)[:, None] * seen.normals)
         found += light[:, None] * _passed(media, depths, channels)

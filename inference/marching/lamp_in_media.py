@@ -15,6 +15,7 @@ from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..kernels.field_structures import LampFluence
 from ..kernels.library import Kernels
 from ..kernels.structures import array_of
+from ..numerics.small_matmul import inverse
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
@@ -41,8 +42,9 @@ class LampInMedia:
     """A lamp, and what lies between it and points of some volumes.
 
     emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
-    coarse transport. shadow_maps: of each emitter, or None where no surface shadows anything from the lamp. key: digest
-    that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
+    coarse transport. shadow_maps: of each emitter, or None where no surface shadows the volumes from the lamp. key:
+    digest that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
+    surface_shadow_maps: as shadow_maps, for surfaces, which may shadow one another alone.
     """
 
     lamp: Lamp
@@ -52,6 +54,7 @@ class LampInMedia:
     shadow_maps: list[LampShadowMap] | None = None
     key: bytes = b""
     kernels: Kernels | None = None
+    surface_shadow_maps: list[LampShadowMap] | None = None
 
     @property
     def power(self) -> np.ndarray:
@@ -156,6 +159,7 @@ def place_lamp(
         cells = CELLS // (1 << (coarser - 1).bit_length())
         maps = [LampShadowMap(shading, emitter.position, cells, cancel) for emitter in emitters]
         maps = None if all(one.empty for one in maps) else maps
+    shaded = maps is not None and _may_shade(shading, emitters, grids)
     depths = [
         [
             LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, coarser, cancel, kernels)
@@ -164,7 +168,26 @@ def place_lamp(
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    return LampInMedia(lamp, emitters, depths, coarse, maps, lamp_key(lamp, grids, surfaces), kernels)
+    key = lamp_key(lamp, grids, surfaces)
+    return LampInMedia(lamp, emitters, depths, coarse, maps if shaded else None, key, kernels, maps)
+
+
+def _may_shade(surfaces: Sequence[Surface], emitters: Sequence[Emitter], grids: Sequence[Grid]) -> bool:
+    """Whether any triangle may lie between emitters and the outermost voxels of grids.
+
+    None does that has all of them on one side of its plane, as a floor below them has, or that lies beside them.
+    """
+    ends = np.array(np.meshgrid(*[(0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1).T
+    voxels = [(ends * (np.array(grid.shape) - 1.0) - grid.offset) @ inverse(grid.linear).T for grid in grids]
+    points = np.concatenate([*voxels, [emitter.position for emitter in emitters]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    for surface in surfaces:
+        a, b, c = surface.triangles.swapaxes(0, 1)
+        some = np.all((surface.triangles.min(axis=1) < high) & (surface.triangles.max(axis=1) > low), axis=1)
+        heights = np.einsum("tpk,tk->tp", points - a[some, None], np.cross(b - a, c - a)[some])
+        if np.any((heights.min(axis=1) < 0.0) & (heights.max(axis=1) > 0.0)):
+            return True
+    return False
 
 
 def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:

@@ -84,10 +84,26 @@ def test_averaged_shadows_change_the_picture_within_the_budget(lamp, anisotropy)
     [
         dict(size=(24, 16)),
         dict(density=2000.0),
-        dict(surfaces=[Surface([[[0, -4, 1.2], [4, -4, 1.2], [0.4, 4, 1.2]]], covers=False)]),
+        dict(surfaces=[Surface([[[0, -4, 0.7], [4, -4, 0.7], [0.4, 4, 0.7]]], covers=False)]),
     ],
     ids=["few rays", "thick voxels", "a plate that shadows the lamp"],
 )
 def test_shadows_are_not_averaged_where_that_is_dearer_or_wrong(changes):
     assert picture(panel(), ALL, **changes).report.counts[COUNT] == 0
     assert picture(PointLight((1.0, 1.0, 1.0), 9.0), ALL, **changes).report.counts[COUNT] == 0
+
+
+def test_a_floor_that_shadows_nothing_does_not_matter():
+    """Nor do walls behind the cloud, behind the lamp and beside both; a roof in between does."""
+    names, lamp = ALL - {"shared_pixels"}, panel()
+    x, y = 20.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]).T
+    flat = np.stack([x, y, np.zeros(4)], axis=1)[[[0, 1, 2], [0, 2, 3]]]
+    walls = [flat + [0, 0, -0.5], flat[..., [2, 0, 1]] - [0.6, 0, 0], flat[..., [2, 0, 1]] + [1.7, 0, 0]]
+    alone, walled = (
+        picture(lamp, names, surfaces=[Surface(wall, covers=False, stops=False) for wall in some])
+        for some in ([], walls)
+    )
+    assert walled.report.counts[COUNT] == 1
+    np.testing.assert_allclose(walled.single, alone.single, rtol=1e-5)
+    roof = Surface(0.05 * flat + 0.8 * np.array([0.7, 0.2, 0.68]), covers=False, stops=False)
+    assert picture(lamp, names, surfaces=[roof]).report.counts[COUNT] == 0
