@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Processor seconds of a production frame and of the next one, stage by stage, beside this machine's own arithmetic.
 
-    python -m benchmarks.cost.frame [--size 1920 1080] [--light sun | sky] [--coverage 0.43] [--numpy]
+    python -m benchmarks.cost.frame [--size 1920 1080] [--light sun | sky | area] [--ground]
+        [--coverage 0.43] [--numpy]
 
-Renders a procedural cloud that covers a given share of the picture, in one sun or in sun and coloured sky, and then the
-frame after it, of a camera that has turned by a degree, with what the first one left in its cache. Prints seconds by
-the clock and of the processor, memory, and both as shares of a single-precision matrix product measured in the same
-run.
+Renders a procedural cloud that covers a given share of the picture, in one sun, in sun and coloured sky or by an area
+light, above black ground or alone, and then the frame after it, of a camera that has turned by a degree, with what the
+first one left in its cache. Prints seconds by the clock and of the processor, memory, and both as shares of a
+single-precision matrix product measured in the same run.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from inference import Camera, Environment, Medium, RenderCache, Settings, Sun, render
+from inference import AreaLight, Camera, Environment, Medium, RenderCache, Settings, Sun, Surface, render
 from inference.runtime.report import Report, process_peak_memory
 from inference.scene.environment import pixel_directions
 
@@ -62,6 +63,30 @@ def skies() -> tuple[Environment, Environment]:
     return Environment(np.repeat(grey[..., None], 3, axis=2), name="grey"), Environment(coloured, name="coloured")
 
 
+def frame_of(volume) -> tuple[np.ndarray, float]:
+    """The middle (3,) of a volume, and its longest edge."""
+    edges = volume.world_from_index[:3, :3] @ np.diag(volume.density.shape)
+    return volume.world_from_index[:3, 3] + 0.5 * edges.sum(axis=1), float(np.linalg.norm(edges, axis=0).max())
+
+
+def panel(volume, sun: Sun) -> AreaLight:
+    """An area light that shines at a volume from where a sun is, 1.2 of its edges from its middle."""
+    middle, size = frame_of(volume)
+    across = np.cross(sun.direction, [0.3, 1.0, 0.2])
+    across /= np.linalg.norm(across)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([across, np.cross(sun.direction, across), sun.direction], axis=1)
+    matrix[:3, 3] = middle + 1.2 * size * sun.direction
+    return AreaLight(matrix, "square", 0.4 * size, 40.0 * size**2)
+
+
+def ground_below(volume) -> Surface:
+    """A black plane just below a volume."""
+    middle, size = frame_of(volume)
+    corners = middle + size * np.array([[-20, -20, -0.55], [20, -20, -0.55], [20, 20, -0.55], [-20, 20, -0.55]])
+    return Surface(corners[[[0, 1, 2], [0, 2, 3]]], "ground")
+
+
 def describe(name: str, seconds: float, processor: float, report: Report, rate: float) -> None:
     """Print one frame."""
     print(f"{name}: {seconds:.2f} s, {processor:.2f} processor seconds, {processor * rate / 1e9:.0f} Gflop of sgemm")
@@ -76,13 +101,17 @@ def main():
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
-    parser.add_argument("--light", choices=("sun", "sky"), default="sun")
+    parser.add_argument("--light", choices=("sun", "sky", "area"), default="sun")
+    parser.add_argument("--ground", action="store_true", help="a plane below the cloud")
     parser.add_argument("--depth-samples", type=int, default=4)
     parser.add_argument("--coverage", type=float, default=0.43)
     parser.add_argument("--numpy", action="store_true", help="without compiled kernels")
     parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()
-    volume, lights = cloud(), [SUN, *skies()[1:]] if arguments.light == "sky" else [SUN]
+    volume = cloud()
+    above = Sun(np.abs(SUN.direction), SUN.irradiance)
+    lights = {"sun": [above if arguments.ground else SUN], "sky": [SUN, *skies()[1:]], "area": [panel(volume, above)]}
+    surfaces = [ground_below(volume)] if arguments.ground else []
     camera = camera_covering(volume, MEDIUM, tuple(arguments.size), arguments.coverage)
     rate, before = sgemm_rate(), process_peak_memory()
     settings = Settings(arguments.depth_samples, compiled=not arguments.numpy, threads=arguments.threads)
@@ -94,7 +123,7 @@ def main():
     print(f"{os.cpu_count()} cores, matrix product {rate / 1e9:.0f} Gflop/s")
     for name, view in (("first frame", camera), ("next frame", turned(camera))):
         start, processor = time.perf_counter(), time.process_time()
-        layer = render([(volume, MEDIUM)], lights, view, settings, cache=cache)
+        layer = render([(volume, MEDIUM)], lights[arguments.light], view, settings, cache=cache, surfaces=surfaces)
         describe(
             name, time.perf_counter() - start, time.process_time() - processor, layer.report, rate / os.cpu_count()
         )

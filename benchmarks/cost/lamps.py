@@ -12,7 +12,7 @@ import numpy as np
 
 from inference import AreaLight, PointLight, SpotLight, Sun
 
-from .frame import SUN
+from .frame import SUN, frame_of, panel
 from .light_table import print_table
 
 PROGRAM = "benchmarks.cost.lamps"
@@ -20,34 +20,32 @@ PROGRAM = "benchmarks.cost.lamps"
 
 def lights(volume) -> dict[str, list]:
     """Lights of the volume by name."""
-    edges = volume.world_from_index[:3, :3] @ np.diag(volume.density.shape)
-    middle, size = volume.world_from_index[:3, 3] + 0.5 * edges.sum(axis=1), float(np.linalg.norm(edges, axis=0).max())
+    middle, size = frame_of(volume)
     towards = SUN.direction
     place, power = middle + 1.2 * size * towards, 40.0 * size**2
-    matrix = np.eye(4)
-    across = np.cross(towards, [0.3, 1.0, 0.2])
-    across /= np.linalg.norm(across)
-    matrix[:3, :3], matrix[:3, 3] = np.stack([across, np.cross(towards, across), towards], axis=1), place
+    area = panel(volume, SUN)
+    matrix = area.world_matrix
+    across = matrix[:3, 0]
     row = np.linspace(-1.0, 1.0, 30)
     spots = [place + 1.5 * size * (towards + across * along) for along in np.linspace(-0.5, 0.5, 12)]
     posts = middle + size * (np.outer(6.0 * row, [1.0, 0.0, 0.0]) + [0.0, 2.0, 1.2])
     panels = [matrix.copy() for _ in range(36)]
-    for number, panel in enumerate(panels):
+    for number, turn in enumerate(panels):
         x, y = np.divmod(number, 6) - np.full(2, 2.5)
-        panel[:3, 3] = middle + size * (2.5 * towards + 0.5 * (x * matrix[:3, 0] + y * matrix[:3, 1]))
+        turn[:3, 3] = middle + size * (2.5 * towards + 0.5 * (x * matrix[:3, 0] + y * matrix[:3, 1]))
     turned = [np.roll(towards, 1) * [1, 1, -1], np.roll(towards, 2), towards * [-1, 1, 1]]
     around = [towards, *turned]
     return {
         "one white sun": [Sun(towards, 3.0)],
         "a point light": [PointLight(place, power, 0.02 * size)],
         "a spot light": [SpotLight(place, -towards, power, 0.8, 0.2, 0.02 * size)],
-        "an area light": [AreaLight(matrix, "square", 0.4 * size, power)],
+        "an area light": [area],
         "a point light inside": [PointLight(middle, power, 0.02 * size)],
         "four suns": [Sun(way, 3.0) for way in around],
         "four point lights": [PointLight(middle + 1.2 * size * way, power) for way in around],
         "twelve spots of a stage": [SpotLight(spot, middle - spot, power, 0.6, 0.2, 0.02 * size) for spot in spots],
         "thirty lamps of a street": [PointLight(post, power, 0.02 * size) for post in posts],
-        "thirty-six panels of a ceiling": [AreaLight(panel, "square", 0.3 * size, power) for panel in panels],
+        "thirty-six panels of a ceiling": [AreaLight(turn, "square", 0.3 * size, power) for turn in panels],
     }
 
 

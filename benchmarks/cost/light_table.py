@@ -30,6 +30,7 @@ def print_table(
         prog=f"python -m {program}", description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sizes", nargs="+", default=list(sizes))
+    parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="lights beside the first one")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--depth-samples", type=int, default=4)
     parser.add_argument("--threads", type=int, default=1)
@@ -37,6 +38,8 @@ def print_table(
     volume, settings = cloud(), Settings(arguments.depth_samples, threads=arguments.threads)
     shining = lights(volume)
     first = next(iter(shining))
+    if arguments.only:
+        shining = {name: shining[name] for name in (first, *arguments.only)}
     print(made_by(program, options))
     print("| pixels | light | processor seconds | beside one sun |\n|---|---|---|---|")
     for size in arguments.sizes:
