@@ -150,19 +150,18 @@ class DepthBuffer:
     @functools.cached_property
     def _outlines(self) -> np.ndarray:
         """Ends (E, 4) in the image of those edges of triangles that no neighbour continues."""
+        if not len(self.place):
+            return np.zeros((0, 4))
         turned = np.cross(self.place[:, 1] - self.place[:, 0], self.place[:, 2] - self.place[:, 0]) > 0.0
         edges = np.concatenate([self.place[:, [k, (k + 1) % 3]] for k in range(3)]).reshape(-1, 4)
         swapped = (edges[:, 0] > edges[:, 2]) | ((edges[:, 0] == edges[:, 2]) & (edges[:, 1] > edges[:, 3]))
         edges[swapped] = edges[swapped][:, [2, 3, 0, 1]]
-        # Neighbours that face the camera alike continue each other; 0 where both do, or none.
         order = np.lexsort(edges.T)
         edges, side = edges[order], np.tile(turned, 3)[order]
-        same = np.all(edges[1:] == edges[:-1], axis=1)
-        first = np.concatenate([[True], ~same])
-        count = np.diff(np.append(np.flatnonzero(first), len(edges)))
-        facing = np.add.reduceat(side.astype(int), np.flatnonzero(first)) if len(edges) else np.zeros(0, int)
-        continued = (count == 2) & (facing != 1)
-        return edges[first][~continued]
+        first = np.flatnonzero(np.append(True, np.any(edges[1:] != edges[:-1], axis=1)))
+        # Two triangles that turn the same side to the camera continue each other.
+        count, facing = np.diff(np.append(first, len(edges))), np.add.reduceat(side.astype(int), first)
+        return edges[first][(count != 2) | (facing == 1)]
 
     def _near(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """Numbers of the triangles that may reach a window."""

@@ -171,6 +171,7 @@ SEEN = {
     "shards": [Surface(np.random.default_rng(4).normal(0.0, 0.7, (40, 3, 3)))],
     "dust": [Surface(np.random.default_rng(5).normal(0.0, 0.9, (400, 1, 3)) + 0.01 * np.eye(3))],
     "nothing in sight": [rectangle(50, 51, 50, 51, -0.7)],
+    "no triangles": [Surface(np.zeros((0, 3, 3)))],
 }
 
 
