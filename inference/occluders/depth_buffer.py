@@ -152,7 +152,8 @@ class DepthBuffer:
         """Ends (E, 4) in the image of those edges of triangles that no neighbour continues."""
         if not len(self.place):
             return np.zeros((0, 4))
-        turned = np.cross(self.place[:, 1] - self.place[:, 0], self.place[:, 2] - self.place[:, 0]) > 0.0
+        (x, y), (u, v) = ((self.place[:, k] - self.place[:, 0]).T for k in (1, 2))
+        turned = x * v - y * u > 0.0
         edges = np.concatenate([self.place[:, [k, (k + 1) % 3]] for k in range(3)]).reshape(-1, 4)
         swapped = (edges[:, 0] > edges[:, 2]) | ((edges[:, 0] == edges[:, 2]) & (edges[:, 1] > edges[:, 3]))
         edges[swapped] = edges[swapped][:, [2, 3, 0, 1]]
