@@ -22,6 +22,7 @@ class Optimization:
 # Change caused by summing in another order in single precision.
 ROUNDING = 1e-4
 
+# In the order in which they came: .blend files hold the numbers of those that are on.
 OPTIMIZATIONS = {
     "missed_pixels": Optimization("Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
     "empty_space": Optimization("Skip Empty Space", "Camera rays skip space without density", ROUNDING),
@@ -37,9 +38,6 @@ OPTIMIZATIONS = {
     ),
     "distant_lamps": Optimization(
         "Join Distant Lamps", "Multiple scattering of lamps from about the same direction is predicted once", 0.02
-    ),
-    "soft_shadows": Optimization(
-        "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
     ),
     "equal_channels": Optimization(
         "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
@@ -65,6 +63,9 @@ OPTIMIZATIONS = {
     ),
     "small_voxels": Optimization(
         "Join Small Voxels", "Light is baked in voxels half as large as a pixel where the volume's are smaller", 0.02
+    ),
+    "soft_shadows": Optimization(
+        "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
     ),
 }
 ALL = frozenset(OPTIMIZATIONS)
