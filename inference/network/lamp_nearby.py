@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.scattered_fluence import FluenceLattice
@@ -77,7 +78,7 @@ class LampNearby:
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
         weights = (2 * DEGREES + 1) * g**DEGREES * (scale / (4.0 * np.pi))
-        found = ((light.values(positions) * spherical_harmonics(-omega).T) @ weights).astype(np.float64)
+        found = product(light.values(positions) * spherical_harmonics(-omega).T, weights).astype(np.float64)
         # At wide angles the peaks' light is less than what the transport's few moments have too much.
         return np.maximum(found + irradiance * _forward_light((omega * towards).sum(axis=1), g, albedo, depth), 0.0)
 
