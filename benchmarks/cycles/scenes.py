@@ -104,8 +104,6 @@ def measured(name, stage, options) -> dict:
     }
     world = stage.scene.world if described.environment else None
     objects = volumes_and_lights(bpy.context.evaluated_depsgraph_get()) + stage.surfaces
-    # As pixels of the layer are at the edges of surfaces and around lamps, where light varies within them.
-    means = bool(stage.surfaces) or any(_beside_volumes(light, described) for light in described.lights)
     parts = [("single", layer.single + layer.emission, 0), ("whole", layer.rgb, 1024)]
     if any(volume.emission is not None and medium.scatters for volume, medium in described.volumes):
         # Without bounces, Cycles' image still holds emitted light that was scattered once.
@@ -115,7 +113,9 @@ def measured(name, stage, options) -> dict:
         # Single scattering is cheap: less noise, and a smaller error to tell.
         samples = max(min(4 * samples, MOST_SINGLE), samples) if bounces == 0 else samples
         start = time.process_time()
-        reference = render_reference(stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, means), world)
+        reference = render_reference(
+            stage.scene, objects, PathTracing(samples, bounces, stage.step_rate, bool(stage.surfaces)), world
+        )
         found[f"{kind} seconds"] = time.process_time() - start
         a, b = reference.a, reference.b
         for figure, estimate in (("rmse", relative_rmse), ("bias", relative_bias)):
@@ -136,18 +136,6 @@ def measured(name, stage, options) -> dict:
         PICTURE_HEIGHT,
     ).save(picture(name))
     return found
-
-
-def _beside_volumes(light, described) -> bool:
-    """Whether a light is a lamp within the box of a scene's volumes, or just outside of it."""
-    from mrpnn.inference.grids.grid import Grid
-    from mrpnn.inference.scene.lamps import LAMPS, distance_from_box
-
-    if not isinstance(light, LAMPS):
-        return False
-    corners = np.concatenate([Grid(volume).corners() for volume, _ in described.volumes])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    return distance_from_box(light.centre, low, high) < 0.05 * (high - low).max()
 
 
 def named(stage) -> dict:
