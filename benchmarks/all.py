@@ -33,6 +33,7 @@ COMMANDS = (
     "benchmarks.demo --figures docs/readme.csv",
     "benchmarks.cost.imported_smoke --figures docs/readme.csv",
     "benchmarks.cost.frame",
+    "benchmarks.cost.frame --threads 1",
     "benchmarks.cost.frame --size 3840 2160",
     "benchmarks.cost.frame --light area",
     "benchmarks.cost.frame --ground",
@@ -40,8 +41,8 @@ COMMANDS = (
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
     "benchmarks.cost.environments --rounds 2",
-    "benchmarks.cost.lamps --rounds 3 --sizes 64x64",
-    "benchmarks.cost.lamps --rounds 2 --sizes 1920x1080 --only 'a point light' 'a spot light' 'an area light'"
+    "benchmarks.cost.lamps --rounds 5 --sizes 64x64",
+    "benchmarks.cost.lamps --rounds 3 --sizes 1920x1080 --only 'a point light' 'a spot light' 'an area light'"
     " 'a point light inside'",
     "benchmarks.cost.sparse",
     "benchmarks.cost.viewport",
