@@ -22,6 +22,19 @@ FACTS = [
     ),
     (
         "docs/method.md",
+        r"whose voxels are optically thinner than ([\d.]+),",
+        "inference.image.lamp_pass",
+        ("THICKEST_VOXEL",),
+    ),
+    ("docs/method.md", r"from ([\d.]+)\s+times the lamp's reach", "inference.marching.mean_lamp_depth", ("APART",)),
+    (
+        "docs/method.md",
+        r"would leave it by more\s+than (\d+) %",
+        "inference.marching.lamp_in_media",
+        ("100 * SMOOTH_ERROR",),
+    ),
+    (
+        "docs/method.md",
         r"could be thicker than (\S+) there",
         "inference.marching.ray_steps",
         ("2 * PEAK_THICKNESS",),
