@@ -17,10 +17,12 @@ from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.lamps import LampSource, light_start
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
 from .described import describe_grid
 from .optical_depth_sweep import cubic
+from .sphere_depth import NODES, excess_depths
 
 # Largest number of columns along each axis of a slice, and of slices of a pyramid.
 MAX_COLUMNS, MAX_SLICES = 384, 384
@@ -31,6 +33,12 @@ THIN_VOXEL = 0.35
 GAUSS_NODES = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 # Distance in voxels to which the lamp is moved away from slices.
 CLOSEST = 1e-6
+# Optical depth of a sphere's radius from which on its light does not start at points.
+THIN_SPHERE = 1e-3
+# Directions, the corners, edges and faces of a cube, and places along them in which the density of a sphere is read.
+DIRECTIONS = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1)[:, np.arange(27) != 13]
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=0)
+RADII = (np.arange(8) + 0.5) / 8.0
 
 
 @dataclass(frozen=True)
@@ -85,11 +93,12 @@ class _Pyramid:
 
 
 class LampOpticalDepth:
-    """Optical depth through one grid towards a point, for an extinction of 1 per unit density and world unit.
+    """Optical depth through one grid towards a lamp, for an extinction of 1 per unit density and world unit.
 
-    grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from world positions. position:
-    (3,), of the lamp in the world. apart: voxels from one column to the next where they leave the grid. kernels:
-    compiled ones, or None. Raises Cancelled.
+    Of a lamp with a radius it is -ln of the mean transmittance to that side of it which a point sees; the matter within
+    it is taken to be even. grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from
+    world positions. source: of the lamp's light, in the world. apart: voxels from one column to the next where they
+    leave the grid. kernels: compiled ones, or None. Raises Cancelled.
     """
 
     def __init__(
@@ -97,19 +106,34 @@ class LampOpticalDepth:
         grid: DenseGrid | SparseGrid,
         linear: np.ndarray,
         offset: np.ndarray,
-        position: np.ndarray,
+        source: LampSource,
         apart: float = 1.0,
         cancel: CancelToken = NEVER,
         kernels: Kernels | None = None,
     ):
         self.grid, self.world_from_index, self.kernels = grid, inverse(linear), kernels
-        self.lamp = linear @ position + offset
+        self.lamp = linear @ source.position + offset
+        self.source, self.centre = source, linear @ source.centre + offset
+        self._around = self._density_around(linear) if source.radius > 0.0 else 0.0
         self.longest = float(np.linalg.norm(self.world_from_index, axis=0).max())
         self._apart = apart
         found = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
         self.pyramids = [pyramid for pyramid in found if pyramid is not None]
         for pyramid in self.pyramids:
             self._fill(pyramid, cancel)
+
+    def _density_around(self, linear: np.ndarray) -> float:
+        """Mean density along the radii of the lamp's sphere."""
+        away = (linear @ DIRECTIONS)[:, :, None] * (self.source.radius * RADII)
+        return float(self.grid.sample((self.centre[:, None, None] + away).reshape(3, -1).astype(np.float32)).mean())
+
+    def _excess(self, sigma_t: float) -> np.ndarray | None:
+        """As of `excess_depths`; None where the light may as well start at points."""
+        thickness = self._around * self.source.radius * sigma_t
+        if thickness <= THIN_SPHERE:
+            return None
+        apart = float(np.linalg.norm(self.source.position - self.source.centre)) / self.source.radius
+        return excess_depths(thickness, self.source.soft_falloff, apart)
 
     def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
         """One of the six, to be filled, or None where it holds nothing of the grid."""
@@ -210,6 +234,12 @@ class LampOpticalDepth:
             lamp=self.lamp,
             world_from_index=self.world_from_index,
             integrated=self._thick(sigma_t),
+            centre=self.centre,
+            radius=self.source.radius,
+            offset=self.source.position - self.source.centre,
+            soft_falloff=self.source.soft_falloff,
+            around=self._around,
+            excess=self._excess(sigma_t),
         )
         found.kept += pyramids
         return found
@@ -254,15 +284,43 @@ class LampOpticalDepth:
         size = np.abs(away)
         main = size.argmax(axis=0)
         depth = np.zeros(index.shape[1], np.float32)
-        thick = self._thick(sigma_t)
+        thick, excess = self._thick(sigma_t), self._excess(sigma_t)
         for pyramid in self.pyramids:
             inside = np.flatnonzero((main == pyramid.axis) & (np.sign(away[pyramid.axis]) == pyramid.sign))
-            if len(inside):
-                depth[inside] = self._within(pyramid, away[:, inside], thick)
-        return depth * np.float32(sigma_t)
+            if not len(inside):
+                continue
+            depths, outside = self._within(pyramid, away[:, inside], thick)
+            depths *= np.float32(sigma_t)
+            if excess is not None:
+                depths = np.maximum(depths + self._beyond(excess, index[:, inside], sigma_t), np.float32(0.0))
+            depth[inside] = np.where(outside, np.float32(0.0), depths)
+        return depth
 
-    def _within(self, pyramid: _Pyramid, away: np.ndarray, thick: bool) -> np.ndarray:
-        """Depths (N,) at displacements (3, N) from the lamp, all in one pyramid."""
+    def _beyond(self, excess: np.ndarray, index: np.ndarray, sigma_t: float) -> np.ndarray:
+        """Depth float32 (N,) of light of a sphere beyond that from the lamp's place, at continuous indices (3, N).
+
+        excess: of `excess_depths`.
+        """
+        steps, radius = index - self.centre[:, None].astype(np.float32), np.float32(self.source.radius)
+        away, offset = self.world_from_index @ steps, self.source.position - self.source.centre
+        distance = np.maximum(np.sqrt((away**2).sum(axis=0)), 1e-15)
+        along = offset @ away / distance
+        apart = float(np.linalg.norm(offset))
+        missing = along - light_start(along, apart, self.source.radius, self.source.soft_falloff)
+        total = np.zeros(len(distance), np.float32)
+        lamp = self.lamp[:, None].astype(np.float32)
+        for node in GAUSS_NODES:
+            total += self.grid.sample(lamp - (steps * (node * missing / distance)).astype(np.float32))
+        # Near the sphere its light comes from around it, through matter of which the mean is known.
+        far = np.maximum(1.0 - (self.source.radius / distance) ** 2, 0.0)
+        density = far * (0.5 * total) + (1.0 - far) * self._around
+        place = (distance / (distance + radius)).astype(np.float32) * np.float32(NODES - 1)
+        cell = np.minimum(place.astype(np.int32), NODES - 2)
+        more = lerp_into(excess[cell], excess[cell + 1], place - cell)
+        return more + (sigma_t * missing * density).astype(np.float32)
+
+    def _within(self, pyramid: _Pyramid, away: np.ndarray, thick: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Depths (N,) at displacements (3, N) from the lamp, all in one pyramid, and whether they leave it."""
         along = np.abs(away[pyramid.axis])
         slices, b, c = pyramid.depths.shape
         cells, parts, outside = [], [], np.zeros(len(along), bool)
@@ -295,4 +353,4 @@ class LampOpticalDepth:
             depth += share * (on_slice(b * c) - depth)
         length = np.linalg.norm(self.world_from_index.astype(np.float32) @ (away / along), axis=0)
         # Cubic interpolation may fall below 0 beside sharp edges.
-        return np.where(outside, np.float32(0.0), np.maximum(depth, np.float32(0.0)) * length)
+        return np.maximum(depth, np.float32(0.0)) * length, outside

@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 14
+#define MRPNN_INTERFACE 15
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -92,6 +92,11 @@ typedef struct {
     double lamp[3];          /* in continuous indices */
     double world_from_index[9];
     int64_t integrated;      /* whether the last part of the way is integrated */
+    double centre[3];        /* of the lamp's sphere, in continuous indices, */
+    double radius, offset[3];  /* its radius, and the lamp's place less its centre, in the world, */
+    int64_t soft_falloff;    /* whether light starts on a disk, */
+    double around;           /* the mean density within the sphere, */
+    const float *excess;     /* (EXCESS_NODES), depths to be added at distances d, even in d / (d + radius), or NULL */
 } LampColumns;
 
 /* Distance of the nearest surface in all directions from a point: LampShadowMap. */

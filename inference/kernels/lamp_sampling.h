@@ -47,6 +47,48 @@ static inline Floats inverse_roots(Floats x) {
     return y;
 }
 
+/* Number of an excess's nodes. */
+#define EXCESS_NODES 64
+
+/* What the light of a sphere has to pass beyond that from the lamp's place: LampOpticalDepth._beyond. */
+static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, float sigma_t) {
+    Floats steps[3], square = in_all(1e-30f), along = in_all(0.0f), total = in_all(0.0f), below, above;
+    float apart = 0.0f, radius = (float)lamp->radius;
+    for (int axis = 0; axis < 3; axis++) {
+        steps[axis] = clamped_to(index[axis] - (float)lamp->centre[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        apart += (float)(lamp->offset[axis] * lamp->offset[axis]);
+    }
+    for (int i = 0; i < 3; i++) {
+        const double *row = lamp->world_from_index + 3 * i;
+        Floats away = steps[0] * (float)row[0] + steps[1] * (float)row[1] + steps[2] * (float)row[2];
+        square += away * away, along += away * (float)lamp->offset[i];
+    }
+    Floats inverse = inverse_roots(clamped_to(square, in_all(1e-30f), in_all(1e30f))), distance = square * inverse;
+    along *= inverse;
+    Floats missing = along;
+    if (!lamp->soft_falloff) {
+        Floats across = clamped_to(apart - along * along, in_all(0.0f), in_all(radius * radius));
+        Floats start = clamped_to(radius * radius - across, in_all(1e-30f), in_all(1e30f));
+        missing -= start * inverse_roots(start);
+    }
+    for (int node = 0; node < 2; node++) {
+        Floats place[3], back = GAUSS_NODES[node] * missing * inverse;
+        for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] - steps[axis] * back;
+        total += sample_grid(&lamp->density, place);
+    }
+    /* Near the sphere its light comes from around it, through matter of which the mean is known. */
+    Floats far = clamped_to(1.0f - radius * radius * (inverse * inverse), in_all(0.0f), in_all(1.0f));
+    Floats density = far * (0.5f * total) + (1.0f - far) * (float)lamp->around;
+    Floats place = distance / (distance + radius) * (float)(EXCESS_NODES - 1);
+    place = clamped_to(place, in_all(0.0f), in_all((float)(EXCESS_NODES - 1)));
+    FOR_LANES(n) {
+        int cell = place[n] < (float)(EXCESS_NODES - 2) ? (int)place[n] : EXCESS_NODES - 2;
+        below[n] = lamp->excess[cell], above[n] = lamp->excess[cell + 1];
+        place[n] -= (float)cell;
+    }
+    return lerp_lanes(below, above, place) + sigma_t * missing * density;
+}
+
 /* Optical depths towards a lamp at continuous indices. */
 static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
     static const float zeros[2] = {0.0f, 0.0f};
@@ -116,7 +158,10 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
         depth = lerp_lanes(depth, after, share);
     }
     /* Cubic interpolation may fall below 0 beside sharp edges. */
-    return choose(inside & (depth > 0.0f), depth * length, in_all(0.0f)) * sigma_t;
+    depth = choose(inside & (depth > 0.0f), depth * length, in_all(0.0f)) * sigma_t;
+    if (!lamp->excess) return depth;
+    depth += depth_beyond(lamp, index, sigma_t);
+    return choose(inside & (depth > 0.0f), depth, in_all(0.0f));
 }
 
 /* Visibility of a lamp from 0 to 1 at a world point, by percentage-closer filtering. */
@@ -209,16 +254,32 @@ static inline double brightest(const Emitter *emitter, const double *point) {
     return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
 }
 
+/* Share of the light of a part of a spot at a world point that the cone lets pass. */
+static inline double within_cone(const Emitter *emitter, const double *point) {
+    double outwards[3], offset[3], away[3];
+    for (int k = 0; k < 3; k++) {
+        outwards[k] = point[k] - emitter->centre[k];
+        offset[k] = emitter->position[k] - emitter->centre[k];
+    }
+    double area = emitter->radius * emitter->radius, distance = larger(sqrt(dot_of(outwards, outwards)), 1e-30);
+    double along = dot_of(outwards, offset) / distance, start = 0.0;
+    if (!emitter->soft_falloff) {
+        double across = larger(dot_of(offset, offset) - along * along, 0.0);
+        start = distance > emitter->radius ? sqrt(larger(area - across, 0.0)) : along;
+    }
+    for (int k = 0; k < 3; k++) away[k] = outwards[k] * (1.0 - (start - along) / distance) - offset[k];
+    double rise = dot_of(away, emitter->axis) / larger(sqrt(dot_of(away, away)), 1e-30) - emitter->cosine;
+    double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
+    return inside * inside * (3.0 - 2.0 * inside);
+}
+
 /* Fluence of a part of a lamp of power 1 at a world point. */
 static inline double emitter_fluence(const Emitter *emitter, const double *point) {
     double away[3];
     for (int k = 0; k < 3; k++) away[k] = point[k] - emitter->position[k];
     if (emitter->flat) return quad_fluence(emitter, point, away);
     double found = brightest(emitter, point);
-    if (!emitter->cone) return found;
-    double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
-    double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
-    return found * inside * inside * (3.0 - 2.0 * inside);
+    return emitter->cone ? found * within_cone(emitter, point) : found;
 }
 
 /* Lengths of vectors squared, within the range of inverse_roots. */
@@ -298,11 +359,8 @@ static inline Floats emitter_fluences(const Emitter *emitter, const Doubles *poi
     if (!emitter->cone) return found;
     FOR_LANES(n) {
         /* In double precision, as a cone's edge may be sharp. */
-        double away[3];
-        for (int k = 0; k < 3; k++) away[k] = point[k][n] - emitter->position[k];
-        double rise = dot_of(away, emitter->axis) / sqrt(larger(dot_of(away, away), 1e-60)) - emitter->cosine;
-        double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
-        found[n] *= (float)(inside * inside * (3.0 - 2.0 * inside));
+        double at[3] = {point[0][n], point[1][n], point[2][n]};
+        found[n] *= (float)within_cone(emitter, at);
     }
     return found;
 }
@@ -310,17 +368,6 @@ static inline Floats emitter_fluences(const Emitter *emitter, const Doubles *poi
 /* As `softened`, of several points. */
 static inline Floats softened_all(Floats fluence, double radius) {
     return fluence / (1.0f + fluence * (float)(4.0 * PI * radius * radius));
-}
-
-/* Mean length of the paths of a part's light to a world point, over the distance. */
-static inline double emitter_slant(const Emitter *emitter, const double *point) {
-    if (emitter->flat || !emitter->soft_falloff) return 1.0;
-    double away[3];
-    for (int k = 0; k < 3; k++) away[k] = point[k] - emitter->centre[k];
-    double ratio = emitter->radius * emitter->radius / larger(dot_of(away, away), 1e-30);
-    if (!(ratio > 1e-6)) return 1.0;
-    double root = sqrt(1.0 + ratio);
-    return 0.5 * log1p(ratio) * root * (1.0 + root) / ratio;
 }
 
 /* Fluence of a lamp of power 1 as if it were no nearer than a distance. */

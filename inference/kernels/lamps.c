@@ -162,16 +162,13 @@ between. */
 static void add_light(const LampBeam *beam, int64_t part, const Floats *index, const Doubles *point, Floats *light,
                       Floats *open) {
     const Emitter *emitter = beam->emitters + part;
-    Floats found = softened_all(emitter_fluences(emitter, point), beam->radius), slant = in_all(1.0f);
+    Floats found = softened_all(emitter_fluences(emitter, point), beam->radius);
     *open += found;
-    if (beam->shadow_maps[part] || (!emitter->flat && emitter->soft_falloff)) {
-        FOR_LANES(n) {
-            double at[3] = {point[0][n], point[1][n], point[2][n]};
-            slant[n] = (float)emitter_slant(emitter, at);
-            if (beam->shadow_maps[part]) found[n] *= (float)lamp_visibility(beam->shadow_maps[part], at);
-        }
+    for (int n = 0; n < LANES && beam->shadow_maps[part]; n++) {
+        double at[3] = {point[0][n], point[1][n], point[2][n]};
+        found[n] *= (float)lamp_visibility(beam->shadow_maps[part], at);
     }
-    *light += found * transmittance(lamp_depth(beam->columns[part], index, (float)beam->sigma) * slant);
+    *light += found * transmittance(lamp_depth(beam->columns[part], index, (float)beam->sigma));
 }
 
 int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {

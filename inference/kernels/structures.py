@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 14
+INTERFACE = 15
 CHANNELS = 3
 PHASES = 8192
 
@@ -132,6 +132,12 @@ class LampColumns(Shared):
         ("lamp", c_double * 3),
         ("world_from_index", c_double * 9),
         ("integrated", c_int64),
+        ("centre", c_double * 3),
+        ("radius", c_double),
+        ("offset", c_double * 3),
+        ("soft_falloff", c_int64),
+        ("around", c_double),
+        ("excess", c_void_p),
     ]
 
 

@@ -28,7 +28,7 @@ ENCLOSED = 12.0
 # Share of the directions around a lamp from which on a volume surrounds it.
 SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
-COARSE = 4
+COARSE = 6
 # Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less;
 # the kernel holds it, too.
 LEAST_FACING = 0.25
@@ -162,7 +162,7 @@ def place_lamp(
     shaded = maps is not None and _may_shade(shading, emitters, grids)
     depths = [
         [
-            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.position, coarser, cancel, kernels)
+            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.source, coarser, cancel, kernels)
             for grid in grids
         ]
         for emitter in emitters

@@ -24,6 +24,8 @@ SHAPES = ("square", "rectangle", "disk", "ellipse")
 SMALL, MEDIUM_SIZE, LARGE = 0.1, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
+# Radius of a sphere, over the longest edge of the box that it lights, up to which it has one emitter where few serve.
+TOLD_APART = 0.025
 # Distance over the longest edge of a flat emitter from which its solid angle is a quadrature of two nodes along each
 # edge, with an error of up to 5e-4; nearer, it is exact.
 FAR = 4.0
@@ -34,6 +36,28 @@ CLOSEST = 1e-12
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
 # Angle of a spread from which on light leaves an area light as from a diffuse surface.
 FULL_SPREAD = np.pi - 1e-4
+
+
+def light_start(along: np.ndarray, apart: float, radius: float, soft_falloff: bool) -> np.ndarray:
+    """How far before a sphere's centre, towards a distant place, light starts that seems to come from some point.
+
+    along: how far before it that point lies. apart: its distance from the centre.
+    """
+    across = np.maximum(apart**2 - along**2, 0.0)
+    return np.zeros_like(along) if soft_falloff else np.sqrt(np.maximum(radius**2 - across, 0.0))
+
+
+@dataclass(frozen=True)
+class LampSource:
+    """Where the light of a part of a lamp starts: at a point, which stands for a sphere if it has a radius.
+
+    position: (3,), of the point. centre: (3,), of the sphere. radius, soft_falloff: as of PointLight.
+    """
+
+    position: np.ndarray
+    centre: np.ndarray
+    radius: float = 0.0
+    soft_falloff: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,14 +79,18 @@ class SphereEmitter:
     soft_falloff: bool = False
 
     @property
+    def source(self) -> LampSource:
+        """Where its light starts."""
+        return LampSource(self.position, self.centre, self.radius, self.soft_falloff)
+
+    @property
     def extent(self) -> float:
         """Distance below which the inverse square no longer holds."""
         return self.radius
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
-        away = points - self.position
-        return self.brightest(points) * self._within_cone(away, np.maximum((away**2).sum(axis=1), 1e-60))
+        return self.brightest(points) * self._within_cone(points)
 
     def brightest(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3) if the emitter faced each of them."""
@@ -78,23 +106,18 @@ class SphereEmitter:
         outside = 2.0 * intensity / (square * (1.0 + np.sqrt(1.0 - sine)))
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
-    def slant(self, points: np.ndarray) -> np.ndarray:
-        """Mean length of the paths of its light to world points (N, 3), over the distance to its centre, (N,).
-
-        1 but for the disk of a soft falloff, which a point at a distance d sees under the angle a, tan a = radius / d:
-        the mean of 1 / cos b over the solid angle is ln(1 / cos a) / (1 - cos a).
-        """
-        if not self.soft_falloff:
-            return np.ones(len(points))
-        ratio = self.radius**2 / np.maximum(((points - self.centre) ** 2).sum(axis=1), 1e-30)
-        # 1 - cos a, without cancellation.
-        gap = ratio / (np.sqrt(1.0 + ratio) * (1.0 + np.sqrt(1.0 + ratio)))
-        return np.where(ratio > 1e-6, 0.5 * np.log1p(ratio) / np.maximum(gap, 1e-30), 1.0)
-
-    def _within_cone(self, away: np.ndarray, square: np.ndarray) -> np.ndarray | float:
+    def _within_cone(self, points: np.ndarray) -> np.ndarray | float:
+        """Share (N,) of its light at points (N, 3) that the cone lets pass."""
         if self.axis is None:
             return 1.0
-        rise = away @ self.axis / np.sqrt(square) - self.cosine
+        # Towards points the light starts on the disk, or the side of the sphere, that faces them.
+        outwards, offset = points - self.centre, self.position - self.centre
+        distance = np.maximum(np.linalg.norm(outwards, axis=1), 1e-30)
+        along = outwards @ offset / distance
+        start = light_start(along, float(np.linalg.norm(offset)), self.radius, self.soft_falloff)
+        moved = np.where(self.soft_falloff | (distance > self.radius), start - along, 0.0) / distance
+        away = outwards * (1.0 - moved[:, None]) - offset
+        rise = away @ self.axis / np.maximum(np.linalg.norm(away, axis=1), 1e-30) - self.cosine
         width = max((1.0 - self.cosine) * self.blend, 1e-9)
         inside = np.clip(rise / width, 0.0, 1.0)
         return inside * inside * (3.0 - 2.0 * inside)
@@ -117,6 +140,11 @@ class QuadEmitter:
     def position(self) -> np.ndarray:
         """Its centre (3,)."""
         return self.corners.mean(axis=0)
+
+    @property
+    def source(self) -> LampSource:
+        """Its centre, in which its light is taken to start."""
+        return LampSource(self.position, self.position)
 
     @property
     def area(self) -> float:
@@ -148,10 +176,6 @@ class QuadEmitter:
         """Square of the distance from its centre from which on the quadrature is used."""
         edges = self.corners - np.roll(self.corners, 1, axis=0)
         return float(FAR**2 * (edges**2).sum(axis=1).max())
-
-    def slant(self, points: np.ndarray) -> np.ndarray:
-        """1 at world points (N, 3), float64 (N,): its paths are taken to be as long as that from its centre."""
-        return np.ones(len(points))
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
@@ -382,7 +406,10 @@ LAMPS = (PointLight, SpotLight, AreaLight)
 
 
 def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:
-    if most < len(OCTAHEDRON) or whole.radius <= 0.5 * SMALL * distance_from_box(whole.centre, low, high):
+    least = 0.5 * SMALL * distance_from_box(whole.centre, low, high)
+    if most < MOST:
+        least = max(least, TOLD_APART * float((high - low).max()))
+    if most < len(OCTAHEDRON) or whole.radius <= least:
         return [whole]
     return [
         SphereEmitter(

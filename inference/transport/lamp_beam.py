@@ -13,7 +13,7 @@ from ..kernels import field_structures, structures
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.lamps import Emitter
+from ..scene.lamps import Emitter, LampSource
 from .described_lamps import describe_emitter, describe_shadow_map
 from .discrete_ordinates import DiscreteOrdinates
 
@@ -120,11 +120,11 @@ class LampInCube:
         low, high = _support(solver.density)
         linear, offset = n * np.eye(3), 0.5 * n - 0.5 - low
         grid = DenseGrid(solver.density[tuple(map(slice, low, high))])
-        lamps = self.cube.positions(np.array([emitter.position for emitter in self.emitters]))
-        depths = [LampOpticalDepth(grid, linear, offset, lamp, apart, cancel, solver.kernels) for lamp in lamps]
+        sources = [self._in_cube(emitter.source) for emitter in self.emitters]
+        depths = [LampOpticalDepth(grid, linear, offset, one, apart, cancel, solver.kernels) for one in sources]
         light, near = np.zeros((2, n, n, n)), np.zeros((n, n, n), bool)
-        for lamp in lamps:
-            first, end = (np.ceil((lamp + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
+        for source in sources:
+            first, end = (np.ceil((source.position + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
             near[tuple(slice(*ends) for ends in np.clip([first, end], 0, n).astype(int).T)] = True
         for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
             if solver.kernels is not None:
@@ -141,11 +141,16 @@ class LampInCube:
                     radius = SOFT * self.cube.edge / (n * parts)
                     one = one / (1.0 + one * (4.0 * np.pi * radius**2))
                     found[1] += one
-                    one *= np.exp(-depth(index, float(solver.sigma)) * emitter.slant(world))
+                    one *= np.exp(-depth(index, float(solver.sigma)))
                     shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
                     found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
             light.reshape(2, -1)[:, cells] = found / parts**3
         return light[0], light[1]
+
+    def _in_cube(self, source: LampSource) -> LampSource:
+        """A source of light in the cube's frame."""
+        position, centre = self.cube.positions(np.stack([source.position, source.centre]))
+        return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
 
     def _add_compiled(
         self,

@@ -24,7 +24,7 @@ from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_in_media import place_lamp
 from inference.network.stencil_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
-from inference.scene.lamps import solid_angles
+from inference.scene.lamps import LampSource, solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import box, camera, cloud
 
@@ -198,7 +198,7 @@ def test_a_spot_shines_as_bright_as_a_point_within_its_cone():
 @pytest.mark.parametrize("lamp", [(0.9, 0.6, 0.5), (0.52, 0.0, 0.1), (0.1, -0.05, 0.12), (-7.0, 3.0, 0.4)])
 def test_optical_depths_are_integrals_of_density(lamp):
     grid, lamp = Grid(CLOUD), np.array(lamp)
-    depth = LampOpticalDepth(grid.density, grid.linear, grid.offset, lamp)
+    depth = LampOpticalDepth(grid.density, grid.linear, grid.offset, LampSource(lamp, lamp))
     points = np.random.default_rng(3).uniform(-0.6, 0.6, (200, 3))
     found = depth(grid.index(points).T.astype(np.float32), 1.0)
     assert found == pytest.approx(_through(grid, points, lamp), abs=0.003)
@@ -216,6 +216,34 @@ def _through(grid, points, lamp, count=1500):
     share = (np.arange(count) + 0.5) / count
     index = grid.index((points[:, None] + share[:, None] * way[:, None]).reshape(-1, 3)).T.astype(np.float32)
     return grid.sample_density(index).reshape(len(points), count).mean(axis=1) * length
+
+
+@pytest.mark.parametrize("soft_falloff", [False, True])
+@pytest.mark.parametrize("volume, tolerance", [(box(voxels=32), 0.03), (CLOUD, 0.06)], ids=["even", "cloud"])
+def test_light_of_a_sphere_inside_smoke_starts_at_its_surface(volume, tolerance, soft_falloff):
+    """The mean light at a distance is the integral over the solid angle of the sphere, or of the disk for it."""
+    radius, centre, sigma, random = 0.12, np.array([0.05, -0.03, 0.02]), 12.0, np.random.default_rng(7)
+    grid = Grid(volume)
+    lamp = place_lamp(PointLight(centre, 1.0, radius, soft_falloff=soft_falloff), [grid])
+    for distance in np.array([0.3, 0.8, 1.2, 2.0, 3.0]) * radius:
+        along = random.normal(size=(1500, 3))
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        points = centre + distance * along
+        index = grid.index(points).T.astype(np.float32)
+        depths = [depth(index, sigma) for [depth] in lamp.depths]
+        found = sum(part.fluence(points) * np.exp(-depth) for part, depth in zip(lamp.emitters, depths)).mean()
+        across = np.cross(along, random.normal(size=along.shape))
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        least = -1.0 if distance < radius else np.sqrt(1.0 - (radius / distance) ** 2)
+        least = distance / np.hypot(distance, radius) if soft_falloff else least
+        cosine = random.uniform(least, 1.0, (len(along), 1))
+        way = cosine * -along + np.sqrt(1.0 - cosine**2) * across
+        cosine = cosine[:, 0]
+        reach = np.sqrt(np.maximum(radius**2 - distance**2 * (1.0 - cosine**2), 0.0))
+        length = distance / cosine if soft_falloff else distance * cosine + reach * (1 if distance < radius else -1)
+        passed = np.exp(-sigma * _through(grid, points, points + length[:, None] * way, 60))
+        radiance = 1.0 / (4.0 * np.pi**2 * radius**2)
+        assert found == pytest.approx(2.0 * np.pi * (1.0 - least) * radiance * passed.mean(), rel=tolerance)
 
 
 @pytest.mark.parametrize("name", LAMPS)

@@ -14,8 +14,18 @@ from tests.support.volumes import box
 )
 def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo, anisotropy):
     lamp, medium = np.array([0.28, -0.2, 0.1]), Medium(sigma, albedo, anisotropy)
-    expected, noise = traced_towards_z(lamp, medium, 40000)
-    assert rendered_towards_z(lamp, medium) == pytest.approx(expected, rel=0.07, abs=3.0 * noise)
+    (_, expected), (_, noise) = traced_towards_z(lamp, medium, 40000)
+    assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.07, abs=3.0 * noise)
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.15])
+def test_the_light_of_a_sphere_inside_smoke_is_that_of_traced_paths(radius):
+    """What it scatters within itself, too."""
+    lamp, medium = np.array([0.2, -0.2, 0.1]), Medium(12.0, 0.9)
+    expected, noise = traced_towards_z(lamp, medium, 400_000, radius)
+    found = rendered_towards_z(lamp, medium, radius)
+    assert np.all(noise < 0.01 * expected)
+    assert found == pytest.approx(expected, rel=0.07)
 
 
 @pytest.mark.parametrize("lamp", [(0.0, 1.1, -0.6), (0.2, -1.0, -1.0)])
@@ -23,21 +33,24 @@ def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo,
 def test_the_light_of_a_lamp_outside_smoke_is_that_of_traced_paths(lamp, sigma):
     """A narrow phase function tells the direction to the lamp from where light is scattered, before and at last."""
     lamp, medium = np.array(lamp), Medium(sigma, 0.9, 0.857)
-    expected, noise = traced_towards_z(lamp, medium, 1_000_000)
+    (_, expected), (_, noise) = traced_towards_z(lamp, medium, 1_000_000)
     assert noise < 0.025 * expected
-    assert rendered_towards_z(lamp, medium) == pytest.approx(expected, rel=0.08)
+    assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.08)
 
 
-def rendered_towards_z(lamp, medium):
-    """Intensity along z of the multiple scattering of a lamp of power 1 in a unit box, as rendered."""
+def rendered_towards_z(lamp, medium, radius=0.0):
+    """Intensity along z of the single and the multiple scattering of a lamp of power 1 in a unit box, as rendered."""
     view = Camera(np.eye(4), "orthographic", (24, 24), ortho_scale=1.1)
     view.world_matrix[2, 3] = 3.0
-    layer = render([(box(voxels=16), medium)], [PointLight(lamp, 1.0)], view, Settings(depth_samples=24))
-    return layer.multiple[..., 0].mean() * 1.1**2
+    layer = render([(box(voxels=16), medium)], [PointLight(lamp, 1.0, radius)], view, Settings(depth_samples=24))
+    return np.array([layer.single[..., 0].mean(), layer.multiple[..., 0].mean()]) * 1.1**2
 
 
-def traced_towards_z(lamp, medium, photons, seed=8):
-    """Intensity along z of collisions after the first, of photons of a lamp, in a unit box; and its standard error."""
+def traced_towards_z(lamp, medium, photons, radius=0.0, seed=8):
+    """Intensity along z of the first and of later collisions of a lamp's photons, in a unit box; and standard errors.
+
+    Of a sphere, whose radiance is the same within, as many go inwards as outwards, and no further than its far side.
+    """
     random = np.random.default_rng(seed)
     sigma, albedo, g = medium.sigma_t[0], medium.albedo[0], medium.anisotropy
 
@@ -50,21 +63,30 @@ def traced_towards_z(lamp, medium, photons, seed=8):
         sideways = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(along, across)
         return cosine[:, None] * along + np.sqrt(np.maximum(1.0 - cosine**2, 0.0))[:, None] * sideways
 
-    found, along = np.zeros(photons), random.normal(size=(photons, 3))
+    found, along = np.zeros((2, photons)), random.normal(size=(photons, 3))
     along /= np.linalg.norm(along, axis=1)[:, None]
+    start, limit, weight = np.tile(lamp, (photons, 1)), np.full(photons, np.inf), albedo
+    if radius:
+        # Sums of normals and directions all around are distributed as cosines.
+        start, normal, around = lamp + radius * along, along, random.normal(size=along.shape)
+        along = normal + around / np.linalg.norm(around, axis=1)[:, None]
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        along[::2] *= -1.0
+        limit[::2] = -2.0 * radius * (along * normal).sum(axis=1)[::2]
+        weight *= 2.0
     # Those that meet the box begin where they enter it.
-    ends = np.sort([(-0.5 - lamp) / along, (0.5 - lamp) / along], axis=0)
+    ends = np.sort([(-0.5 - start) / along, (0.5 - start) / along], axis=0)
     first, last = np.maximum(ends[0].max(axis=1), 0.0), ends[1].min(axis=1)
-    number, weight = np.flatnonzero(first < last), albedo
-    along = along[number]
-    place = lamp + first[number, None] * along
+    number = np.flatnonzero(first < last)
+    along, limit = along[number], limit[number]
+    place = start[number] + first[number, None] * along
     for order in range(400):
-        place = place + along * random.exponential(1.0 / sigma, (len(place), 1))
-        inside = np.abs(place).max(axis=1) < 0.5
-        place, number, along = place[inside], number[inside], along[inside]
-        if order:
-            phase = henyey_greenstein(along[:, 2], g)
-            found[number] += weight * np.exp(-sigma * (0.5 - place[:, 2])) * phase
+        length = random.exponential(1.0 / sigma, len(place))
+        place = place + along * length[:, None]
+        inside = (np.abs(place).max(axis=1) < 0.5) & (length < limit)
+        place, number, along, limit = place[inside], number[inside], along[inside], np.full(inside.sum(), np.inf)
+        phase = henyey_greenstein(along[:, 2], g)
+        found[min(order, 1), number] += weight * np.exp(-sigma * (0.5 - place[:, 2])) * phase
         weight *= albedo
         along = turned(along)
-    return found.mean(), found.std() / photons**0.5
+    return found.mean(axis=1), found.std(axis=1) / photons**0.5

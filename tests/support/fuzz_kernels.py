@@ -29,6 +29,7 @@ from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.ray_steps import RayBatch
 from inference.occluders.lamp_shadow_map import LampShadowMap
+from inference.scene.lamps import LampSource
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
@@ -238,8 +239,14 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
     grid, linear = random_grid(random), np.diag(random.uniform(1.0, 40.0, 3))
     if random.random() < 0.3:
         linear += random.normal(size=(3, 3))
-    spoil_blocks(random, grid)
-    depth = LampOpticalDepth(grid, linear, random.normal(size=3), random.normal(size=3), kernels=kernels)
+    # The density within spheres is read without kernels.
+    radius = random.choice([0.0, random.uniform(0.0, 1.0)])
+    if not radius:
+        spoil_blocks(random, grid)
+    source = LampSource(*random.normal(size=(2, 3)), radius, random.random() < 0.5)
+    depth = LampOpticalDepth(grid, linear, random.normal(size=3), source, kernels=kernels)
+    if radius:
+        spoil_blocks(random, grid)
     for pyramid in depth.pyramids:
         if random.random() < 0.3:
             spoil(random, pyramid.depths)

@@ -31,6 +31,7 @@ from inference.marching.lamp_in_media import place_lamp
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken
+from inference.scene.lamps import LampSource
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
@@ -96,16 +97,24 @@ def test_sun_columns(kind, direction):
     assert_close(sun_optical_depth(density, direction, 0.5), sun_optical_depth(density, direction, 0.5, KERNELS))
 
 
-@pytest.mark.parametrize("lamp", [(0.9, 0.6, 0.5), (0.52, 0.0, 0.1), (0.1, -0.05, 0.12), (-7.0, 3.0, 0.4)])
+POINTS = [(0.9, 0.6, 0.5), (0.52, 0.0, 0.1), (0.1, -0.05, 0.12), (-7.0, 3.0, 0.4)]
+SPHERES = [
+    LampSource(np.array([0.1, -0.05, 0.12]), np.array([0.1, -0.05, 0.12]), 0.2),
+    LampSource(np.array([0.1, -0.05, 0.3]), np.array([0.1, -0.05, 0.12]), 0.2),
+    LampSource(np.array([0.1, -0.05, 0.3]), np.array([0.1, -0.05, 0.12]), 0.2, soft_falloff=True),
+]
+
+
+@pytest.mark.parametrize("lamp", [*(LampSource(np.array(at), np.array(at)) for at in POINTS), *SPHERES])
 @pytest.mark.parametrize("kind", KINDS)
 def test_optical_depths_around_lamps(kind, lamp):
     matrix, density = np.linalg.inv(MATRICES["sheared"])[:3, :3], some_density(kind)
     linear, offset = 30.0 * matrix, np.array([19.0, 16.0, 13.0])
     points = np.random.default_rng(1).uniform(-5.0, 45.0, (3, 500)).astype(np.float32)
     for grid in (DenseGrid(density), SparseGrid.of_dense(density)):
-        expected = LampOpticalDepth(grid, linear, offset, np.array(lamp))
+        expected = LampOpticalDepth(grid, linear, offset, lamp)
         for kernels in variants():
-            found = LampOpticalDepth(grid, linear, offset, np.array(lamp), kernels=kernels)
+            found = LampOpticalDepth(grid, linear, offset, lamp, kernels=kernels)
             for one, other in zip(expected.pyramids, found.pyramids, strict=True):
                 assert_close(one.depths, other.depths)
             for sigma_t in (1e-3, 50.0):

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Optical depth of the light of a sphere in the matter around it, beyond that from the places that stand for it.
+
+Columns of optical depth start at points. The light of a sphere starts at that side of its surface which is seen, that
+of a soft falloff on a disk that faces what it lights. Far away, light that seems to come from a point starts as far
+before or behind it as the surface lies; near, or within, its mean transmittance in a homogeneous medium is
+
+    T(d) = 1 / |W| int_W exp(-s l(w)) dw,
+
+over the directions W in which a place at a distance d from the centre sees the surface, with l(w) the way to it and s
+the extinction. `excess_depths` are -ln T less what the points give. Lengths here are in radii, s is an optical depth
+per radius.
+"""
+
+import numpy as np
+
+from ..numerics.quadrature import legendre_nodes
+from ..scene.lamps import light_start
+
+#: Number of nodes of a table, even in d / (1 + d).
+NODES = 64
+# Nodes of quadratures, and the distance that stands for infinity.
+QUADRATURE, FAR = 48, 1e4
+
+
+def excess_depths(thickness: float, soft_falloff: bool, apart: float) -> np.ndarray:
+    """Optical depths float32 (NODES,) to be added to those from `light_start`, at distances even in d / (1 + d).
+
+    thickness: optical depth of a radius. soft_falloff: as of PointLight. apart: distance from the centre, in radii, of
+    the points that light seems to come from; 0 for one in the centre.
+    """
+    share = np.arange(NODES) / (NODES - 1.0)
+    distance = np.minimum(share / np.maximum(1.0 - share, 1e-9), FAR)[:, None]
+    nodes, weights = legendre_nodes(QUADRATURE)
+    nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
+    longer, seen = _disk_ways(distance, nodes) if soft_falloff else _sphere_ways(distance, nodes)
+    surface = _log_mean(-thickness * longer, seen * weights)
+    along = apart * (2.0 * nodes - 1.0)
+    away = np.sqrt(np.maximum(distance**2 + apart**2 - 2.0 * distance * along, 0.0))
+    longer = (apart**2 - 2.0 * distance * along) / np.maximum(away + distance, 1e-30)
+    longer = longer + along - light_start(along, apart, 1.0, soft_falloff)
+    return (_log_mean(-thickness * longer, weights) - surface).astype(np.float32)
+
+
+def _disk_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ways to a disk of radius 1 that faces points, less the distance (N, 1), and shares of its solid angle, (N, Q)."""
+    # 1 / cos(b) to the power of the nodes, so that they are dense where ways are short.
+    log = 0.5 * np.log1p(1.0 / np.maximum(distance, 1e-6) ** 2)
+    return distance * np.expm1(log * nodes), np.exp(-log * nodes)
+
+
+def _sphere_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ways to the visible side of a sphere of radius 1, or from within, as `_disk_ways`."""
+    # Outside, nodes are cosines to the normal of the surface; within, to the direction from the centre.
+    slant = np.sqrt(np.maximum(distance**2 - 1.0, 0.0) + nodes**2)
+    outside = (nodes**2 - 1.0) / (slant + distance) - nodes
+    cosine = 2.0 * nodes - 1.0
+    within = np.sqrt(np.maximum(1.0 - distance**2 * (1.0 - cosine**2), 0.0)) - distance * cosine - distance
+    beyond = distance > 1.0
+    return np.where(beyond, outside, within), np.where(beyond, nodes / np.maximum(slant, 1e-30), 1.0)
+
+
+def _log_mean(exponents: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Logarithm (N,) of the mean of exp(exponents), (N, Q), with some weights."""
+    most = exponents.max(axis=-1, keepdims=True)
+    weights = np.broadcast_to(weights, exponents.shape)
+    mean = (weights * np.exp(exponents - most)).sum(axis=-1) / weights.sum(axis=-1)
+    return most[..., 0] + np.log(mean)
