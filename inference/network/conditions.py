@@ -8,6 +8,9 @@ import numpy as np
 from ..occluders.shadow_map import ShadowMap
 from ..transport.lamp_beam import LampInCube
 
+# Lowest and highest coordinates (3,).
+Bounds = tuple[np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -21,7 +24,7 @@ class Conditions:
 
     sigma_hat: float
     sun: np.ndarray
-    bounds: tuple[np.ndarray, np.ndarray]
+    bounds: Bounds
     shadow_map: ShadowMap | None = None
     triangles: np.ndarray | None = None
     occluders: bytes = b""

@@ -7,14 +7,15 @@ leaves does not follow from the transport for albedo 1 that networks read. Solve
 itself holds the light: with its moments L_lm of the radiance, up to degree 3, what scatters towards the camera is
 
     sum_lm (2 l + 1) / (4 pi) G^l L_lm Y_lm(-omega)
-        + E sum_l (2 l + 1) / (4 pi) P_l(omega . l) G^l (exp(-(1 - w G^2 f_l) tau) - exp(-tau)),
+        + E sum_l (2 l + 1) / (4 pi) P_l(omega . l) G^l (exp(-(1 - w s_l) tau) - exp(-tau)),
 
-where the second term is the light of the lamp, of irradiance E behind an optical depth tau, that has scattered into the
-phase function's forward peak, which the transport counts as unscattered. The more often it has, the further it spreads:
-what the delta scaling leaves of the phase function for the peak has the Legendre moments
-f_l = (G^l - (1 - G^2) G'^l) / G^2 with the G' = G / (1 + G) of the transport, and after n scatterings their n-th powers
-(Goudsmit and Saunderson, "Multiple Scattering of Electrons", 1940); the last scattering, towards the camera, has the
-moments G^l. Without degrees 2 and 3 what goes sideways from a beam is too bright, and what goes on too dark.
+where the second term is light of the lamp, of irradiance E behind an optical depth tau, that has turned by small angles
+since. Were the lamp far away, and its scattering by a phase function of the Legendre moments p_l, s_l would be p_l:
+after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of Electrons", 1940). But
+light from a place that turns by an angle a at a part t of the way arrives off the straight line by about t a, not a:
+s_l is the mean of p_(t l) over that part of the way which lies within the volume. To degree 3 this is what the
+transport counts as unscattered, light in the phase function's forward peak, p_l = G^l - (1 - G^2) G'^l, with the
+G' = G / (1 + G) of the transport. Above, where the transport knows nothing, it is all light: p_l = G^l.
 """
 
 from collections.abc import Mapping
@@ -26,6 +27,7 @@ from ..numerics.small_matmul import product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.scattered_fluence import FluenceLattice
+from .conditions import Bounds
 
 # Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
 # its multiple scattering, and from which on it is what networks predict: against photons at a mean cosine of 0.857 the
@@ -49,44 +51,59 @@ def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> floa
     return min(max((FAR - nearest / max(farthest, 1e-30)) / (FAR - NEAR), 0.0), 1.0)
 
 
+def way_outside(lamp: np.ndarray, points: np.ndarray, extent: Bounds) -> np.ndarray:
+    """Share (N,) of the ways from a lamp (3,) to points (N, 3) that leads to a box; extent: its corners (3,)."""
+    ways = points - lamp
+    ways = np.where(np.abs(ways) > 1e-12, ways, 1e-12)
+    nearer = np.minimum((extent[0] - lamp) / ways, (extent[1] - lamp) / ways)
+    return np.clip(nearer.max(axis=1), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class LampAtPoints:
+    """Unscattered light of a lamp at N points, in the frame of the working cube.
+
+    towards: (N, 3), unit vectors to the lamp. irradiance, depth: (N,), without what lies in between, and its optical
+    depth. outside: (N,), share of the way from the lamp that leads to the volume's box.
+    """
+
+    towards: np.ndarray
+    irradiance: np.ndarray
+    depth: np.ndarray
+    outside: np.ndarray
+
+
 @dataclass(frozen=True)
 class LampNearby:
     """The transport of a lamp of power 1, solved for some albedos.
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
-    anisotropy: G of the phase function.
+    anisotropy: G of the phase function. extent: lower and upper corner (3,) of the volume's box in the cube's frame.
     """
 
     share: float
     lights: Mapping[float, tuple[FluenceLattice, float]]
     anisotropy: float
+    extent: Bounds
 
-    def radiance(
-        self,
-        albedo: float,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        towards: np.ndarray,
-        irradiance: np.ndarray,
-        depth: np.ndarray,
-    ) -> np.ndarray:
+    def radiance(self, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints) -> np.ndarray:
         """Multiple scattering float64 (N,) at points, without the factor of the local albedo.
 
-        albedo: one of those that it is solved for. positions, omega, towards: (N, 3), of points, camera rays and the
-        lamp in the cube's frame. irradiance, depth: (N,), of the lamp without what lies in between, and the optical
-        depth.
+        albedo: one of those that it is solved for. positions, omega: (N, 3), of points and camera rays in the cube's
+        frame. lamp: at the points.
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
         weights = (2 * DEGREES + 1) * g**DEGREES * (scale / (4.0 * np.pi))
         found = product(light.values(positions) * spherical_harmonics(-omega).T, weights).astype(np.float64)
-        # At wide angles the peaks' light is less than what the transport's few moments have too much.
-        return np.maximum(found + irradiance * _forward_light((omega * towards).sum(axis=1), g, albedo, depth), 0.0)
+        forwards = _forward_light((omega * lamp.towards).sum(axis=1), g, albedo, lamp)
+        # At wide angles the little there is may be less than what a series of few degrees has too much.
+        return np.maximum(found + lamp.irradiance * forwards, 0.0)
 
 
-def _forward_light(cosine: np.ndarray, anisotropy: float, albedo: float, depth: np.ndarray) -> np.ndarray:
-    """Light (N,), 1/sr, that has scattered into forward peaks and then towards the camera, of a beam of irradiance 1.
+def _forward_light(cosine: np.ndarray, anisotropy: float, albedo: float, lamp: LampAtPoints) -> np.ndarray:
+    """Light (N,), 1/sr, that has turned by small angles, then towards the camera, of a lamp of irradiance 1.
 
-    cosine: (N,), of the angle between the camera ray and the direction to the lamp. depth: (N,), of the medium.
+    cosine: (N,), of the angle between the camera ray and the direction to the lamp.
     """
     g, forward = anisotropy, anisotropy**2
     if forward < MIN_FORWARD:
@@ -94,10 +111,21 @@ def _forward_light(cosine: np.ndarray, anisotropy: float, albedo: float, depth: 
     count = min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS)
     # Legendre's polynomials by their recurrence.
     before, here = np.zeros(len(cosine)), np.ones(len(cosine))
-    found, unscattered = np.zeros(len(cosine)), np.exp(-depth)
+    found, unscattered = np.zeros(len(cosine)), np.exp(-lamp.depth)
     for order in range(count):
-        moment = (g**order - (1.0 - forward) * reduced_anisotropy(g) ** order) / forward
-        share = np.exp(-(1.0 - albedo * forward * moment) * depth) - unscattered
+        scattered = _on_the_way(g, order, lamp.outside)
+        if order <= DEGREES[-1]:
+            scattered = scattered - (1.0 - forward) * _on_the_way(reduced_anisotropy(g), order, lamp.outside)
+        share = np.exp(-(1.0 - albedo * scattered) * lamp.depth) - unscattered
         found += (2 * order + 1) / (4.0 * np.pi) * g**order * share * here
         before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
     return found
+
+
+def _on_the_way(anisotropy: float, order: int, start: np.ndarray) -> np.ndarray | float:
+    """Means (N,) of the moments G^(l t) of order l over t from starts (N,) to 1; G^l where light scatters backwards."""
+    if anisotropy < 0.0 or order == 0:
+        return anisotropy**order
+    slope = -order * np.log(anisotropy)
+    part = np.maximum(slope * (1.0 - start), 1e-9)
+    return np.exp(-slope * start) * -np.expm1(-part) / part

@@ -26,10 +26,10 @@ from ..transport.lamp_beam import LampInCube
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
-from .conditions import Conditions
+from .conditions import Bounds, Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
-from .lamp_nearby import LampNearby, transport_share
+from .lamp_nearby import LampAtPoints, LampNearby, transport_share, way_outside
 from .prepared_rays import PreparedLampRays, directions_to
 from .uncertainty import UncertaintyNetwork
 
@@ -43,9 +43,6 @@ MAX_FLUENCE = 5.04
 BEYOND_THICKNESS, BEYOND_ANISOTROPY = 0.6, 2.0
 # Of the coarse transport, which takes the network's place around a lamp near a volume or inside it; docs/method.md.
 NEARBY_DEVIATION = 0.08
-
-# Lowest and highest coordinates (3,).
-Bounds = tuple[np.ndarray, np.ndarray]
 
 
 class VolumePredictor:
@@ -257,7 +254,7 @@ class VolumePredictor:
             prepared = self._predictor.prepare_lamp(conditions, tasks)
         if share > 0.0:
             conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
-            nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, tasks)
+            nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, self.extent(), tasks)
         peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
         return PreparedLampPredictor(
             prepared,
@@ -441,10 +438,9 @@ class PreparedLampPredictor:
         given = np.minimum(self.lamp.fluence(positions) / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
         depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
         share, received = self.nearby.share, irradiance * given
-        towards = directions_to(self.cube.positions(self.lamp.centre[None])[0], x)
-        found = np.stack(
-            [self.nearby.radiance(albedo, x, omega, towards, received, depth) for albedo in albedos]
-        ).astype(np.float32)
+        centre = self.cube.positions(self.lamp.centre[None])[0]
+        light = LampAtPoints(directions_to(centre, x), received, depth, way_outside(centre, x, self.nearby.extent))
+        found = np.stack([self.nearby.radiance(albedo, x, omega, light) for albedo in albedos]).astype(np.float32)
         if share < 1.0:
             found *= share
             found += (1.0 - share) * self._of_network(x, omega, irradiance, albedos, jitter, ray_features)

@@ -41,7 +41,7 @@ from ..transport.scattered_fluence import (
     moment_lattice,
 )
 from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
-from .conditions import Conditions
+from .conditions import Bounds, Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .lamp_nearby import MIN_ALBEDO, LampNearby
@@ -287,13 +287,13 @@ class RayPredictor(StencilPredictor):
         )
 
     def lamp_nearby(
-        self, conditions: Conditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
+        self, conditions: Conditions, albedos: Sequence[float], share: float, extent: Bounds, tasks: AnyTasks = SERIAL
     ) -> LampNearby:
-        """The transport of the conditions' lamp for some albedos; share: as in LampNearby. Raises Cancelled."""
+        """The transport of the conditions' lamp for some albedos; share, extent: as in LampNearby. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
         lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
-        return LampNearby(share, lights, self.anisotropy)
+        return LampNearby(share, lights, self.anisotropy, extent)
 
     def varying_albedo(
         self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Directions of the light around a lamp, against photons followed from it."""
+
+import numpy as np
+import pytest
+
+from inference.network.lamp_nearby import LampAtPoints, LampNearby
+from inference.transport.scattered_fluence import FluenceLattice
+
+ANISOTROPY, ALBEDO = 0.857, 0.9
+
+
+@pytest.mark.parametrize("order", [4, 6, 10, 16])
+@pytest.mark.parametrize("least, most", [(0.2, 1.0), (1.0, 3.0)])
+def test_directions_around_a_lamp_are_those_of_traced_photons(order, least, most):
+    """Moments of the light around the straight way from the lamp, in even smoke without an end."""
+    depth = np.linspace(least, most, 40)
+    found = np.mean([_moment(order, tau, 0.0) for tau in depth]) * (most - least)
+    assert found == pytest.approx(_traced(order, least, most), rel=0.15)
+
+
+def test_light_of_a_far_lamp_turns_as_in_a_beam():
+    """Goudsmit and Saunderson's moments."""
+    for order in (5, 9):
+        expected = np.exp(-(1.0 - ALBEDO * ANISOTROPY**order) * 1.5) - np.exp(-1.5)
+        assert _moment(order, 1.5, 1.0) == pytest.approx(expected, rel=1e-3)
+
+
+def _moment(order, depth, outside):
+    """Of light of irradiance 1, from the radiance that it becomes in all directions."""
+    cells = np.zeros((4, 4, 4, 16), np.float32)
+    # Light from everywhere, so that none of the sum is negative.
+    cells[..., 0] = 50.0
+    nearby = LampNearby(1.0, {ALBEDO: (FluenceLattice(cells), 1.0)}, ANISOTROPY, (np.full(3, -0.5), np.full(3, 0.5)))
+    cosine, weights = np.polynomial.legendre.leggauss(200)
+    omega = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(200), cosine], axis=1)
+    light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), np.full(200, depth), np.full(200, outside))
+    radiance = nearby.radiance(ALBEDO, np.zeros((200, 3)), omega, light)
+    legendre = np.polynomial.legendre.Legendre.basis(order)(cosine)
+    return 2.0 * np.pi * (weights * radiance * legendre).sum() / ANISOTROPY**order
+
+
+def _traced(order, least, most, photons=150_000):
+    """Sum over collisions after the first, per photon, at optical distances from a lamp."""
+    random, g, found = np.random.default_rng(4), ANISOTROPY, 0.0
+    along = random.normal(size=(photons, 3))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    place, legendre = np.zeros((photons, 3)), np.polynomial.legendre.Legendre.basis(order)
+    for number in range(60):
+        place = place + along * random.exponential(size=(len(place), 1))
+        distance = np.linalg.norm(place, axis=1)
+        if number:
+            some = (distance >= least) & (distance < most)
+            found += ALBEDO**number * legendre((place * along).sum(axis=1)[some] / distance[some]).sum()
+        near = distance < 3.0 * most + 3.0
+        place, along = place[near], along[near]
+        u, angle = random.uniform(-1.0, 1.0, len(along)), random.uniform(0.0, 2.0 * np.pi, len(along))
+        cosine = ((1.0 + g * g - ((1.0 - g * g) / (1.0 + g * u)) ** 2) / (2.0 * g))[:, None]
+        across = np.cross(along, np.where(np.abs(along[:, :1]) > 0.5, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]))
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        aside = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(along, across)
+        along = cosine * along + np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) * aside
+        along /= np.linalg.norm(along, axis=1)[:, None]
+    return found / photons
