@@ -53,16 +53,24 @@ def test_ratios_at_real_sizes_are_those_of_the_table():
 
 
 def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
-    """Geometric means of the page's rows, without the plume, which a clone lacks, and where noise hides the error."""
+    """Geometric means of the page's scenes, without the plume, which a clone lacks, and where noise hides the error; of
+    the ways of Cycles the quickest in each.
+    """
     rows = re.findall(
-        r"^\| (?!plume)[^|]+\| ([\d.]+) \(.*?: ([\d.e+]+) / ([\d.e+]+) × \|",
+        r"^\| (?!plume)([^|]+) \| Cycles [^|]+ \| ([\d.]+) \([^|]+\|[^|]+\|[^|]+\| [^|]+: ([\d.e+]+) / ([\d.e+]+) × \|",
         (ROOT / "docs" / "error-vs-time.md").read_text(),
         re.MULTILINE,
     )
-    known = [(float(first), float(frame)) for error, first, frame in rows if float(error) > 0.0]
-    first, frame = (statistics.geometric_mean(column) for column in zip(*known))
-    stated = re.search(r"takes (\d+) times as long for a first image and (\d+) times for a further", page("README.md"))
-    assert [int(value) for value in stated.groups()] == [round(first), round(frame)]
+    known: dict[str, list[tuple[float, float]]] = {}
+    for scene, error, first, frame in rows:
+        if float(error) > 0.0:
+            known.setdefault(scene, []).append((float(first), float(frame)))
+    quickest = [tuple(map(min, zip(*ways))) for ways in known.values()]
+    first, frame = (f"{float(f'{statistics.geometric_mean(one):.3g}'):.0f}" for one in zip(*quickest))
+    stated = re.search(
+        r"takes ([\d ]+) times as long for a first image and ([\d ]+) times for a further", page("README.md")
+    )
+    assert [value.replace(" ", "") for value in stated.groups()] == [first, frame]
     assert f"geometric means of {len(known)} scenes" in page("README.md")
 
 
