@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that surfaces throw back or emit, as volumes see it: an environment of their own.
 
-In every direction around the middle of the volumes the nearest surface shines with
+Every surface that is seen from the middle of the volumes shines with
 
     L = L_emitted + reflectance / pi * E,
 
 where E is its irradiance by suns, lamps and the sky, behind volumes and other surfaces, and by what volumes scatter.
 Their scattered light is that of a ball in their middle that shines alike in all directions: the power that they take
-from all light, that of the surfaces included, times the share that leaves them again. Surfaces do not light one
-another. All volumes see the surfaces in the directions in which their middle does. The irradiance of a surface within a
-volume is the mean of that and of what slabs of the volume above it transmit: the first is too bright there, the second
-too dark.
+from all light, that of the surfaces included, times the share that leaves them again. Within volumes, the coarse
+transport tells what surfaces receive of suns and sky, and a slab of the volume above throws a part of a surface's own
+light back to it; of lamps they receive half of what the ball gives. Surfaces do not light one another. All places see
+surfaces in the directions in which the middle does, but each place as bright as they are there.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,15 @@ import numpy as np
 
 from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
+from ..grids.grid import Grid
 from ..marching.lamp_in_media import LampInMedia
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..occluders.seen_surfaces import HIDING, ROWS, SeenSurfaces, see_surfaces
+from ..occluders.seen_surfaces import HIDING, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
+from ..occluders.surface_views import SurfaceViews
 from ..plan.directional_lights import directional_lights
 from ..plan.lights import DIRECTIONS, linking
+from ..plan.plan import distinct_albedos
 from ..render_cache import ScatteringGroup
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun, Surface, Volume
@@ -38,6 +41,9 @@ from .context import PreparedScene
 SHADED_REACH = 8.0
 # Cells of a shadow map by which points are moved away from their own surface.
 CLEARANCE = 3.0
+# Surfaces that rise less than this above others, in sizes of the volumes, do not shade them; if the others have more
+# planes than this, any may shade them.
+FLAT, MAX_PLANES = 1e-3, 64
 # Directions from a surface within a volume, of equal shares of the irradiance of even light, in the frame of its
 # normal, and points along each at which the density is read.
 SLOPES = [
@@ -81,11 +87,14 @@ def surface_light(
     seen = see_surfaces(surfaces, eye, cancel)
     if not (seen.reflectance.any() or seen.emission.any()):
         return None, None
-    ball = _ball(scene)
-    irradiance, power = np.zeros((len(seen.pixel), 3)), np.zeros(3)
-    inside, passed = _slabs(scene, seen)
-    form = ball.form(seen) * np.where(inside, 0.5, 1.0)
-    shading = [surface for surface in surfaces if surface.shades]
+    ball, views = _ball(scene), SurfaceViews(seen, eye, scene.corners)
+    within = np.stack([_within(grid, seen) for grid in scene.grids])
+    inside = within.any(axis=0)
+    passed, thrown_back = _slabs(scene, seen, within)
+    irradiance, open_share = _light_within(scene, seen, within, passed, cancel)
+    power, lamp_power = np.zeros(3), np.zeros(3)
+    form = ball.form(seen)
+    shading = _shading(surfaces, seen, scene.corners)
     plan, names = scene.plan, [surface.name for surface in surfaces]
     # Which lights light each surface, and any of the volumes.
     sunlit, lamplit = (linking(lights, names)[seen.owner] for lights in (plan.suns, plan.lamps))
@@ -97,36 +106,32 @@ def surface_light(
             light = _sun_light(sun, seen) * sunlit[:, number]
             if shading:
                 light *= _sun_visibility(shading, sun.direction, seen, scene.corners, cancel)
-            share = _passed_sun(media, number, seen.points, c)
-            share[inside] = 0.5 * (share[inside] + passed[inside][:, c])
+            share = _passed_sun(media, number, seen.points, c, inside)
             irradiance[:, c] += light[:, None] * share * sun.irradiance[c]
             power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
         for number, lamp in enumerate(scene.lamps):
             cancel.check()
             irradiance[:, c] += _lamp_light(lamp, media, seen, c) * lamp.lamp.power[c] * lamplit[:, number, None]
-            power[c] += lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
+            captured = lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
+            power[c] += captured
+            lamp_power[c] += captured
     if scene.plan.sky:
         sky, fluence = _sky_light(scene.plan.sky, seen)
         if shading and any(environment.weight for environment in plan.environments):
             sky *= _sky_visibility(shading, plan.sky, seen, scene.corners, cancel)[:, None]
         # What volumes take from the sky in front of a surface, they take from its irradiance.
-        mean = fluence / (4.0 * np.pi)
-        irradiance += np.maximum(0.5 * sky * (1.0 + passed) - form[:, None] * ball.area * mean, 0.0)
+        shaded = np.maximum(sky - form[:, None] * ball.area * fluence / (4.0 * np.pi), 0.0)
+        irradiance += np.where(inside[:, None], open_share * sky, shaded)
         power += ball.area * fluence
-    angles, scattered, returned = seen.solid_angles, power, np.zeros_like(irradiance)
+    irradiance += 0.5 * (form * inside)[:, None] * ball.leaving * lamp_power / (4.0 * np.pi)
+    irradiance /= 1.0 - seen.reflectance * thrown_back
+    scattered, returned = power, np.zeros_like(irradiance)
     for _ in range(ROUNDS):
-        total = irradiance + form[:, None] * (ball.leaving * scattered / (4.0 * np.pi))
+        total = irradiance + (form * ~inside)[:, None] * (ball.leaving * scattered / (4.0 * np.pi))
         returned = seen.reflectance / np.pi * total
-        scattered = power + ball.area * (angles @ (seen.emission + returned))
-    emitted = _as_environment(seen, seen.emission, "light that surfaces emit")
-    return emitted, _as_environment(seen, returned, "light that surfaces throw back")
-
-
-def _as_environment(seen: SeenSurfaces, radiance: np.ndarray, name: str) -> Environment | None:
-    """Radiance (P, 3) of the surfaces that are seen; None if it is black."""
-    image = np.zeros((2 * ROWS * ROWS, 3))
-    image[seen.pixel] = radiance
-    return Environment(image.reshape(ROWS, 2 * ROWS, 3), name=name) if image.any() else None
+        scattered = power + ball.area * views.fluence(seen.emission + returned)
+    emitted = views.environment(seen.emission, "light that surfaces emit")
+    return emitted, views.environment(returned, "light that surfaces throw back")
 
 
 def open_volume(volume: Volume, surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelToken = NEVER) -> Volume:
@@ -166,25 +171,53 @@ def _ball(scene: PreparedScene) -> _Ball:
     return _Ball(middle, radius, area, leaving / np.maximum(area, 1e-30))
 
 
-def _slabs(scene: PreparedScene, seen: SeenSurfaces) -> tuple[np.ndarray, np.ndarray]:
-    """Which points (P,) of surfaces lie within volumes, and the share (P, 3) of light from outside that reaches them.
+def _within(grid: Grid, seen: SeenSurfaces) -> np.ndarray:
+    """Which points of surfaces lie within a volume: bool (P,)."""
+    enter, leave = grid.interval(seen.points, seen.normals)
+    return (enter <= 0.0) & (leave > 0.0)
 
-    The mean over directions of what diffusion transmits through a slab of the optical depth along each, with
-    k^2 = 3 (1 - w) and a = 2 k / 3: 4 a / d, d = (1 + a)^2 exp(k tau) - (1 - a)^2 exp(-k tau). It reflects
-    (1 - a^2) (exp(k tau) - exp(-k tau)) / d of the surface's own light, again and again. 1 outside.
+
+def _light_within(
+    scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray, passed: np.ndarray, cancel: CancelToken
+) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance (P, 3) of surfaces within volumes by suns' scattered light, and share (P, 3) of the sky's that stays.
+
+    within: bool (V, P), points that lie in each volume. passed: (P, 3), share where nothing scatters. Raises Cancelled.
     """
-    inside, depths = np.zeros(len(seen.points), bool), np.zeros((len(SLOPES), len(seen.points), 3))
-    absorbing = np.zeros_like(depths)
-    place = (np.arange(SLAB) + 0.5) / SLAB
-    for grid, (_, medium) in zip(scene.grids, scene.plan.volumes):
-        enter, leave = grid.interval(seen.points, seen.normals)
-        some = np.flatnonzero((enter <= 0.0) & (leave > 0.0))
-        inside[some] = True
+    plan, irradiance, share = scene.plan, np.zeros_like(passed), passed.copy()
+    for channels in plan.channels:
+        for g, group in scene.predicted(channels):
+            some = np.flatnonzero(within[plan.groups[g]].any(axis=0))
+            if not len(some):
+                continue
+            opened = (scene.open_groups[g] if scene.open_groups else None) or group
+            suns = [sun for sun in plan.suns if plan.lights_group(sun, g)]
+            for albedo, indices in distinct_albedos(group.medium, channels.indices):
+                sigma_t, place = float(group.medium.sigma_t[indices[0]]), (some[:, None], np.array(indices))
+                surface = opened.predictor.surface_irradiance(seen.points[some], seen.normals[some], sigma_t, albedo)
+                for sun in suns:
+                    scattered = surface.scattered(sun.direction, scene.occluders.shadow_map(sun.direction), cancel)
+                    irradiance[place] += scattered[:, None] * sun.irradiance[indices]
+                if plan.environments:
+                    share[place] = surface.share(plan.environments, cancel)[:, None]
+    return irradiance, share
+
+
+def _slabs(scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares (P, 3) of even light that reach surfaces through volumes, and of their own that volumes throw back.
+
+    Means over directions, of light that does not turn and of what diffusion reflects from a slab of the optical depth
+    along each, with k^2 = 3 (1 - w) and a = 2 k / 3: (1 - a^2) (exp(k tau) - exp(-k tau)) / d, d = (1 + a)^2 exp(k tau)
+    - (1 - a)^2 exp(-k tau). within: as for `_light_within`; 1 and 0 outside.
+    """
+    depths = np.zeros((len(SLOPES), len(seen.points), 3))
+    absorbing, place = np.zeros_like(depths), (np.arange(SLAB) + 0.5) / SLAB
+    for grid, (_, medium), some in zip(scene.grids, scene.plan.volumes, map(np.flatnonzero, within)):
         if not len(some):
             continue
-        turned = frames(seen.normals[some], np.array([0.3, 0.5, 0.8]))
+        turned, points = frames(seen.normals[some], np.array([0.3, 0.5, 0.8])), seen.points[some]
         for number, slope in enumerate(SLOPES):
-            directions, points = turned @ slope, seen.points[some]
+            directions = turned @ slope
             _, leave = grid.interval(points, directions)
             way = np.maximum(leave, 0.0)[:, None] * place
             index = grid.index((points[:, None] + way[..., None] * directions[:, None]).reshape(-1, 3))
@@ -196,8 +229,8 @@ def _slabs(scene: PreparedScene, seen: SeenSurfaces) -> tuple[np.ndarray, np.nda
     k = np.sqrt(3.0 * np.clip(absorbing / np.maximum(depths, 1e-30), 1e-6, 1.0))
     a, grown = 2.0 * k / 3.0, np.exp(np.minimum(k * depths, 60.0))
     whole = (1.0 + a) ** 2 * grown - (1.0 - a) ** 2 / grown
-    returned = ((1.0 - a * a) * (grown - 1.0 / grown) / whole).mean(axis=0)
-    return inside, (4.0 * a / whole).mean(axis=0) / (1.0 - seen.reflectance * returned)
+    returned = np.maximum((1.0 - a * a) * (grown - 1.0 / grown) / whole, 0.0)
+    return np.exp(-depths).mean(axis=0), returned.mean(axis=0)
 
 
 def _turned_share(albedo: np.ndarray, anisotropy: float) -> np.ndarray:
@@ -250,16 +283,29 @@ def _sky_visibility(
     return left / whole
 
 
-def _passed(media: Sequence[BoundMedium], depths: Sequence[np.ndarray], channels: Sequence[int]) -> np.ndarray:
-    """Share (N, C) of light that media let through or scatter forwards; depths: optical ones (N,) of each."""
-    total = sum(
-        depth[:, None] * _turned_share(bound.medium.albedo[list(channels)], bound.medium.anisotropy)
-        for bound, depth in zip(media, depths)
-    )
+def _passed(
+    media: Sequence[BoundMedium],
+    depths: Sequence[np.ndarray],
+    channels: Sequence[int],
+    within: np.ndarray | bool = False,
+) -> np.ndarray:
+    """Share (N, C) of light that media let through or scatter forwards; depths: optical ones (N,) of each.
+
+    within: bool (N,), where only the phase function's forward peak counts as that, as in the coarse transport.
+    """
+    total = np.zeros((len(depths[0]), len(channels)))
+    for bound, depth in zip(media, depths):
+        own, peak = (
+            _turned_share(bound.medium.albedo[list(channels)], forward)
+            for forward in (bound.medium.anisotropy, bound.medium.anisotropy**2)
+        )
+        total += depth[:, None] * np.where(np.reshape(within, (-1, 1)), peak, own)
     return np.exp(-total)
 
 
-def _passed_sun(media: Sequence[BoundMedium], sun: int, points: np.ndarray, channels: Sequence[int]) -> np.ndarray:
+def _passed_sun(
+    media: Sequence[BoundMedium], sun: int, points: np.ndarray, channels: Sequence[int], within: np.ndarray
+) -> np.ndarray:
     """As `_passed`, between world points (N, 3) and a sun."""
     depths = [
         bound.sun_optical_depth(bound.grid.index(points).T.astype(np.float32), sun, may_be_outside=True)
@@ -267,7 +313,22 @@ def _passed_sun(media: Sequence[BoundMedium], sun: int, points: np.ndarray, chan
         else np.zeros(len(points))
         for bound in media
     ]
-    return _passed(media, depths, channels)
+    return _passed(media, depths, channels, within)
+
+
+def _shading(surfaces: Sequence[Surface], seen: SeenSurfaces, corners: np.ndarray) -> list[Surface]:
+    """Those of surfaces that may shade seen points, since they are not behind the planes of all of them."""
+    found, middle, size = [surface for surface in surfaces if surface.shades], corners.mean(axis=0), np.ptp(corners)
+    offsets = ((seen.points - middle) * seen.normals).sum(axis=1) / size
+    planes = np.unique(np.round(np.column_stack([seen.normals, offsets]), 6), axis=0)
+    if len(planes) > MAX_PLANES:
+        return found
+
+    def rises(surface: Surface) -> bool:
+        corners = (surface.triangles.reshape(-1, 3) - middle) / size
+        return bool(np.any(corners @ planes[:, :3].T - planes[:, 3] > FLAT))
+
+    return [surface for surface in found if rises(surface)]
 
 
 def _sun_visibility(

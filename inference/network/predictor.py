@@ -25,6 +25,7 @@ from ..transport.environment_light import Skies, image_in_frame
 from ..transport.lamp_beam import LampInCube
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
+from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Bounds, Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
@@ -135,6 +136,13 @@ class VolumePredictor:
         slabs = np.geomspace(1e-3, 1e3, 200)
         mean = np.interp(depths.mean() / max(taken, 1e-30), slabs / -np.expm1(-slabs), slabs)
         return taken * self.cube.edge**2, float(mean)
+
+    def surface_irradiance(
+        self, positions: np.ndarray, normals: np.ndarray, sigma_t: float, albedo: float
+    ) -> SurfaceIrradiance:
+        """Of world positions (N, 3) with normals (N, 3), by the coarse transport for an extinction and an albedo."""
+        solver = self._predictor.coarser_solver(sigma_t * self.cube.edge, albedo)
+        return SurfaceIrradiance(solver, self.cube, positions, normals)
 
     def prepare(
         self,

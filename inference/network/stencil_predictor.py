@@ -22,6 +22,7 @@ from ..features.mip_lattices import (
 )
 from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
+from ..grids.halving import halve
 from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
@@ -390,6 +391,12 @@ class RayPredictor(StencilPredictor):
         if self._transport is None or self._transport[0] != key:
             self._transport = key, self._new_solver(conditions)
         return self._transport[1]
+
+    def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
+        """Solver of the transport without surfaces, on cells twice as large."""
+        coarser = np.empty([n // 2 for n in self.coarse.shape], np.float32)
+        halve(np.ascontiguousarray(self.coarse), coarser, self.kernels)
+        return DiscreteOrdinates(coarser, sigma_hat, self.anisotropy, kernels=self.kernels, albedo=albedo)
 
     def _new_solver(self, conditions: Conditions, albedo: float = 1.0) -> DiscreteOrdinates:
         return DiscreteOrdinates(

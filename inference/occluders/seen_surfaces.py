@@ -10,7 +10,7 @@ import numpy as np
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
-from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_solid_angles
+from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_numbers, pixel_solid_angles
 from .depth_buffer import SAMPLES, DepthBuffer
 from .lamp_shadow_map import LampShadowMap
 
@@ -18,9 +18,9 @@ from .lamp_shadow_map import LampShadowMap
 ROWS, FACE = 32, 64
 # Distances along an edge of each face of such a cube, for what surfaces hide from its middle.
 HIDING = 512
-# The sky is known if what is open from several places differs from it by this share of the sphere on the average;
-# surfaces of more triangles are not looked at from several places.
-ALIKE, MAX_TRIANGLES = 0.05, 10_000
+# The sky is the same everywhere, or varies linearly, if what is open from several places differs from that by no more
+# than this share of the sphere on the average; surfaces of more triangles are not looked at from several places.
+ALIKE, LINEAR, MAX_TRIANGLES = 0.025, 0.05, 10_000
 
 
 @dataclass(frozen=True)
@@ -169,14 +169,17 @@ def open_sky(
     faces = places[0] + np.concatenate([np.diag(high - places[0]), np.diag(low - places[0])])
     others, checked = look(faces)
     for count in (1, 2, 3):
+        fits = []
         for axes in itertools.combinations(range(3), count):
             weights = _linear(low, high, axes)
             shares, known = (np.stack([weight(at) for weight in weights], axis=1) for at in (seen, others))
             found = mean + np.linalg.lstsq(shares, views - mean, rcond=1e-6)[0]
             found = found.clip(0.0, 1.0)
             all_views, all_shares = np.concatenate([views, checked]), np.concatenate([shares, known])
-            if _difference(all_views, all_shares @ found) <= ALIKE:
-                return [OpenSky(sky.reshape(ROWS, 2 * ROWS), weight) for sky, weight in zip(found, weights)]
+            fits.append((_difference(all_views, all_shares @ found), found, weights))
+        difference, found, weights = min(fits, key=lambda fit: fit[0])
+        if difference <= LINEAR:
+            return [OpenSky(sky.reshape(ROWS, 2 * ROWS), weight) for sky, weight in zip(found, weights)]
     return []
 
 
@@ -194,11 +197,9 @@ def _linear(low: np.ndarray, high: np.ndarray, axes: Sequence[int]) -> list[Plac
 
 def behind(environment: Environment, sky: OpenSky) -> Environment:
     """An environment behind surfaces."""
-    towards = environment.directions()
-    row = ((0.5 - np.arcsin(np.clip(towards[..., 2], -1.0, 1.0)) / np.pi) * ROWS).astype(int).clip(0, ROWS - 1)
-    column = np.floor(np.arctan2(towards[..., 1], towards[..., 0]) * (ROWS / np.pi)).astype(int) % (2 * ROWS)
+    share = sky.share.reshape(-1)[pixel_numbers(environment.directions(), ROWS)]
     return Environment(
-        environment.radiance * sky.share[row, column, None],
+        environment.radiance * share[..., None],
         environment.world_from_environment,
         environment.name,
         sky.weight,

@@ -402,7 +402,9 @@ def make_plan(
 
     memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
     memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES + from_everywhere * len(groups) * ENVIRONMENT_BYTES
-    memory += len(skies) * SKY_BYTES if len(skies) > 1 else 0
+    # Light of surfaces is one more sky beside others.
+    different = len(skies) + bool(reflects and environments)
+    memory += different * SKY_BYTES if different > 1 else 0
     memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
     tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
     if len(tiles) > 1:

@@ -48,6 +48,14 @@ def pixel_solid_angles(rows: int) -> np.ndarray:
     return _grid(rows)[1][:, :1]
 
 
+def pixel_numbers(directions: np.ndarray, rows: int) -> np.ndarray:
+    """Numbers int (...) of the pixels of an image of 2 rows x rows in which directions (..., 3) of any length lie."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    row = ((0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * rows).astype(int).clip(0, rows - 1)
+    column = np.floor(np.arctan2(y, x) * (rows / np.pi)).astype(int) % (2 * rows)
+    return row * (2 * rows) + column
+
+
 @dataclass(frozen=True)
 class PlaceWeight:
     """How much of a light reaches places: a product over axes, linear between two ends and constant beyond them.
@@ -71,6 +79,52 @@ class PlaceWeight:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class PlaceLattice:
+    """How much of a light reaches places: trilinear between those of a lattice, and constant beyond them.
+
+    low, high: (3,), opposite corners of the lattice in the world. values: float32 (n, n, n), n > 1.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    values: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean over the lattice."""
+        return float(self.values.mean())
+
+    def __call__(self, positions: np.ndarray) -> np.ndarray:
+        """float32 (N,), at world positions (N, 3)."""
+        n, flat = len(self.values), self.values.ravel()
+        index = np.clip((positions - self.low) / (self.high - self.low) * (n - 1), 0.0, n - 1).astype(np.float32)
+        cell = np.minimum(index.astype(np.int32), n - 2)
+        fx, fy, fz = (index - cell).T
+        base = (cell[:, 0] * n + cell[:, 1]) * n + cell[:, 2]
+
+        def along_z(offset: int) -> np.ndarray:
+            low = flat.take(base + offset)
+            return low + fz * (flat.take(base + (offset + 1)) - low)
+
+        def along_y(offset: int) -> np.ndarray:
+            low = along_z(offset)
+            return low + fy * (along_z(offset + n) - low)
+
+        low = along_y(0)
+        return low + fx * (along_y(n * n) - low)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PlaceLattice) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[bytes, ...]:
+        return self.low.tobytes(), self.high.tobytes(), self.values.tobytes()
+
+
 @dataclass
 class Environment:
     """Light from all directions, infinitely far away.
@@ -89,7 +143,7 @@ class Environment:
     radiance: np.ndarray
     world_from_environment: np.ndarray | None = None
     name: str = "environment"
-    weight: PlaceWeight | None = None
+    weight: PlaceWeight | PlaceLattice | None = None
 
     def __post_init__(self) -> None:
         self.radiance = np.ascontiguousarray(self.radiance, dtype=np.float32)

@@ -16,7 +16,7 @@ from ..grids.halving import halve
 from ..kernels.library import Kernels
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_solid_angles
+from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
 from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
 
 #: Rows of the images that are read here; larger ones are reduced before.
@@ -37,7 +37,7 @@ class Skies:
     """
 
     image: np.ndarray
-    weights: tuple[PlaceWeight | None, ...]
+    weights: tuple[PlaceWeight | PlaceLattice | None, ...]
 
     @classmethod
     def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":

@@ -99,6 +99,33 @@ def test_even_light_over_a_mirror_of_itself_is_even_light():
     assert with_ground.rgb.mean() == pytest.approx(without.rgb.mean(), rel=0.01)
 
 
+@pytest.mark.parametrize("z", [-0.7, -0.2])
+def test_white_ground_and_white_smoke_in_even_light_are_even_light(z):
+    """The white furnace: nothing absorbs, so that every place is as bright as the World."""
+    even, white = Environment(np.ones((8, 16, 3), np.float32)), Medium(20.0, 1.0, 0.4)
+    white_ground = [ground(1.0, z=z, size=100.0)]
+    layer = render([(CLOUD, white)], [even], camera(), SETTINGS, None, None, CACHE, white_ground)
+    shown = layer.alpha > 0.1
+    assert layer.rgb[shown].sum() / (3.0 * layer.alpha[shown].sum()) == pytest.approx(1.0, abs=0.05)
+
+
+def test_smoke_is_brighter_over_the_bright_part_of_the_ground():
+    bright, dark = rectangle(0.0, 8.0, -8.0, 8.0, -0.2), rectangle(-8.0, 0.0, -8.0, 8.0, -0.2)
+    black = picture([DOWN], [ground(z=-0.2)]).rgb
+    added = picture([DOWN], [Surface(bright.triangles, "bright", reflectance=0.8), dark]).rgb - black
+    left, right = np.array_split(added.sum(axis=2), 2, axis=1)
+    assert right.sum() > 1.5 * left.sum() > 0.0
+
+
+def test_flat_ground_does_not_shade_itself():
+    """But a wall that stands on it does, below a sun behind the wall."""
+    slant, wall = Sun((-1.0, 0.0, 1.0), 2.0), rectangle(-9.0, 9.0, -9.0, 9.0, -0.8)
+    upright = Surface(np.roll(wall.triangles, 1, axis=2), "wall")
+    lit, shaded = (picture([slant], [ground(0.8), *more]).rgb.mean() for more in ((), (upright,)))
+    black = picture([slant], [ground(), upright]).rgb.mean()
+    assert shaded - black < 0.2 * (lit - black)
+
+
 def test_ground_hides_the_sky_below_it():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
     [sky] = open_sky([ground(size=1000.0)], corners, np.zeros(3))
