@@ -134,11 +134,12 @@ def page(results, wanted: int, real_sizes: str = "") -> str:
         f"{measured} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
         f"{results[0]['judged']['samples']} depth samples) and by {versions} in a process of its "
-        f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references, over the "
-        "pixels of alpha above 0.02. Seconds are processor seconds of all threads, which other work on the machine "
-        "changes little; the CSV has wall clock too. *First* includes fields, shadows and loading the network, which "
-        "further frames of the same volume and sun do not pay for again; *frame* does not: at few pixels *first* is "
-        "nearly all of it. Errors need references that take hours at the size of a real image; seconds do not, and are "
+        f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references of the "
+        "same version of Cycles, over the pixels of alpha above 0.02. Seconds are processor seconds of all threads, "
+        "which other work on the machine changes little; the CSV has wall clock too. *First* includes fields, shadows "
+        "and loading the network, which further frames of the same volume and sun do not pay for again; *frame* does "
+        "not: at few pixels *first* is nearly all of it. Errors need references that take hours at the size of a real "
+        "image; seconds do not, and are "
         f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
     ]
     if real_sizes:

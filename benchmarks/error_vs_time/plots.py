@@ -35,6 +35,7 @@ COLOURS = {
 # Of Cycles' versions.
 LINES = ("-", "--", ":")
 LAYER_COLOUR = "#c0392b"
+ERRORS = 0.01, 30.0
 COLUMNS = 4
 GROWING = (
     ("size", "pixels per edge"),
@@ -100,6 +101,8 @@ def _ladder(axis, result, line: str, layers: bool) -> None:
         )
     axis.set_xscale("log")
     axis.set_yscale("log")
+    # Intervals that reach 0 would take all of the room.
+    axis.set_ylim(ERRORS)
     axis.tick_params(labelsize=7)
     axis.grid(True, color="#e4e4e4", linewidth=0.5)
 
