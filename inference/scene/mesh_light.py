@@ -14,6 +14,8 @@ from .lamps import MEDIUM_SIZE, MOST, SMALL, Emitter, QuadEmitter, SphereEmitter
 CLOSED = 1e-3
 # Triangles, at least, of which patches are made.
 PARTS = 512
+# Number of patches up to which a sphere stands for a closed mesh better than they do.
+FEW_PATCHES = 6
 #: Moments of a patch along its axes that differ by less, relatively, are taken as equal.
 ALIKE = 1e-3
 # Ratio of the principal moments of a patch below which its own edges tell its orientation.
@@ -75,7 +77,7 @@ class MeshLight:
         """As of PointLight."""
         apart = self.extent / max(distance_from_box(self.centre, low, high), 1e-6 * self.extent)
         count = min(1 if apart < SMALL else 4 if apart < MEDIUM_SIZE else MOST, most)
-        if self.closed and count < 6:
+        if self.closed and count <= FEW_PATCHES:
             # A convex body shines as a sphere of its area does, on the average.
             return [SphereEmitter(self.centre, self.centre, float(np.sqrt(self.area / (4.0 * np.pi))))]
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
