@@ -17,7 +17,7 @@ import numpy as np
 from ..numerics.quadrature import legendre_nodes
 from ..scene.lamps import light_start
 
-#: Number of nodes of a table, even in d / (1 + d).
+#: Number of nodes of a table, even in d / (1 + d); kernels hold it, too.
 NODES = 64
 # Nodes of quadratures, and the distance that stands for infinity.
 QUADRATURE, FAR = 48, 1e4

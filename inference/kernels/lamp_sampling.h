@@ -47,7 +47,7 @@ static inline Floats inverse_roots(Floats x) {
     return y;
 }
 
-/* Number of an excess's nodes. */
+/* Nodes of LampColumns.excess: grids/sphere_depth.NODES. */
 #define EXCESS_NODES 64
 
 /* What the light of a sphere has to pass beyond that from the lamp's place: LampOpticalDepth._beyond. */
