@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.interpolation import pad_with_zeros, sample_padded
 from .description import MAX_IRRADIANCE, Sun
 from .errors import SceneError
 
@@ -97,22 +98,9 @@ class PlaceLattice:
 
     def __call__(self, positions: np.ndarray) -> np.ndarray:
         """float32 (N,), at world positions (N, 3)."""
-        n, flat = len(self.values), self.values.ravel()
-        index = np.clip((positions - self.low) / (self.high - self.low) * (n - 1), 0.0, n - 1).astype(np.float32)
-        cell = np.minimum(index.astype(np.int32), n - 2)
-        fx, fy, fz = (index - cell).T
-        base = (cell[:, 0] * n + cell[:, 1]) * n + cell[:, 2]
-
-        def along_z(offset: int) -> np.ndarray:
-            low = flat.take(base + offset)
-            return low + fz * (flat.take(base + (offset + 1)) - low)
-
-        def along_y(offset: int) -> np.ndarray:
-            low = along_z(offset)
-            return low + fy * (along_z(offset + n) - low)
-
-        low = along_y(0)
-        return low + fx * (along_y(n * n) - low)
+        last = len(self.values) - 1
+        index = np.clip((positions - self.low) / (self.high - self.low) * last, 0.0, last)
+        return sample_padded(pad_with_zeros(self.values), index.T.astype(np.float32))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, PlaceLattice) and self._key == other._key
