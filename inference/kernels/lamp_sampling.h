@@ -14,6 +14,11 @@
 /* Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less. */
 #define LEAST_FACING 0.25f
 
+/* Of parts of a sphere in the edge of a cone: scene/lamps.py. */
+#define PART 0.5
+#define DRAWN_IN 0.8660254037844386
+#define NODES_APART 0.5
+
 /* The nodes of Gauss and Legendre in [0, 1]. */
 static const float GAUSS_NODES[2] = {0.21132486540518713f, 0.78867513459481287f};
 
@@ -254,23 +259,38 @@ static inline double brightest(const Emitter *emitter, const double *point) {
     return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
 }
 
-/* Share of the light of a part of a spot at a world point that the cone lets pass. */
+/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone. */
 static inline double within_cone(const Emitter *emitter, const double *point) {
-    double outwards[3], offset[3], away[3];
+    static const double turns[3] = {0.8660254037844387, 0.0, -0.8660254037844387};
+    double away[3], offset[3], radius = emitter->radius, area = radius * radius;
     for (int k = 0; k < 3; k++) {
-        outwards[k] = point[k] - emitter->centre[k];
-        offset[k] = emitter->position[k] - emitter->centre[k];
+        away[k] = point[k] - emitter->centre[k];
+        offset[k] = DRAWN_IN * (emitter->position[k] - emitter->centre[k]);
     }
-    double area = emitter->radius * emitter->radius, distance = larger(sqrt(dot_of(outwards, outwards)), 1e-30);
-    double along = dot_of(outwards, offset) / distance, start = 0.0;
-    if (!emitter->soft_falloff) {
-        double across = larger(dot_of(offset, offset) - along * along, 0.0);
-        start = distance > emitter->radius ? sqrt(larger(area - across, 0.0)) : along;
+    if (dot_of(away, away) <= (emitter->soft_falloff ? 0.0 : area)) return 1.0;
+    double apart = dot_of(offset, offset), distance = larger(sqrt(dot_of(away, away)), 1e-30);
+    if (apart > 0.0) {
+        double along = dot_of(away, offset) / distance, start = 0.0;
+        if (!emitter->soft_falloff) start = sqrt(larger(area - apart + along * along, 0.0));
+        for (int k = 0; k < 3; k++) away[k] = away[k] * (1.0 - (start - along) / distance) - offset[k];
+        radius *= PART;
+        distance = larger(sqrt(dot_of(away, away)), 1e-30);
     }
-    for (int k = 0; k < 3; k++) away[k] = outwards[k] * (1.0 - (start - along) / distance) - offset[k];
-    double rise = dot_of(away, emitter->axis) / larger(sqrt(dot_of(away, away)), 1e-30) - emitter->cosine;
-    double inside = larger(smaller(rise / emitter->width, 1.0), 0.0);
-    return inside * inside * (3.0 - 2.0 * inside);
+    double level = larger(smaller(dot_of(away, emitter->axis) / distance, 1.0), -1.0), tilt = sqrt(1.0 - level * level);
+    double seen = sqrt(distance * distance + radius * radius), cap = distance / seen, sine = radius / seen;
+    if ((level < cap ? level * cap + tilt * sine : 1.0) <= emitter->cosine) return 0.0;
+    if ((level > -cap ? level * cap - tilt * sine : -1.0) >= emitter->cosine + emitter->width) return 1.0;
+    double width = larger(emitter->width, NODES_APART * larger(sine * tilt, (1.0 - cap) * level)), passed = 0.0;
+    for (int ring = 0; ring < 2; ring++) {
+        double height = 1.0 - (double)GAUSS_NODES[ring] * (1.0 - cap);
+        double aside = sqrt(larger(1.0 - height * height, 0.0)) * tilt;
+        for (int n = 0; n < 3; n++) {
+            double rise = height * level + aside * turns[n] - emitter->cosine - 0.5 * emitter->width;
+            double inside = larger(smaller(rise / width + 0.5, 1.0), 0.0);
+            passed += inside * inside * (3.0 - 2.0 * inside);
+        }
+    }
+    return passed / 6.0;
 }
 
 /* Fluence of a part of a lamp of power 1 at a world point. */

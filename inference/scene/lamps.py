@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..numerics.quadrature import legendre_nodes
 from .description import MAX_IRRADIANCE
 from .errors import SceneError
 from .validation import affine_matrix, rgb_triple
@@ -34,6 +35,15 @@ CLOSEST = 1e-12
 # Centres of emitters that represent a sphere, over its radius: vertices of an octahedron whose variance along any axis
 # is that of the disk as which the sphere appears.
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
+# Radius of the disk that a part of a sphere is in the edge of a cone, over the sphere's; and how much nearer to its centre
+# the part is, so that all have the variance of the whole. The kernel holds these and the next three, too.
+PART = 0.5
+DRAWN_IN = np.sqrt(1.0 - PART**2)
+# Directions in a cap, over which a cone's edge is averaged, in rings: their heights below its top over its height, and
+# cosines of the turns on each; and how far apart they count as lying, over the extent of the cap.
+CAP_RINGS = tuple(0.5 + 0.5 * legendre_nodes(2)[0])
+CAP_TURNS = tuple(np.cos((np.arange(3) + 0.5) * np.pi / 3.0))
+NODES_APART = 0.5
 # Angle of a spread from which on light leaves an area light as from a diffuse surface.
 FULL_SPREAD = np.pi - 1e-4
 
@@ -107,20 +117,43 @@ class SphereEmitter:
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
     def _within_cone(self, points: np.ndarray) -> np.ndarray | float:
-        """Share (N,) of its light at points (N, 3) that the cone lets pass."""
+        """Share (N,) of its light at points (N, 3) that the cone lets pass.
+
+        The mean over the directions in which the part is seen, a cap, by nodes of equal turns on rings.
+        """
         if self.axis is None:
             return 1.0
-        # Towards points the light starts on the disk, or the side of the sphere, that faces them.
-        outwards, offset = points - self.centre, self.position - self.centre
-        distance = np.maximum(np.linalg.norm(outwards, axis=1), 1e-30)
-        along = outwards @ offset / distance
-        start = light_start(along, float(np.linalg.norm(offset)), self.radius, self.soft_falloff)
-        moved = np.where(self.soft_falloff | (distance > self.radius), start - along, 0.0) / distance
-        away = outwards * (1.0 - moved[:, None]) - offset
-        rise = away @ self.axis / np.maximum(np.linalg.norm(away, axis=1), 1e-30) - self.cosine
-        width = max((1.0 - self.cosine) * self.blend, 1e-9)
-        inside = np.clip(rise / width, 0.0, 1.0)
-        return inside * inside * (3.0 - 2.0 * inside)
+        away, offset = points - self.centre, self.position - self.centre
+        # Cycles has no cone within a sphere.
+        within = (away**2).sum(axis=1) <= (0.0 if self.soft_falloff else self.radius**2)
+        apart, radius = float(np.linalg.norm(offset)), self.radius
+        if apart > 0.0:
+            # Parts are disks; towards points their light starts on the disk, or the side of the sphere, that faces these.
+            radius, offset, apart = PART * radius, DRAWN_IN * offset, DRAWN_IN * apart
+            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+            along = away @ offset / distance
+            start = light_start(along, apart, self.radius, self.soft_falloff)
+            away = away * (1.0 - (start - along) / distance)[:, None] - offset
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+        level = np.clip(away @ self.axis / distance, -1.0, 1.0)
+        tilt, seen = np.sqrt(1.0 - level * level), np.hypot(distance, radius)
+        cap, sine = distance / seen, radius / seen
+        full = max((1.0 - self.cosine) * self.blend, 1e-9)
+        # Where nodes are farther apart than the edge of the cone is wide, the edge is as wide as that.
+        width = np.maximum(full, NODES_APART * np.maximum(sine * tilt, (1.0 - cap) * level))
+        passed = np.zeros(len(points))
+        for ring in CAP_RINGS:
+            height = 1.0 - ring * (1.0 - cap)
+            aside = np.sqrt(np.maximum(1.0 - height * height, 0.0)) * tilt
+            for turn in CAP_TURNS:
+                rise = height * level + aside * turn - self.cosine - 0.5 * full
+                inside = np.clip(rise / width + 0.5, 0.0, 1.0)
+                passed += inside * inside * (3.0 - 2.0 * inside)
+        passed /= len(CAP_RINGS) * len(CAP_TURNS)
+        most = np.where(level < cap, level * cap + tilt * sine, 1.0)
+        least = np.where(level > -cap, level * cap - tilt * sine, -1.0)
+        passed = np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + full, 1.0, passed))
+        return np.where(within, 1.0, passed)
 
 
 @dataclass(frozen=True)
