@@ -20,7 +20,7 @@
 #define NODES_APART 0.5
 
 /* The nodes of Gauss and Legendre in [0, 1]. */
-static const float GAUSS_NODES[2] = {0.21132486540518713f, 0.78867513459481287f};
+static const double GAUSS_NODES[2] = {0.21132486540518713, 0.78867513459481287};
 
 static inline double larger(double a, double b) { return a > b ? a : b; }
 static inline double smaller(double a, double b) { return a < b ? a : b; }
@@ -77,7 +77,7 @@ static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, 
         missing -= start * inverse_roots(start);
     }
     for (int node = 0; node < 2; node++) {
-        Floats place[3], back = GAUSS_NODES[node] * missing * inverse;
+        Floats place[3], back = (float)GAUSS_NODES[node] * missing * inverse;
         for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] - steps[axis] * back;
         total += sample_grid(&lamp->density, place);
     }
@@ -153,7 +153,7 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
     if (lamp->integrated) {
         Floats total = in_all(0.0f);
         for (int node = 0; node < 2; node++) {
-            Floats place[3], scale = (begin + GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
+            Floats place[3], scale = (begin + (float)GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
             for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] + away[axis] * scale;
             total = total + sample_grid(&lamp->density, place);
         }
@@ -267,30 +267,56 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
         away[k] = point[k] - emitter->centre[k];
         offset[k] = DRAWN_IN * (emitter->position[k] - emitter->centre[k]);
     }
-    if (dot_of(away, away) <= (emitter->soft_falloff ? 0.0 : area)) return 1.0;
-    double apart = dot_of(offset, offset), distance = larger(sqrt(dot_of(away, away)), 1e-30);
+    double square = larger(dot_of(away, away), 1e-60), distance = sqrt(square), apart = dot_of(offset, offset);
+    if (square <= (emitter->soft_falloff ? 0.0 : area)) return 1.0;
     if (apart > 0.0) {
-        double along = dot_of(away, offset) / distance, start = 0.0;
-        if (!emitter->soft_falloff) start = sqrt(larger(area - apart + along * along, 0.0));
-        for (int k = 0; k < 3; k++) away[k] = away[k] * (1.0 - (start - along) / distance) - offset[k];
-        radius *= PART;
+        double near = square / (square + area), along = near * dot_of(away, offset) / distance, start = 0.0;
+        if (!emitter->soft_falloff) start = sqrt(larger(area - larger(near * near * apart - along * along, 0.0), 0.0));
+        for (int k = 0; k < 3; k++) away[k] = away[k] * (1.0 - (start - along) / distance) - near * offset[k];
+        radius *= sqrt(1.0 - DRAWN_IN * DRAWN_IN * near * near);
         distance = larger(sqrt(dot_of(away, away)), 1e-30);
     }
     double level = larger(smaller(dot_of(away, emitter->axis) / distance, 1.0), -1.0), tilt = sqrt(1.0 - level * level);
     double seen = sqrt(distance * distance + radius * radius), cap = distance / seen, sine = radius / seen;
     if ((level < cap ? level * cap + tilt * sine : 1.0) <= emitter->cosine) return 0.0;
     if ((level > -cap ? level * cap - tilt * sine : -1.0) >= emitter->cosine + emitter->width) return 1.0;
-    double width = larger(emitter->width, NODES_APART * larger(sine * tilt, (1.0 - cap) * level)), passed = 0.0;
+    double cone = 1.0 - emitter->cosine - 0.5 * emitter->width;
+    int narrow = cone < 1.0 - cap;
+    double height = narrow ? cone : 1.0 - cap, edge = narrow ? cap : emitter->cosine + 0.5 * emitter->width;
+    double extent = narrow ? sqrt(cone * (2.0 - cone)) : sine, passed = 0.0;
+    double width = larger(narrow ? 1e-9 : emitter->width, NODES_APART * larger(extent * tilt, height * level));
     for (int ring = 0; ring < 2; ring++) {
-        double height = 1.0 - (double)GAUSS_NODES[ring] * (1.0 - cap);
-        double aside = sqrt(larger(1.0 - height * height, 0.0)) * tilt;
+        double top = 1.0 - GAUSS_NODES[ring] * height, aside = sqrt(larger(1.0 - top * top, 0.0)) * tilt;
         for (int n = 0; n < 3; n++) {
-            double rise = height * level + aside * turns[n] - emitter->cosine - 0.5 * emitter->width;
-            double inside = larger(smaller(rise / width + 0.5, 1.0), 0.0);
+            double inside = larger(smaller((top * level + aside * turns[n] - edge) / width + 0.5, 1.0), 0.0);
             passed += inside * inside * (3.0 - 2.0 * inside);
         }
     }
-    return passed / 6.0;
+    return passed * (narrow ? cone / larger(1.0 - cap, 1e-30) : 1.0) / 6.0;
+}
+
+/* Distances along a ray between which a part of a lamp may light it: scene/lamps.lit_intervals. */
+static inline void lit_interval(const Emitter *emitter, const double *origin, const double *direction, double *lit) {
+    lit[0] = -INFINITY, lit[1] = INFINITY;
+    if (!emitter->cone) return;
+    double square = emitter->cosine * emitter->cosine, away[3];
+    double before = emitter->radius / larger(sqrt(1.0 - square), 1e-9);
+    for (int k = 0; k < 3; k++) away[k] = origin[k] - (emitter->centre[k] - emitter->axis[k] * before);
+    double level = dot_of(away, emitter->axis), rise = dot_of(direction, emitter->axis), along = dot_of(away, direction);
+    double a = rise * rise - square;
+    if (fabs(a) < 1e-12) a = 1e-12;
+    double b = level * rise - square * along, c = level * level - square * dot_of(away, away);
+    double root = sqrt(larger(b * b - a * c, 0.0));
+    double first = smaller((-b - root) / a, (-b + root) / a), last = larger((-b - root) / a, (-b + root) / a);
+    if (a > 0.0 && rise > 0.0) {
+        lit[0] = last;
+    } else if (a > 0.0) {
+        lit[1] = first;
+    } else if (b * b < a * c || level + 0.5 * (first + last) * rise < 0.0) {
+        lit[0] = INFINITY, lit[1] = -INFINITY;
+    } else {
+        lit[0] = first, lit[1] = last;
+    }
 }
 
 /* Fluence of a part of a lamp of power 1 at a world point. */

@@ -757,6 +757,7 @@ typedef struct {
     double origin[3];  /* of the ray, from the part */
     double nearest;    /* distance on the ray to where it passes the part, */
     double passing;    /* and the square of the part's distance from there */
+    double lit[2];     /* distances from there between which the part may light the ray */
 } Pass;
 
 static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
@@ -767,6 +768,8 @@ static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
         double across = pass.origin[k] + pass.nearest * ray->direction[k];
         pass.passing += across * across;
     }
+    lit_interval(emitter, ray->origin, ray->direction, pass.lit);
+    for (int k = 0; k < 2; k++) pass.lit[k] -= pass.nearest;
     return pass;
 }
 
@@ -839,8 +842,18 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
         }
         begin = ray->near + begin * ray->dt - pass.nearest;
         length *= ray->dt;
+        Ints cut = (Ints){0};
+        if (emitter->cone) {
+            FOR_LANES(n) {
+                double from = larger(begin[n], pass.lit[0]), to = smaller(begin[n] + length[n], pass.lit[1]);
+                if (!(to > from)) filled[n] = 0;
+                if (!(to - from < length[n])) continue;
+                cut[n] = -1, begin[n] = from, length[n] = larger(to - from, 0.0);
+            }
+            if (!any_lane(filled)) continue;
+        }
         Doubles middle = begin + 0.5 * length, square = length * length, away = extent + middle * middle;
-        Ints not_brief = __builtin_convertvector(square > brief * away, Ints);
+        Ints not_brief = cut | __builtin_convertvector(square > brief * away, Ints);
         Ints bent = filled & not_brief & __builtin_convertvector(square > wide * away, Ints);
         Ints once = filled & ~not_brief, straight = filled & not_brief & ~bent;
         for (int n = 0; n < LANES && any_lane(bent); n++) {
@@ -855,7 +868,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
         }
         if (!any_lane(straight)) continue;
         for (int node = 0; node < 2; node++) {
-            Doubles behind = begin + (double)GAUSS_NODES[node] * length, point[3];
+            Doubles behind = begin + GAUSS_NODES[node] * length, point[3];
             for (int k = 0; k < 3; k++) {
                 point[k] = (emitter->position[k] + pass.origin[k]) + (pass.nearest + behind) * ray->direction[k];
             }

@@ -15,7 +15,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..numerics.quadrature import legendre_nodes
-from ..scene.lamps import Emitter
+from ..scene.lamps import Emitter, lit_intervals
 from ..transport.scattered_fluence import ScatteredFluence
 from .lamp_in_media import LEAST_FACING, LampInMedia, softened
 from .mean_lamp_depth import MeanLampDepth
@@ -161,11 +161,16 @@ class _Steps:
         origin, direction = self.rays.origins[ray] - emitter.position, self.rays.directions[ray]
         nearest = -(origin * direction).sum(axis=1)
         height = np.linalg.norm(origin + nearest[:, None] * direction, axis=1)
-        begin, end = self.begin[steps] - nearest, self.end[steps] - nearest
+        # Only the part of each step within a cone is lit.
+        first, last = lit_intervals(emitter, self.rays.origins, self.rays.directions)
+        begin, end = np.maximum(self.begin[steps], first[ray]), np.minimum(self.end[steps], last[ray])
+        cut = end - begin < self.end[steps] - self.begin[steps]
+        end = np.maximum(end, begin) - nearest
+        begin = np.minimum(begin - nearest, end)
         length, square = end - begin, height**2 + emitter.extent**2
         found = np.zeros((len(media), len(steps)))
         away = square + (0.5 * (begin + end)) ** 2
-        wide, brief = length**2 > WIDE**2 * away, length**2 <= BRIEF**2 * away
+        wide, brief = length**2 > WIDE**2 * away, ~cut & (length**2 <= BRIEF**2 * away)
         height = np.sqrt(square + 1e-6 * length**2)
         for bent, count, which in ((False, 1, brief), (False, FEW, ~(brief | wide)), (True, MANY, wide)):
             some = np.flatnonzero(which)

@@ -123,33 +123,40 @@ class SphereEmitter:
         """
         if self.axis is None:
             return 1.0
-        away, offset = points - self.centre, self.position - self.centre
+        away, offset = points - self.centre, DRAWN_IN * (self.position - self.centre)
+        square = np.maximum((away**2).sum(axis=1), 1e-60)
         # Cycles has no cone within a sphere.
-        within = (away**2).sum(axis=1) <= (0.0 if self.soft_falloff else self.radius**2)
-        apart, radius = float(np.linalg.norm(offset)), self.radius
-        if apart > 0.0:
-            # Parts are disks; towards points their light starts on the disk, or the side of the sphere, that faces these.
-            radius, offset, apart = PART * radius, DRAWN_IN * offset, DRAWN_IN * apart
-            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
-            along = away @ offset / distance
+        within = square <= (0.0 if self.soft_falloff else self.radius**2)
+        distance, radius = np.sqrt(square), np.full(len(points), self.radius)
+        if offset.any():
+            # A part is a disk, of which nearby points see the whole; towards points the light starts on the disk, or
+            # the side of the sphere, that faces these.
+            near = square / (square + self.radius**2)
+            radius = self.radius * np.sqrt(1.0 - (DRAWN_IN * near) ** 2)
+            along, apart = near * (away @ offset) / distance, near * np.linalg.norm(offset)
             start = light_start(along, apart, self.radius, self.soft_falloff)
-            away = away * (1.0 - (start - along) / distance)[:, None] - offset
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+            away = away * (1.0 - (start - along) / distance)[:, None] - near[:, None] * offset
+            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
         level = np.clip(away @ self.axis / distance, -1.0, 1.0)
         tilt, seen = np.sqrt(1.0 - level * level), np.hypot(distance, radius)
         cap, sine = distance / seen, radius / seen
         full = max((1.0 - self.cosine) * self.blend, 1e-9)
-        # Where nodes are farther apart than the edge of the cone is wide, the edge is as wide as that.
-        width = np.maximum(full, NODES_APART * np.maximum(sine * tilt, (1.0 - cap) * level))
+        # The mean over the cap of directions in which the part is seen; where the cone is narrower, over the cone.
+        cone = 1.0 - self.cosine - 0.5 * full
+        narrow = cone < 1.0 - cap
+        height, edge = np.where(narrow, cone, 1.0 - cap), np.where(narrow, cap, self.cosine + 0.5 * full)
+        extent = np.where(narrow, np.sqrt(cone * (2.0 - cone)), sine)
+        # Where nodes are farther apart than the edge is wide, it is as wide as that.
+        width = NODES_APART * np.maximum(extent * tilt, height * level)
+        width = np.maximum(np.where(narrow, 1e-9, full), width)
         passed = np.zeros(len(points))
         for ring in CAP_RINGS:
-            height = 1.0 - ring * (1.0 - cap)
-            aside = np.sqrt(np.maximum(1.0 - height * height, 0.0)) * tilt
+            top = 1.0 - ring * height
+            aside = np.sqrt(np.maximum(1.0 - top * top, 0.0)) * tilt
             for turn in CAP_TURNS:
-                rise = height * level + aside * turn - self.cosine - 0.5 * full
-                inside = np.clip(rise / width + 0.5, 0.0, 1.0)
+                inside = np.clip((top * level + aside * turn - edge) / width + 0.5, 0.0, 1.0)
                 passed += inside * inside * (3.0 - 2.0 * inside)
-        passed /= len(CAP_RINGS) * len(CAP_TURNS)
+        passed *= np.where(narrow, cone / np.maximum(1.0 - cap, 1e-30), 1.0) / (len(CAP_RINGS) * len(CAP_TURNS))
         most = np.where(level < cap, level * cap + tilt * sine, 1.0)
         least = np.where(level > -cap, level * cap - tilt * sine, -1.0)
         passed = np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + full, 1.0, passed))
@@ -242,6 +249,30 @@ class QuadEmitter:
 
 
 Emitter = SphereEmitter | QuadEmitter
+
+
+def lit_intervals(emitter: Emitter, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (N,) along rays, of origins and unit directions (N, 3), between which an emitter may light them.
+
+    Of a cone those within the one that holds all of the sphere's light; otherwise from -inf to inf.
+    """
+    count = len(origins)
+    if not isinstance(emitter, SphereEmitter) or emitter.axis is None:
+        return np.full(count, -np.inf), np.full(count, np.inf)
+    square = emitter.cosine**2
+    away = origins - (emitter.centre - emitter.axis * (emitter.radius / max(np.sqrt(1.0 - square), 1e-9)))
+    level, rise, along = away @ emitter.axis, directions @ emitter.axis, (away * directions).sum(axis=1)
+    # Where the square of the height above the apex is that of the cosine times the distance.
+    a = rise * rise - square
+    a = np.where(np.abs(a) < 1e-12, 1e-12, a)
+    b, c = level * rise - square * along, level * level - square * (away * away).sum(axis=1)
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    first, last = np.minimum((-b - root) / a, (-b + root) / a), np.maximum((-b - root) / a, (-b + root) / a)
+    # Rays that stay on the side of the apex within the cone end or begin there; others cross it, or the opposite one.
+    begin, end = np.where((a > 0.0) & (rise > 0.0), last, first), np.where((a > 0.0) & (rise <= 0.0), first, last)
+    begin, end = np.where((a > 0.0) & (rise <= 0.0), -np.inf, begin), np.where((a > 0.0) & (rise > 0.0), np.inf, end)
+    missed = (a <= 0.0) & ((b * b < a * c) | (level + 0.5 * (first + last) * rise < 0.0))
+    return np.where(missed, np.inf, begin), np.where(missed, -np.inf, end)
 
 
 def _solid_angle(corners: np.ndarray) -> np.ndarray:
