@@ -6,16 +6,21 @@ nearby is not: it falls with the square of the distance, comes from all around, 
 leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
 itself holds the light: with its moments L_lm of the radiance, up to degree 3, what scatters towards the camera is
 
-    sum_lm (2 l + 1) / (4 pi) G^l L_lm Y_lm(-omega)
-        + E sum_l (2 l + 1) / (4 pi) P_l(omega . l) G^l (exp(-(1 - w s_l) tau) - exp(-tau)),
+    sum_lm (2 l + 1) / (4 pi) G^l f_l L_lm Y_lm(-omega)
+        + E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) (f_l T(p_l) + (1 - f_l) c T(q_l)),
 
-where the second term is light of the lamp, of irradiance E behind an optical depth tau, that has turned by small angles
-since. Were the lamp far away, and its scattering by a phase function of the Legendre moments p_l, s_l would be p_l:
-after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of Electrons", 1940). But
-light from a place that turns by an angle a at a part t of the way arrives off the straight line by about t a, not a:
-s_l is the mean of p_(t l) over that part of the way which lies within the volume. To degree 3 this is what the
-transport counts as unscattered, light in the phase function's forward peak, p_l = G^l - (1 - G^2) G'^l, with the
-G' = G / (1 + G) of the transport. Above, where the transport knows nothing, it is all light: p_l = G^l.
+where T(s) = exp(-(1 - w s) tau) - exp(-tau) is light of the lamp, of irradiance E behind an optical depth tau, that has
+turned by small angles since. Were the lamp far away, and its scattering by a phase function of the Legendre moments
+p_l, s would be p_l: after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of
+Electrons", 1940). But light from a place that turns by an angle a at a part t of the way arrives off the straight line
+by about t a, not a: s is the mean of p_(t l) over that part of the way which lies within the volume. Light in the phase
+function's forward peak, which the transport counts as unscattered, has p_l = G^l - (1 - G^2) G'^l, with the transport's
+G' = G / (1 + G); all light has q_l = G^l.
+
+The transport's moments end where those of light that goes forwards are still large, and a series that breaks off there
+is as negative at some angles as it is too bright at others. So they fade, f_l being Lanczos' factors sinc(l / 4) and 0
+above degree 3, and what they leave is taken from all light that turns by small angles, as far as that goes: c, at most
+1, is how much of its third degree the transport has.
 """
 
 from collections.abc import Mapping
@@ -33,6 +38,12 @@ from .conditions import Bounds
 # its multiple scattering, and from which on it is what networks predict: against photons at a mean cosine of 0.857 the
 # transport is closer at 0.1, the network at 0.3.
 NEAR, FAR = 0.1, 0.2
+#: Highest degree of the transport's moments.
+LAST = int(DEGREES[-1])
+# Lanczos' factors of the degrees.
+FADING = np.sinc(np.arange(LAST + 1) / (LAST + 1))
+# Least light that scatters towards the camera, over what would if it did so evenly; measured.
+LEAST = 0.2
 # Square of the anisotropy below which there is no forward peak.
 MIN_FORWARD = 1e-3
 # Terms of Legendre series are summed down to this one, but no more than so many.
@@ -93,31 +104,47 @@ class LampNearby:
         frame. lamp: at the points.
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
-        weights = (2 * DEGREES + 1) * g**DEGREES * (scale / (4.0 * np.pi))
-        found = product(light.values(positions) * spherical_harmonics(-omega).T, weights).astype(np.float64)
-        forwards = _forward_light((omega * lamp.towards).sum(axis=1), g, albedo, lamp)
+        moments = light.values(positions) * np.float32(scale)
+        weights = (2 * DEGREES + 1) * g**DEGREES * FADING[DEGREES] / (4.0 * np.pi)
+        found = product(moments * spherical_harmonics(-omega).T, weights).astype(np.float64)
+        # Of the third degree along the lamp's light.
+        along = DEGREES == LAST
+        third = (moments[:, along] * spherical_harmonics(-lamp.towards)[along].T).sum(axis=1)
+        found += _forward_light((omega * lamp.towards).sum(axis=1), g, albedo, lamp, third)
         # At wide angles the little there is may be less than what a series of few degrees has too much.
-        return np.maximum(found + lamp.irradiance * forwards, 0.0)
+        return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
 
 
-def _forward_light(cosine: np.ndarray, anisotropy: float, albedo: float, lamp: LampAtPoints) -> np.ndarray:
-    """Light (N,), 1/sr, that has turned by small angles, then towards the camera, of a lamp of irradiance 1.
+def _forward_light(
+    cosine: np.ndarray, anisotropy: float, albedo: float, lamp: LampAtPoints, third: np.ndarray
+) -> np.ndarray:
+    """Light (N,), W/(m^2 sr), that has turned by small angles, then towards the camera.
 
-    cosine: (N,), of the angle between the camera ray and the direction to the lamp.
+    cosine: (N,), of the angle between the camera ray and the direction to the lamp. third: (N,), moment of the
+    transport's radiance of degree 3 along the lamp's light.
     """
     g, forward = anisotropy, anisotropy**2
     if forward < MIN_FORWARD:
         return np.zeros(len(cosine))
-    count = min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS)
+    count = max(min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS), LAST + 1)
+    unscattered = np.exp(-lamp.depth)
+
+    def turned(moment: np.ndarray | float) -> np.ndarray:
+        return lamp.irradiance * (np.exp(-(1.0 - albedo * moment) * lamp.depth) - unscattered)
+
+    means = [_on_the_way(g, order, lamp.outside) for order in range(count)]
+    reduced = [_on_the_way(reduced_anisotropy(g), order, lamp.outside) for order in range(LAST + 1)]
+    peak = [turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)]
+    most = turned(means[LAST])
+    known = np.divide(third + peak[LAST], most, out=np.ones(len(cosine)), where=np.abs(most) > 1e-30)
+    known = np.clip(known, 0.0, 1.0)
     # Legendre's polynomials by their recurrence.
-    before, here = np.zeros(len(cosine)), np.ones(len(cosine))
-    found, unscattered = np.zeros(len(cosine)), np.exp(-lamp.depth)
-    for order in range(count):
-        scattered = _on_the_way(g, order, lamp.outside)
-        if order <= DEGREES[-1]:
-            scattered = scattered - (1.0 - forward) * _on_the_way(reduced_anisotropy(g), order, lamp.outside)
-        share = np.exp(-(1.0 - albedo * scattered) * lamp.depth) - unscattered
-        found += (2 * order + 1) / (4.0 * np.pi) * g**order * share * here
+    before, here, found = np.zeros(len(cosine)), np.ones(len(cosine)), np.zeros(len(cosine))
+    for order, mean in enumerate(means):
+        light = known * turned(mean)
+        if order <= LAST:
+            light += FADING[order] * (peak[order] - light)
+        found += (2 * order + 1) / (4.0 * np.pi) * g**order * light * here
         before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
     return found
 
