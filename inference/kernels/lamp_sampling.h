@@ -14,7 +14,7 @@
 /* Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less. */
 #define LEAST_FACING 0.25f
 
-/* Of parts of a sphere in the edge of a cone: scene/lamps.py. */
+/* Of parts of a sphere that shines into a cone: scene/lamps.py and scene/spot_cone.py. */
 #define PART 0.5
 #define DRAWN_IN 0.8660254037844386
 #define NODES_APART 0.5
@@ -259,7 +259,7 @@ static inline double brightest(const Emitter *emitter, const double *point) {
     return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
 }
 
-/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone. */
+/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone and SpotCone.passed. */
 static inline double within_cone(const Emitter *emitter, const double *point) {
     static const double turns[3] = {0.8660254037844387, 0.0, -0.8660254037844387};
     double away[3], offset[3], radius = emitter->radius, area = radius * radius;
@@ -295,7 +295,7 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
     return passed * (narrow ? cone / larger(1.0 - cap, 1e-30) : 1.0) / 6.0;
 }
 
-/* Distances along a ray between which a part of a lamp may light it: scene/lamps.lit_intervals. */
+/* Distances along a ray between which a part of a lamp may light it: SpotCone.between. */
 static inline void lit_interval(const Emitter *emitter, const double *origin, const double *direction, double *lit) {
     lit[0] = -INFINITY, lit[1] = INFINITY;
     if (!emitter->cone) return;

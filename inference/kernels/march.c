@@ -847,7 +847,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
             FOR_LANES(n) {
                 double from = larger(begin[n], pass.lit[0]), to = smaller(begin[n] + length[n], pass.lit[1]);
                 if (!(to > from)) filled[n] = 0;
-                if (!(to - from < length[n])) continue;
+                if (!(from > begin[n] || to < begin[n] + length[n])) continue;
                 cut[n] = -1, begin[n] = from, length[n] = larger(to - from, 0.0);
             }
             if (!any_lane(filled)) continue;

@@ -3,7 +3,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import Any
 
@@ -100,7 +100,7 @@ class LampInMedia:
     def smooth(self, media: Sequence[BoundMedium]) -> float:
         """How far apart places on a ray may be, over their distance to the lamp, for its light in between to vary about
         linearly, with the phase function of media; 0 where the edge of a cone may lie between them."""
-        if any(isinstance(emitter, SphereEmitter) and emitter.axis is not None for emitter in self.emitters):
+        if any(isinstance(emitter, SphereEmitter) and emitter.cone is not None for emitter in self.emitters):
             return 0.0
         return min(_smooth(bound.medium) for bound in media)
 
@@ -195,11 +195,19 @@ def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()
     corners = np.concatenate([grid.corners() for grid in grids])
     digest = hashlib.blake2b(digest_size=16)
     for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
-        for value in vars(emitter).values():
-            digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        _add_values(digest, emitter)
     for surface in _shading(lamp, surfaces):
         digest.update(np.ascontiguousarray(surface.triangles).tobytes())
     return digest.digest()
+
+
+def _add_values(digest: Any, value: Any) -> None:
+    """Add what an emitter, or a part of it, is made of to a digest."""
+    if is_dataclass(value):
+        for one in vars(value).values():
+            _add_values(digest, one)
+    else:
+        digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
 
 
 def _smooth(medium: Medium) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..numerics.quadrature import legendre_nodes
-from ..scene.lamps import Emitter, lit_intervals
+from ..scene.lamps import Emitter
 from ..transport.scattered_fluence import ScatteredFluence
 from .lamp_in_media import LEAST_FACING, LampInMedia, softened
 from .mean_lamp_depth import MeanLampDepth
@@ -162,11 +162,10 @@ class _Steps:
         nearest = -(origin * direction).sum(axis=1)
         height = np.linalg.norm(origin + nearest[:, None] * direction, axis=1)
         # Only the part of each step within a cone is lit.
-        first, last = lit_intervals(emitter, self.rays.origins, self.rays.directions)
-        begin, end = np.maximum(self.begin[steps], first[ray]), np.minimum(self.end[steps], last[ray])
-        cut = end - begin < self.end[steps] - self.begin[steps]
-        end = np.maximum(end, begin) - nearest
-        begin = np.minimum(begin - nearest, end)
+        first, last = emitter.lit_between(self.rays.origins, self.rays.directions)
+        begin, end = (np.clip(one[ray], self.begin[steps], self.end[steps]) for one in (first, last))
+        cut = (begin > self.begin[steps]) | (end < self.end[steps])
+        begin, end = begin - nearest, np.maximum(end, begin) - nearest
         length, square = end - begin, height**2 + emitter.extent**2
         found = np.zeros((len(media), len(steps)))
         away = square + (0.5 * (begin + end)) ** 2

@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..numerics.quadrature import legendre_nodes
 from .description import MAX_IRRADIANCE
 from .errors import SceneError
+from .spot_cone import SpotCone
 from .validation import affine_matrix, rgb_triple
 
 #: Shapes of area lights.
@@ -35,15 +35,10 @@ CLOSEST = 1e-12
 # Centres of emitters that represent a sphere, over its radius: vertices of an octahedron whose variance along any axis
 # is that of the disk as which the sphere appears.
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
-# Radius of the disk that a part of a sphere is in the edge of a cone, over the sphere's; and how much nearer to its centre
-# the part is, so that all have the variance of the whole. The kernel holds these and the next three, too.
+# Radius of the disk as which a part of a sphere shines into a cone, over the sphere's; and how much nearer to its
+# centre it lies than the part, so that all disks have the variance of the whole. The kernel holds these, too.
 PART = 0.5
 DRAWN_IN = np.sqrt(1.0 - PART**2)
-# Directions in a cap, over which a cone's edge is averaged, in rings: their heights below its top over its height, and
-# cosines of the turns on each; and how far apart they count as lying, over the extent of the cap.
-CAP_RINGS = tuple(0.5 + 0.5 * legendre_nodes(2)[0])
-CAP_TURNS = tuple(np.cos((np.arange(3) + 0.5) * np.pi / 3.0))
-NODES_APART = 0.5
 # Angle of a spread from which on light leaves an area light as from a diffuse surface.
 FULL_SPREAD = np.pi - 1e-4
 
@@ -75,17 +70,14 @@ class SphereEmitter:
     """A part of a sphere, or a point, that shines alike in all directions, or in a cone.
 
     centre: (3,) of the sphere. position: (3,) from which its light seems to come. radius: of the sphere. share: of the
-    lamp's power. axis: (3,) unit vector along which a cone of light travels, or None. cosine: of half the cone's angle.
-    blend: as in SpotLight. soft_falloff: as in PointLight.
+    lamp's power. cone: into which it shines, or None. soft_falloff: as in PointLight.
     """
 
     centre: np.ndarray
     position: np.ndarray
     radius: float
     share: float = 1.0
-    axis: np.ndarray | None = None
-    cosine: float = -1.0
-    blend: float = 0.0
+    cone: SpotCone | None = None
     soft_falloff: bool = False
 
     @property
@@ -117,11 +109,8 @@ class SphereEmitter:
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
     def _within_cone(self, points: np.ndarray) -> np.ndarray | float:
-        """Share (N,) of its light at points (N, 3) that the cone lets pass.
-
-        The mean over the directions in which the part is seen, a cap, by nodes of equal turns on rings.
-        """
-        if self.axis is None:
+        """Share (N,) of its light at points (N, 3) that the cone lets pass."""
+        if self.cone is None:
             return 1.0
         away, offset = points - self.centre, DRAWN_IN * (self.position - self.centre)
         square = np.maximum((away**2).sum(axis=1), 1e-60)
@@ -137,30 +126,13 @@ class SphereEmitter:
             start = light_start(along, apart, self.radius, self.soft_falloff)
             away = away * (1.0 - (start - along) / distance)[:, None] - near[:, None] * offset
             distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
-        level = np.clip(away @ self.axis / distance, -1.0, 1.0)
-        tilt, seen = np.sqrt(1.0 - level * level), np.hypot(distance, radius)
-        cap, sine = distance / seen, radius / seen
-        full = max((1.0 - self.cosine) * self.blend, 1e-9)
-        # The mean over the cap of directions in which the part is seen; where the cone is narrower, over the cone.
-        cone = 1.0 - self.cosine - 0.5 * full
-        narrow = cone < 1.0 - cap
-        height, edge = np.where(narrow, cone, 1.0 - cap), np.where(narrow, cap, self.cosine + 0.5 * full)
-        extent = np.where(narrow, np.sqrt(cone * (2.0 - cone)), sine)
-        # Where nodes are farther apart than the edge is wide, it is as wide as that.
-        width = NODES_APART * np.maximum(extent * tilt, height * level)
-        width = np.maximum(np.where(narrow, 1e-9, full), width)
-        passed = np.zeros(len(points))
-        for ring in CAP_RINGS:
-            top = 1.0 - ring * height
-            aside = np.sqrt(np.maximum(1.0 - top * top, 0.0)) * tilt
-            for turn in CAP_TURNS:
-                inside = np.clip((top * level + aside * turn - edge) / width + 0.5, 0.0, 1.0)
-                passed += inside * inside * (3.0 - 2.0 * inside)
-        passed *= np.where(narrow, cone / np.maximum(1.0 - cap, 1e-30), 1.0) / (len(CAP_RINGS) * len(CAP_TURNS))
-        most = np.where(level < cap, level * cap + tilt * sine, 1.0)
-        least = np.where(level > -cap, level * cap - tilt * sine, -1.0)
-        passed = np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + full, 1.0, passed))
-        return np.where(within, 1.0, passed)
+        return np.where(within, 1.0, self.cone.passed(away / distance[:, None], radius / distance))
+
+    def lit_between(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,) along rays, of origins and unit directions (N, 3), between which it may light them."""
+        if self.cone is None:
+            return _everywhere(len(origins))
+        return self.cone.between(self.centre, self.radius, origins, directions)
 
 
 @dataclass(frozen=True)
@@ -234,6 +206,10 @@ class QuadEmitter:
         focus = 1.0 if self.spread >= FULL_SPREAD else float(_spread_factor(np.ones(1), self.spread)[0])
         return self.radiance * focus * self.area / (square + self.extent**2)
 
+    def lit_between(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As for SphereEmitter."""
+        return _everywhere(len(origins))
+
     def _spread_factor(self, points: np.ndarray) -> np.ndarray | float:
         """Mean radiance (N,) towards points over that of a light without a limited spread."""
         if self.spread >= FULL_SPREAD:
@@ -251,28 +227,8 @@ class QuadEmitter:
 Emitter = SphereEmitter | QuadEmitter
 
 
-def lit_intervals(emitter: Emitter, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N,) along rays, of origins and unit directions (N, 3), between which an emitter may light them.
-
-    Of a cone those within the one that holds all of the sphere's light; otherwise from -inf to inf.
-    """
-    count = len(origins)
-    if not isinstance(emitter, SphereEmitter) or emitter.axis is None:
-        return np.full(count, -np.inf), np.full(count, np.inf)
-    square = emitter.cosine**2
-    away = origins - (emitter.centre - emitter.axis * (emitter.radius / max(np.sqrt(1.0 - square), 1e-9)))
-    level, rise, along = away @ emitter.axis, directions @ emitter.axis, (away * directions).sum(axis=1)
-    # Where the square of the height above the apex is that of the cosine times the distance.
-    a = rise * rise - square
-    a = np.where(np.abs(a) < 1e-12, 1e-12, a)
-    b, c = level * rise - square * along, level * level - square * (away * away).sum(axis=1)
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    first, last = np.minimum((-b - root) / a, (-b + root) / a), np.maximum((-b - root) / a, (-b + root) / a)
-    # Rays that stay on the side of the apex within the cone end or begin there; others cross it, or the opposite one.
-    begin, end = np.where((a > 0.0) & (rise > 0.0), last, first), np.where((a > 0.0) & (rise <= 0.0), first, last)
-    begin, end = np.where((a > 0.0) & (rise <= 0.0), -np.inf, begin), np.where((a > 0.0) & (rise > 0.0), np.inf, end)
-    missed = (a <= 0.0) & ((b * b < a * c) | (level + 0.5 * (first + last) * rise < 0.0))
-    return np.where(missed, np.inf, begin), np.where(missed, -np.inf, end)
+def _everywhere(rays: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(rays, -np.inf), np.full(rays, np.inf)
 
 
 def _solid_angle(corners: np.ndarray) -> np.ndarray:
@@ -375,10 +331,8 @@ class SpotLight:
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As for PointLight."""
-        cosine = float(np.cos(0.5 * self.angle))
-        whole = SphereEmitter(
-            self.position, self.position, self.radius, 1.0, self.direction, cosine, self.blend, self.soft_falloff
-        )
+        cone = SpotCone(self.direction, float(np.cos(0.5 * self.angle)), self.blend)
+        whole = SphereEmitter(self.position, self.position, self.radius, 1.0, cone, self.soft_falloff)
         return _sphere_emitters(whole, low, high, most)
 
 
@@ -481,9 +435,7 @@ def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, mo
             whole.centre + whole.radius * offset,
             whole.radius,
             1.0 / len(OCTAHEDRON),
-            whole.axis,
-            whole.cosine,
-            whole.blend,
+            whole.cone,
             whole.soft_falloff,
         )
         for offset in OCTAHEDRON

@@ -6,13 +6,14 @@ import numpy as np
 from ..kernels import structures
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..scene.lamps import CLOSEST, FULL_SPREAD, Emitter, SphereEmitter
+from ..scene.spot_cone import SpotCone
 
 
 def describe_emitter(emitter: Emitter) -> structures.Emitter:
     """A part of a lamp."""
     common = dict(position=np.float64(emitter.position), extent=float(emitter.extent))
     if isinstance(emitter, SphereEmitter):
-        cone = emitter.axis is not None
+        cone = emitter.cone or SpotCone(np.zeros(3), -1.0)
         return structures.Emitter(
             flat=0,
             centre=np.float64(emitter.centre),
@@ -20,10 +21,10 @@ def describe_emitter(emitter: Emitter) -> structures.Emitter:
             intensity=emitter.share / (4.0 * np.pi),
             closest=CLOSEST * float(np.abs(emitter.centre).max(initial=1e-3)) ** 2,
             soft_falloff=emitter.soft_falloff,
-            cone=cone,
-            axis=np.float64(emitter.axis) if cone else np.zeros(3),
-            cosine=emitter.cosine,
-            width=max((1.0 - emitter.cosine) * emitter.blend, 1e-9),
+            cone=emitter.cone is not None,
+            axis=np.float64(cone.axis),
+            cosine=cone.cosine,
+            width=cone.width,
             **common,
         )
     half = max(0.5 * emitter.spread, 1e-4)

@@ -38,6 +38,15 @@ def test_the_light_of_a_lamp_outside_smoke_is_that_of_traced_paths(lamp, sigma):
     assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.08)
 
 
+@pytest.mark.parametrize("height", [0.45, 0.52])
+def test_light_that_comes_back_beside_a_lamp_is_that_of_traced_paths(height):
+    """At wide angles a narrow phase function scatters little of what goes straight on."""
+    lamp, medium = np.array([0.1, 0.2, height]), Medium(12.0, 0.9, 0.857)
+    (_, expected), (_, noise) = traced_towards_z(lamp, medium, 400_000)
+    assert noise < 0.015 * expected
+    assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.12)
+
+
 def rendered_towards_z(lamp, medium, radius=0.0):
     """Intensity along z of the single and the multiple scattering of a lamp of power 1 in a unit box, as rendered."""
     view = Camera(np.eye(4), "orthographic", (24, 24), ortho_scale=1.1)

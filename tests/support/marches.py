@@ -77,7 +77,9 @@ def random_lamp(random: np.random.Generator, kind: str) -> Lamp:
     if kind == "sphere":
         return PointLight(position, 1.0, random.uniform(0.01, 0.4), soft_falloff=random.random() < 0.3)
     if kind == "soft spot":
-        return SpotLight(position, random.normal(size=3), 1.0, random.uniform(0.2, 3.0), random.random(), 0.05)
+        angle, blend, radius = random.uniform(0.2, 3.0), random.random(), random.uniform(0.01, 0.4)
+        soft_falloff = random.random() < 0.5
+        return SpotLight(position, random.normal(size=3), 1.0, angle, blend, radius, soft_falloff=soft_falloff)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = np.linalg.qr(random.normal(size=(3, 3)))[0], position
     return AreaLight(matrix, kind, random.uniform(0.01, 0.5), 1.0, random.choice([np.pi, 1.0]))

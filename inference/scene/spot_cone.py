@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cones into which spot lights shine, and what they let pass of the light of a disk."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..numerics.quadrature import legendre_nodes
+
+# Nodes of a cap of directions, in rings: their heights below its top over its height, and cosines of the turns on each;
+# and how far apart nodes count as lying, over the extent of the cap. The kernel holds these, too.
+CAP_RINGS = tuple(0.5 + 0.5 * legendre_nodes(2)[0])
+CAP_TURNS = tuple(np.cos((np.arange(3) + 0.5) * np.pi / 3.0))
+NODES_APART = 0.5
+# Width, as a cosine, of an edge that counts as sharp.
+SHARP = 1e-9
+
+
+@dataclass(frozen=True)
+class SpotCone:
+    """A cone of light.
+
+    axis: (3,) unit vector along which the light travels. cosine: of half the cone's angle. blend: as in SpotLight.
+    """
+
+    axis: np.ndarray
+    cosine: float
+    blend: float = 0.0
+
+    @property
+    def width(self) -> float:
+        """Of the edge, over which light fades: a difference of cosines."""
+        return max((1.0 - self.cosine) * self.blend, SHARP)
+
+    def passed(self, directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+        """Share (N,) of the light of disks that the cone lets pass.
+
+        directions: (N, 3), unit vectors from the middles of disks that face a point to that point. tangents: (N,),
+        radii of the disks over their distances.
+        """
+        level = np.clip(directions @ self.axis, -1.0, 1.0)
+        tilt = np.sqrt(1.0 - level * level)
+        cap = 1.0 / np.hypot(1.0, tangents)
+        sine = tangents * cap
+        # The mean over the cap of directions in which the disk is seen; where the cone is narrower, over the cone.
+        cone = 1.0 - self.cosine - 0.5 * self.width
+        narrow = cone < 1.0 - cap
+        height, edge = np.where(narrow, cone, 1.0 - cap), np.where(narrow, cap, self.cosine + 0.5 * self.width)
+        extent = np.where(narrow, np.sqrt(cone * (2.0 - cone)), sine)
+        # Where nodes are farther apart than the edge is wide, it is as wide as that.
+        apart = NODES_APART * np.maximum(extent * tilt, height * level)
+        width = np.maximum(np.where(narrow, SHARP, self.width), apart)
+        passed = np.zeros(len(directions))
+        for ring in CAP_RINGS:
+            top = 1.0 - ring * height
+            aside = np.sqrt(np.maximum(1.0 - top * top, 0.0)) * tilt
+            for turn in CAP_TURNS:
+                inside = np.clip((top * level + aside * turn - edge) / width + 0.5, 0.0, 1.0)
+                passed += inside * inside * (3.0 - 2.0 * inside)
+        passed *= np.where(narrow, cone / np.maximum(1.0 - cap, 1e-30), 1.0) / (len(CAP_RINGS) * len(CAP_TURNS))
+        most = np.where(level < cap, level * cap + tilt * sine, 1.0)
+        least = np.where(level > -cap, level * cap - tilt * sine, -1.0)
+        return np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + self.width, 1.0, passed))
+
+    def between(
+        self, centre: np.ndarray, radius: float, origins: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,) along rays, of origins and unit directions (N, 3), between which a sphere may light them.
+
+        They lie within the cone that holds all of the sphere's light. Infinity and its opposite for rays that miss it.
+        """
+        square = self.cosine**2
+        away = origins - (centre - self.axis * (radius / max(np.sqrt(1.0 - square), SHARP)))
+        level, rise, along = away @ self.axis, directions @ self.axis, (away * directions).sum(axis=1)
+        # The ends solve: the square of the height above the apex is that of the cosine times the distance.
+        a = rise * rise - square
+        a = np.where(np.abs(a) < 1e-12, 1e-12, a)
+        b, c = level * rise - square * along, level * level - square * (away * away).sum(axis=1)
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        ends = (-b - root) / a, (-b + root) / a
+        first, last = np.minimum(*ends), np.maximum(*ends)
+        # Steep rays begin or end within the cone; others cross it, or the opposite one.
+        upwards, downwards = (a > 0.0) & (rise > 0.0), (a > 0.0) & (rise <= 0.0)
+        begin = np.where(upwards, last, np.where(downwards, -np.inf, first))
+        end = np.where(downwards, first, np.where(upwards, np.inf, last))
+        missed = (a <= 0.0) & ((b * b < a * c) | (level + 0.5 * (first + last) * rise < 0.0))
+        return np.where(missed, np.inf, begin), np.where(missed, -np.inf, end)
