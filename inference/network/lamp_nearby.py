@@ -13,7 +13,7 @@ where T(s) = exp(-(1 - w s) tau) - exp(-tau) is light of the lamp, of irradiance
 turned by small angles since. Were the lamp far away, and its scattering by a phase function of the Legendre moments
 p_l, s would be p_l: after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of
 Electrons", 1940). But light from a place that turns by an angle a at a part t of the way arrives off the straight line
-by about t a, not a: s is the mean of p_(t l) over that part of the way which lies within the volume. Light in the phase
+by about t a, not a: s is the mean of p_(t l) over the matter on the way, read at a few places. Light in the phase
 function's forward peak, which the transport counts as unscattered, has p_l = G^l - (1 - G^2) G'^l, with the transport's
 G' = G / (1 + G); all light has q_l = G^l.
 
@@ -42,6 +42,8 @@ NEAR, FAR = 0.1, 0.2
 LAST = int(DEGREES[-1])
 # Lanczos' factors of the degrees.
 FADING = np.sinc(np.arange(LAST + 1) / (LAST + 1))
+# Places on the way from a lamp at which matter is read.
+PLACES = 4
 # Least light that scatters towards the camera, over what would if it did so evenly; measured.
 LEAST = 0.2
 # Square of the anisotropy below which there is no forward peak.
@@ -62,12 +64,29 @@ def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> floa
     return min(max((FAR - nearest / max(farthest, 1e-30)) / (FAR - NEAR), 0.0), 1.0)
 
 
-def way_outside(lamp: np.ndarray, points: np.ndarray, extent: Bounds) -> np.ndarray:
-    """Share (N,) of the ways from a lamp (3,) to points (N, 3) that leads to a box; extent: its corners (3,)."""
-    ways = points - lamp
-    ways = np.where(np.abs(ways) > 1e-12, ways, 1e-12)
-    nearer = np.minimum((extent[0] - lamp) / ways, (extent[1] - lamp) / ways)
-    return np.clip(nearer.max(axis=1), 0.0, 1.0)
+@dataclass(frozen=True)
+class Way:
+    """The straight ways from a lamp to N points, at some places each.
+
+    parts: (N, K), of the way up to each place, in [0, 1]. matter: (N, K), share of the way's matter that is there.
+    """
+
+    parts: np.ndarray
+    matter: np.ndarray
+
+    def means(self, anisotropy: float, count: int) -> list[np.ndarray | float]:
+        """Means (N,) of the moments G^(l t) over the matter at parts t, of orders l below a count.
+
+        G^l where light scatters backwards.
+        """
+        if anisotropy < 0.0:
+            return [anisotropy**order for order in range(count)]
+        step = np.exp(self.parts * np.log(max(anisotropy, 1e-30)))
+        found, moments = [], self.matter
+        for _ in range(count):
+            found.append(moments.sum(axis=1))
+            moments = moments * step
+        return found
 
 
 @dataclass(frozen=True)
@@ -75,13 +94,13 @@ class LampAtPoints:
     """Unscattered light of a lamp at N points, in the frame of the working cube.
 
     towards: (N, 3), unit vectors to the lamp. irradiance, depth: (N,), without what lies in between, and its optical
-    depth. outside: (N,), share of the way from the lamp that leads to the volume's box.
+    depth. way: from the lamp.
     """
 
     towards: np.ndarray
     irradiance: np.ndarray
     depth: np.ndarray
-    outside: np.ndarray
+    way: Way
 
 
 @dataclass(frozen=True)
@@ -89,13 +108,27 @@ class LampNearby:
     """The transport of a lamp of power 1, solved for some albedos.
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
-    anisotropy: G of the phase function. extent: lower and upper corner (3,) of the volume's box in the cube's frame.
+    anisotropy: G of the phase function. density: of the cube's cells, a lattice of one value. extent: lower and upper
+    corner (3,) of the volume's box in the cube's frame.
     """
 
     share: float
     lights: Mapping[float, tuple[FluenceLattice, float]]
     anisotropy: float
+    density: FluenceLattice
     extent: Bounds
+
+    def way(self, lamp: np.ndarray, points: np.ndarray) -> Way:
+        """The ways from a lamp (3,) to points (N, 3), within the volume's box."""
+        ways = points - lamp
+        slopes = np.where(np.abs(ways) > 1e-12, ways, 1e-12)
+        nearer = np.minimum((self.extent[0] - lamp) / slopes, (self.extent[1] - lamp) / slopes)
+        start = np.clip(nearer.max(axis=1), 0.0, 1.0)[:, None]
+        parts = start + (1.0 - start) * ((np.arange(PLACES) + 0.5) / PLACES)
+        places = (lamp + parts[..., None] * ways[:, None]).reshape(-1, 3)
+        # Evenly spread where the cells hold none.
+        matter = self.density.values(places).reshape(parts.shape) + np.float32(1e-9)
+        return Way(parts, matter / matter.sum(axis=1, keepdims=True))
 
     def radiance(self, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints) -> np.ndarray:
         """Multiple scattering float64 (N,) at points, without the factor of the local albedo.
@@ -132,8 +165,7 @@ def _forward_light(
     def turned(moment: np.ndarray | float) -> np.ndarray:
         return lamp.irradiance * (np.exp(-(1.0 - albedo * moment) * lamp.depth) - unscattered)
 
-    means = [_on_the_way(g, order, lamp.outside) for order in range(count)]
-    reduced = [_on_the_way(reduced_anisotropy(g), order, lamp.outside) for order in range(LAST + 1)]
+    means, reduced = lamp.way.means(g, count), lamp.way.means(reduced_anisotropy(g), LAST + 1)
     peak = [turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)]
     most = turned(means[LAST])
     known = np.divide(third + peak[LAST], most, out=np.ones(len(cosine)), where=np.abs(most) > 1e-30)
@@ -147,12 +179,3 @@ def _forward_light(
         found += (2 * order + 1) / (4.0 * np.pi) * g**order * light * here
         before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
     return found
-
-
-def _on_the_way(anisotropy: float, order: int, start: np.ndarray) -> np.ndarray | float:
-    """Means (N,) of the moments G^(l t) of order l over t from starts (N,) to 1; G^l where light scatters backwards."""
-    if anisotropy < 0.0 or order == 0:
-        return anisotropy**order
-    slope = -order * np.log(anisotropy)
-    part = np.maximum(slope * (1.0 - start), 1e-9)
-    return np.exp(-slope * start) * -np.expm1(-part) / part

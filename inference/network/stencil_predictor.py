@@ -294,7 +294,8 @@ class RayPredictor(StencilPredictor):
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
         lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
-        return LampNearby(share, lights, self.anisotropy, extent)
+        density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
+        return LampNearby(share, lights, self.anisotropy, density, extent)
 
     def varying_albedo(
         self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL

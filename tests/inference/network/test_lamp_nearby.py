@@ -4,10 +4,12 @@
 import numpy as np
 import pytest
 
-from inference.network.lamp_nearby import LampAtPoints, LampNearby
+from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.transport.scattered_fluence import FluenceLattice
 
 ANISOTROPY, ALBEDO = 0.857, 0.9
+#: Places of matter on the way through even smoke.
+EVEN = (np.arange(4) + 0.5) / 4
 
 
 @pytest.mark.parametrize("order", [4, 6, 10, 16])
@@ -15,7 +17,7 @@ ANISOTROPY, ALBEDO = 0.857, 0.9
 def test_directions_around_a_lamp_are_those_of_traced_photons(order, least, most):
     """Moments of the light around the straight way from the lamp, in even smoke without an end."""
     depth = np.linspace(least, most, 40)
-    found = np.mean([_moment(order, tau, 0.0) for tau in depth]) * (most - least)
+    found = np.mean([_moment(order, tau, EVEN) for tau in depth]) * (most - least)
     assert found == pytest.approx(_traced(order, least, most), rel=0.15)
 
 
@@ -23,19 +25,35 @@ def test_light_of_a_far_lamp_turns_as_in_a_beam():
     """Goudsmit and Saunderson's moments."""
     for order in (5, 9):
         expected = np.exp(-(1.0 - ALBEDO * ANISOTROPY**order) * 1.5) - np.exp(-1.5)
-        assert _moment(order, 1.5, 1.0) == pytest.approx(expected, rel=1e-3)
+        assert _moment(order, 1.5, np.ones(4)) == pytest.approx(expected, rel=1e-3)
 
 
-def _moment(order, depth, outside):
+def test_light_turns_where_the_matter_is():
+    """A slab in one quarter of the way: light that turns there arrives by that part of the angle."""
+    for quarter in range(4):
+        density = np.zeros((66, 66, 66, 1), np.float32)
+        density[1 + 16 * quarter : 17 + 16 * quarter] = 2.0
+        lattice, box = FluenceLattice(density), (np.full(3, -0.5), np.full(3, 0.5))
+        nearby = LampNearby(1.0, {}, ANISOTROPY, lattice, box)
+        # Outside of the box there is none, wherever the lamp stands.
+        for lamp in (np.array([-0.5, 0.1, 0.2]), np.array([-2.5, 0.1, 0.2])):
+            way = nearby.way(lamp, np.array([[0.5, 0.1, 0.2]]))
+            part = ((quarter + 0.5) / 4 - 0.5 - lamp[0]) / (0.5 - lamp[0])
+            assert way.means(ANISOTROPY, 6)[5] == pytest.approx(ANISOTROPY ** (5 * part))
+
+
+def _moment(order, depth, parts):
     """Of light of irradiance 1, from the radiance that it becomes in all directions."""
     cells = np.zeros((4, 4, 4, 16), np.float32)
     # Light from everywhere, so that none of the sum is negative, and some that goes straight on, so that all light
     # that turns by small angles is known to arrive: the third degree's harmonic along z.
     cells[..., 0], cells[..., 12] = 50.0, -5.0
-    nearby = LampNearby(1.0, {ALBEDO: (FluenceLattice(cells), 1.0)}, ANISOTROPY, (np.full(3, -0.5), np.full(3, 0.5)))
+    lattice, box = FluenceLattice(cells), (np.full(3, -0.5), np.full(3, 0.5))
+    nearby = LampNearby(1.0, {ALBEDO: (lattice, 1.0)}, ANISOTROPY, lattice, box)
     cosine, weights = np.polynomial.legendre.leggauss(200)
     omega = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(200), cosine], axis=1)
-    light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), np.full(200, depth), np.full(200, outside))
+    way = Way(np.tile(parts, (200, 1)), np.full((200, 4), 0.25))
+    light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), np.full(200, depth), way)
     radiance = nearby.radiance(ALBEDO, np.zeros((200, 3)), omega, light)
     legendre = np.polynomial.legendre.Legendre.basis(order)(cosine)
     return 2.0 * np.pi * (weights * radiance * legendre).sum() / ANISOTROPY**order
