@@ -44,6 +44,8 @@ MAX_FLUENCE = 5.04
 BEYOND_THICKNESS, BEYOND_ANISOTROPY = 0.6, 2.0
 # Of the coarse transport, which takes the network's place around a lamp near a volume or inside it; docs/method.md.
 NEARBY_DEVIATION = 0.08
+# Distance from a lamp within which its light that turned by small angles is not told apart, over that of the transport.
+FORWARD_RADIUS = 0.25
 
 
 class VolumePredictor:
@@ -443,9 +445,10 @@ class PreparedLampPredictor:
             return self._of_network(x, omega, irradiance, albedos, jitter, ray_features)
         assert ray_features is not None
         # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
-        given = np.minimum(self.lamp.fluence(positions) / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
+        fluence = self.lamp.fluence(positions)
+        given = np.minimum(fluence / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
         depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
-        share, received = self.nearby.share, irradiance * given
+        share, received = self.nearby.share, softened(fluence, FORWARD_RADIUS * self.radius)
         centre = self.cube.positions(self.lamp.centre[None])[0]
         light = LampAtPoints(directions_to(centre, x), received, depth, self.nearby.way(centre, x))
         found = np.stack([self.nearby.radiance(albedo, x, omega, light) for albedo in albedos]).astype(np.float32)
