@@ -735,11 +735,11 @@ static inline double scattered_back(const float *phase, double behind, double pa
 }
 
 /* As scattered_back, of several points. */
-static inline Floats scattered_back_at(const float *phase, Doubles behind, double passing) {
+static inline Floats scattered_back_at(const float *phase, Doubles behind, Doubles passing) {
     Floats along = __builtin_convertvector(behind, Floats), size = choose(along > 0.0f, along, -along);
     Floats square = __builtin_convertvector(behind * behind + passing, Floats);
     square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
-    Floats distance = square * inverse_roots(square), share = (float)passing / (distance * (distance + size));
+    Floats distance = square * inverse_roots(square), share = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
     share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
     Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
     Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);
@@ -773,6 +773,24 @@ static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
     return pass;
 }
 
+/* Turn the direction from a part of a spot to a point into the cone, within which all its light travels: where a ray
+passes a light that is seen in that direction at the distance 1. */
+static inline void turn_into_cone(const Pass *pass, double *behind, double *passing) {
+    const Emitter *emitter = pass->emitter;
+    double away[3], direction[3];
+    for (int k = 0; k < 3; k++) away[k] = pass->origin[k] + (pass->nearest + *behind) * pass->ray->direction[k];
+    double distance = larger(sqrt(dot_of(away, away)), 1e-30), level = dot_of(away, emitter->axis) / distance, tilt = 0.0;
+    if (!(level < emitter->cosine)) return;
+    for (int k = 0; k < 3; k++) {
+        away[k] = away[k] / distance - level * emitter->axis[k];
+        tilt += away[k] * away[k];
+    }
+    double across = sqrt(larger(1.0 - emitter->cosine * emitter->cosine, 0.0)) / larger(sqrt(tilt), 1e-30);
+    for (int k = 0; k < 3; k++) direction[k] = emitter->cosine * emitter->axis[k] + across * away[k];
+    *behind = larger(smaller(dot_of(direction, pass->ray->direction), 1.0), -1.0);
+    *passing = 1.0 - *behind * *behind;
+}
+
 /* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
 the angle under which that sees the step, in which the inverse square is constant.
 
@@ -790,10 +808,12 @@ static void add_bent(const Scene *scene, const Pass *pass, const double *ends, d
             point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * pass->ray->direction[k];
         }
         light *= emitter_fluence(emitter, point) * weight;
-        double distance = sqrt(pass->passing + behind * behind);
+        double passing = pass->passing;
+        if (emitter->cone) turn_into_cone(pass, &behind, &passing);
+        double distance = sqrt(passing + behind * behind);
         for (int64_t v = 0; v < scene->volumes; v++) {
             if (!(work->sigma[v * work->stride + s] > 0.0f)) continue;
-            double phase = scattered_back(scene->media[v].phase, behind, pass->passing, distance);
+            double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
             for (int64_t c = 0; c < scene->scattering; c++) {
                 single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
             }
@@ -805,10 +825,18 @@ static void add_bent(const Scene *scene, const Pass *pass, const double *ends, d
 the light there times the length that it stands for. */
 static inline void add_node(const Scene *scene, const Pass *pass, Ints some, Doubles behind, Floats light, int64_t first,
                             const Work *work, double *single, int64_t stride) {
+    Doubles passing = (Doubles){0} + pass->passing;
+    if (pass->emitter->cone) {
+        FOR_LANES(n) {
+            double place = behind[n], apart = pass->passing;
+            turn_into_cone(pass, &place, &apart);
+            behind[n] = place, passing[n] = apart;
+        }
+    }
     for (int64_t v = 0; v < scene->volumes; v++) {
         Ints filled = some & (load(work->sigma + v * work->stride + first) > 0.0f);
         if (!any_lane(filled)) continue;
-        Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, pass->passing);
+        Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, passing);
         for (int64_t c = 0; c < scene->scattering; c++) {
             Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
             double sum = 0.0;
@@ -926,7 +954,8 @@ static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *
         Floats found = emitter_fluences(emitter, point);
         for (int64_t v = 0; v < scene->volumes; v++) {
             float *light = work->node_light + v * work->stride + first;
-            store(light, load(light) + found * scattered_back_at(scene->media[v].phase, distance - pass.nearest, pass.passing));
+            Doubles passing = (Doubles){0} + pass.passing;
+            store(light, load(light) + found * scattered_back_at(scene->media[v].phase, distance - pass.nearest, passing));
         }
         if (!features) continue;
         store(work->node_given + first, load(work->node_given + first) + found);

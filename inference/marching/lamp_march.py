@@ -149,8 +149,7 @@ class _Steps:
         """The fluence times the phase function (V, N) in some steps, by number."""
 
         def scattered(points: np.ndarray, ray: np.ndarray) -> np.ndarray:
-            away = points - emitter.position
-            cosine = -(away * self.rays.directions[ray]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+            cosine = -(emitter.light_directions(points) * self.rays.directions[ray]).sum(axis=1)
             return emitter.fluence(points) * np.stack([bound.medium.scattered(cosine) for bound in media])
 
         return self.between_nodes(scattered, some)
@@ -181,9 +180,9 @@ class _Steps:
                     inside = weight * (last - first) * (height[some] ** 2 + along**2) / height[some]
                 else:
                     along, inside = begin[some] + node * length[some], weight * length[some]
-                away = origin[some] + (nearest[some] + along)[:, None] * direction[some]
-                light = emitter.fluence(away + emitter.position) * inside
-                cosine = -(away * direction[some]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+                points = emitter.position + origin[some] + (nearest[some] + along)[:, None] * direction[some]
+                light = emitter.fluence(points) * inside
+                cosine = -(emitter.light_directions(points) * direction[some]).sum(axis=1)
                 for v, bound in enumerate(media):
                     found[v, some] += light * bound.medium.scattered(cosine)
         return found

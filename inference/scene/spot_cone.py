@@ -62,6 +62,14 @@ class SpotCone:
         least = np.where(level > -cap, level * cap - tilt * sine, -1.0)
         return np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + self.width, 1.0, passed))
 
+    def turned(self, directions: np.ndarray) -> np.ndarray:
+        """The unit vectors (N, 3) within the cone that are nearest to others."""
+        level = (directions @ self.axis)[:, None]
+        aside = directions - level * self.axis
+        tilt = np.maximum(np.linalg.norm(aside, axis=1)[:, None], 1e-30)
+        edge = self.cosine * self.axis + np.sqrt(1.0 - self.cosine**2) * (aside / tilt)
+        return np.where(level < self.cosine, edge, directions)
+
     def between(
         self, centre: np.ndarray, radius: float, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:

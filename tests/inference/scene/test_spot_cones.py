@@ -54,6 +54,22 @@ def test_the_cone_of_a_soft_spot_is_averaged_over_its_disk(angle, blend, least, 
     assert np.sqrt(((found - expected) ** 2).mean()) < 0.025
 
 
+def test_light_travels_within_the_cone_also_close_to_the_disk():
+    """A point near the disk sees its parts from all sides, but only what they shine along the cone arrives."""
+    lamp = spot(0.7, 0.3, 0.5)
+    for part in lamp.emitters(LOW, HIGH):
+        points = around(lamp, 0.01, 4.0)
+        away = points - part.position
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        found = part.light_directions(points)
+        within = away @ AXIS >= np.cos(0.35)
+        assert found[within] == pytest.approx(away[within])
+        assert found[~within] @ AXIS == pytest.approx(np.full(np.count_nonzero(~within), np.cos(0.35)))
+        assert np.linalg.norm(found, axis=1) == pytest.approx(np.ones(len(found)))
+        # Towards where they would travel without the cone.
+        assert np.all((found[~within] * away[~within]).sum(axis=1) > away[~within] @ AXIS - 1e-9)
+
+
 def test_a_sphere_shines_within_itself_in_all_directions():
     """Cycles has no cone there."""
     lamp, ball = spot(0.7, 0.3, 0.5, soft_falloff=False), PointLight((0.1, 0.2, -0.1), 1.0, 0.5)
