@@ -280,7 +280,7 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
     double seen = sqrt(distance * distance + radius * radius), cap = distance / seen, sine = radius / seen;
     if ((level < cap ? level * cap + tilt * sine : 1.0) <= emitter->cosine) return 0.0;
     if ((level > -cap ? level * cap - tilt * sine : -1.0) >= emitter->cosine + emitter->width) return 1.0;
-    double cone = 1.0 - emitter->cosine - 0.5 * emitter->width;
+    double cone = larger(1.0 - emitter->cosine - 0.5 * emitter->width, 0.0);
     int narrow = cone < 1.0 - cap;
     double height = narrow ? cone : 1.0 - cap, edge = narrow ? cap : emitter->cosine + 0.5 * emitter->width;
     double extent = narrow ? sqrt(cone * (2.0 - cone)) : sine, passed = 0.0;

@@ -43,7 +43,7 @@ class SpotCone:
         cap = 1.0 / np.hypot(1.0, tangents)
         sine = tangents * cap
         # The mean over the cap of directions in which the disk is seen; where the cone is narrower, over the cone.
-        cone = 1.0 - self.cosine - 0.5 * self.width
+        cone = max(1.0 - self.cosine - 0.5 * self.width, 0.0)
         narrow = cone < 1.0 - cap
         height, edge = np.where(narrow, cone, 1.0 - cap), np.where(narrow, cap, self.cosine + 0.5 * self.width)
         extent = np.where(narrow, np.sqrt(cone * (2.0 - cone)), sine)

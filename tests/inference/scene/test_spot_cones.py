@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, PointLight, Settings, SpotLight, render
+from inference.grids.grid import Grid
+from inference.kernels.library import load_kernels
+from inference.marching.lamp_in_media import place_lamp
 from tests.support.volumes import box
 
 LOW, HIGH = np.full(3, -1.0), np.ones(3)
@@ -68,6 +71,17 @@ def test_light_travels_within_the_cone_also_close_to_the_disk():
         assert np.linalg.norm(found, axis=1) == pytest.approx(np.ones(len(found)))
         # Towards where they would travel without the cone.
         assert np.all((found[~within] * away[~within]).sum(axis=1) > away[~within] @ AXIS - 1e-9)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_cone_as_narrow_as_rounding_gives_finite_light(angle, radius, compiled):
+    lamp, kernels = spot(angle, 0.5, radius), load_kernels() if compiled else None
+    placed = place_lamp(lamp, [Grid(box(voxels=4))], kernels=kernels)
+    points = lamp.position + np.linspace(-1.0, 1.0, 41)[:, None] * AXIS
+    found = placed.fluence(np.concatenate([points, points + [1e-7, 0.0, 0.0], around(lamp, 0.0, 2.0)]))
+    assert np.all(np.isfinite(found)) and np.all(found >= 0.0)
 
 
 def test_a_sphere_shines_within_itself_in_all_directions():
