@@ -17,7 +17,7 @@ from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.lamps import LampSource, light_start
+from ..scene.emitters import LampSource, light_start
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
 from .described import describe_grid

@@ -15,7 +15,7 @@ per radius.
 import numpy as np
 
 from ..numerics.quadrature import legendre_nodes
-from ..scene.lamps import light_start
+from ..scene.emitters import light_start
 
 #: Number of nodes of a table, even in d / (1 + d); kernels hold it, too.
 NODES = 64

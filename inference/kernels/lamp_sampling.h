@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light of lamps at points; the twins are LampOpticalDepth, LampShadowMap and scene/lamps.py. */
+/* Light of lamps at points; the twins are LampOpticalDepth, LampShadowMap and scene/emitters.py. */
 
 #ifndef MRPNN_LAMP_SAMPLING_H
 #define MRPNN_LAMP_SAMPLING_H
@@ -14,8 +14,7 @@
 /* Part of the light that a lamp would give to a point that it faced, and that stands for its light where that is less. */
 #define LEAST_FACING 0.25f
 
-/* Of parts of a sphere that shines into a cone: scene/lamps.py and scene/spot_cone.py. */
-#define PART 0.5
+/* Of parts of a sphere that shines into a cone: scene/emitters.py and scene/spot_cone.py. */
 #define DRAWN_IN 0.8660254037844386
 #define NODES_APART 0.5
 
@@ -259,7 +258,8 @@ static inline double brightest(const Emitter *emitter, const double *point) {
     return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
 }
 
-/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone and SpotCone.passed. */
+/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone and
+SpotCone.passed. */
 static inline double within_cone(const Emitter *emitter, const double *point) {
     static const double turns[3] = {0.8660254037844387, 0.0, -0.8660254037844387};
     double away[3], offset[3], radius = emitter->radius, area = radius * radius;

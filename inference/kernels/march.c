@@ -739,7 +739,8 @@ static inline Floats scattered_back_at(const float *phase, Doubles behind, Doubl
     Floats along = __builtin_convertvector(behind, Floats), size = choose(along > 0.0f, along, -along);
     Floats square = __builtin_convertvector(behind * behind + passing, Floats);
     square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
-    Floats distance = square * inverse_roots(square), share = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
+    Floats distance = square * inverse_roots(square);
+    Floats share = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
     share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
     Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
     Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..scene.lamps import Emitter, QuadEmitter
+from ..scene.emitters import Emitter, QuadEmitter
 from .lamp_in_media import LampInMedia
 
 

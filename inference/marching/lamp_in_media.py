@@ -19,7 +19,8 @@ from ..numerics.small_matmul import inverse
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
-from ..scene.lamps import Emitter, Lamp, SphereEmitter
+from ..scene.emitters import Emitter, SphereEmitter
+from ..scene.lamps import Lamp
 from ..scene.mesh_light import MeshLight
 from ..transport.described_lamps import describe_emitter
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..numerics.quadrature import legendre_nodes
-from ..scene.lamps import Emitter
+from ..scene.emitters import Emitter
 from ..transport.scattered_fluence import ScatteredFluence
 from .lamp_in_media import LEAST_FACING, LampInMedia, softened
 from .mean_lamp_depth import MeanLampDepth

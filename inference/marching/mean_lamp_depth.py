@@ -15,7 +15,7 @@ from ..kernels.field_structures import LampFluence
 from ..kernels.structures import array_of
 from ..numerics.small_matmul import inverse
 from ..runtime.tasks import AnyTasks
-from ..scene.lamps import Emitter
+from ..scene.emitters import Emitter
 from ..transport.described_lamps import describe_emitter
 from .lamp_in_media import LampInMedia
 

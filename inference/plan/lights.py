@@ -8,8 +8,9 @@ from typing import TypeVar
 import numpy as np
 
 from ..scene.description import Sun, Surface
+from ..scene.emitters import solid_angles
 from ..scene.environment import Environment, pixel_solid_angles
-from ..scene.lamps import LAMPS, Lamp, solid_angles
+from ..scene.lamps import LAMPS, Lamp
 from ..scene.mesh_light import MeshLight
 from ..scene.settings import Settings
 from .directional_lights import directional_lights

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .description import Surface
-from .lamps import MEDIUM_SIZE, MOST, SMALL, Emitter, QuadEmitter, SphereEmitter, distance_from_box
+from .emitters import Emitter, QuadEmitter, SphereEmitter
+from .lamps import MEDIUM_SIZE, MOST, SMALL, distance_from_box
 
 # Sum of the vector areas of a closed mesh over its area, at most.
 CLOSED = 1e-3

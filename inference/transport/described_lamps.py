@@ -5,7 +5,7 @@ import numpy as np
 
 from ..kernels import structures
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..scene.lamps import CLOSEST, FULL_SPREAD, Emitter, SphereEmitter
+from ..scene.emitters import CLOSEST, FULL_SPREAD, Emitter, SphereEmitter
 from ..scene.spot_cone import SpotCone
 
 

@@ -13,7 +13,7 @@ from ..kernels import field_structures, structures
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.lamps import Emitter, LampSource
+from ..scene.emitters import Emitter, LampSource
 from .described_lamps import describe_emitter, describe_shadow_map
 from .discrete_ordinates import DiscreteOrdinates
 

@@ -24,7 +24,7 @@ from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_in_media import place_lamp
 from inference.network.stencil_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
-from inference.scene.lamps import LampSource, solid_angles
+from inference.scene.emitters import LampSource, solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import box, camera, cloud
 

@@ -29,7 +29,7 @@ from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.ray_steps import RayBatch
 from inference.occluders.lamp_shadow_map import LampShadowMap
-from inference.scene.lamps import LampSource
+from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates

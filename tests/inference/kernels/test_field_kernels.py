@@ -31,7 +31,7 @@ from inference.marching.lamp_in_media import place_lamp
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken
-from inference.scene.lamps import LampSource
+from inference.scene.emitters import LampSource
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
