@@ -68,7 +68,7 @@ def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> floa
 class Way:
     """The straight ways from a lamp to N points, at some places each.
 
-    parts: (N, K), of the way up to each place, in [0, 1]. matter: (N, K), share of the way's matter that is there.
+    parts: (K, N), of the way up to each place, in [0, 1]. matter: (K, N), share of the way's matter that is there.
     """
 
     parts: np.ndarray
@@ -84,7 +84,7 @@ class Way:
         step = np.exp(self.parts * np.log(max(anisotropy, 1e-30)))
         found, moments = [], self.matter
         for _ in range(count):
-            found.append(moments.sum(axis=1))
+            found.append(moments.sum(axis=0))
             moments = moments * step
         return found
 
@@ -123,12 +123,12 @@ class LampNearby:
         ways = points - lamp
         slopes = np.where(np.abs(ways) > 1e-12, ways, 1e-12)
         nearer = np.minimum((self.extent[0] - lamp) / slopes, (self.extent[1] - lamp) / slopes)
-        start = np.clip(nearer.max(axis=1), 0.0, 1.0)[:, None]
-        parts = start + (1.0 - start) * ((np.arange(PLACES) + 0.5) / PLACES)
-        places = (lamp + parts[..., None] * ways[:, None]).reshape(-1, 3)
+        start = np.clip(nearer.max(axis=1), 0.0, 1.0)
+        parts = start + (1.0 - start) * ((np.arange(PLACES)[:, None] + 0.5) / PLACES)
+        places = (lamp + parts[..., None] * ways).reshape(-1, 3)
         # Evenly spread where the cells hold none.
         matter = self.density.values(places).reshape(parts.shape) + np.float32(1e-9)
-        return Way(parts, matter / matter.sum(axis=1, keepdims=True))
+        return Way(parts, matter / matter.sum(axis=0))
 
     def radiance(self, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints) -> np.ndarray:
         """Multiple scattering float64 (N,) at points, without the factor of the local albedo.

@@ -52,7 +52,7 @@ def _moment(order, depth, parts):
     nearby = LampNearby(1.0, {ALBEDO: (lattice, 1.0)}, ANISOTROPY, lattice, box)
     cosine, weights = np.polynomial.legendre.leggauss(200)
     omega = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(200), cosine], axis=1)
-    way = Way(np.tile(parts, (200, 1)), np.full((200, 4), 0.25))
+    way = Way(np.tile(parts[:, None], (1, 200)), np.full((4, 200), 0.25))
     light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), np.full(200, depth), way)
     radiance = nearby.radiance(ALBEDO, np.zeros((200, 3)), omega, light)
     legendre = np.polynomial.legendre.Legendre.basis(order)(cosine)
