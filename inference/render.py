@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .grids.bound_medium import scattering_channels
-from .image.camera_pass import march_tile, shown_pixels
+from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer, Window
@@ -104,7 +104,7 @@ def _finished_parts(
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
-            yield from _render_passes(context, scene, camera, framebuffer)
+            yield from _render_passes(context, scene, framebuffer)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
@@ -125,23 +125,23 @@ def _finished_parts(
 
 
 def _render_passes(
-    context: RenderContext, scene: PreparedScene, camera: Camera, framebuffer: Framebuffer
+    context: RenderContext, scene: PreparedScene, framebuffer: Framebuffer
 ) -> Iterator[tuple[Window, Callable[[], Layer]]]:
     """Render into the framebuffer; yield the window of each finished tile, and what composes its Layer."""
     if not scene.plan.volumes:
         return
     emission = prepare_scattered_emission(context, scene)
     passes = [(channels, suns) for channels in scene.plan.channels for suns in _suns_of_passes(scene)]
-    work = WorkEstimate(context, scene, camera, len(passes))
+    work = WorkEstimate(context, scene, len(passes))
     for number, (channels, suns) in enumerate(passes):
-        channel_pass = _channel_pass(context, scene, channels, suns, camera)
+        channel_pass = _channel_pass(context, scene, channels, suns)
         work.survey(channel_pass)
-        for tile in _tiles(context, scene, channel_pass, camera, framebuffer, emission):
+        for tile in _tiles(context, scene, channel_pass, framebuffer, emission):
             window = tile.camera.window
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
             if number == len(passes) - 1:
-                yield window, functools.partial(_compose_part, framebuffer, camera.window, window)
+                yield window, functools.partial(_compose_part, framebuffer, scene.camera.window, window)
 
 
 def _compose_part(framebuffer: Framebuffer, whole: Window, part: Window) -> Layer:
@@ -154,13 +154,12 @@ def _tiles(
     context: RenderContext,
     scene: PreparedScene,
     channel_pass: ChannelPass,
-    camera: Camera,
     framebuffer: Framebuffer,
     emission: Mapping[int, ScatteredEmission],
 ) -> Iterator[Tile]:
     """The tiles of a pass, each rendered on one thread and added to the framebuffer. Raises Cancelled."""
 
-    shown = shown_pixels(scene, camera)
+    camera, shown = scene.camera, scene.shown
 
     def march(window: Window) -> tuple[Tile, DepthSamples | None]:
         tile = Tile.of(camera, window, shown)
@@ -183,11 +182,11 @@ def _tiles(
         context.progress.message("single scattering")
         marched = list(tasks.map(march, windows))
         view = [samples for _, samples in marched if samples is not None]
-        sources = prepare_prediction(context, scene, channel_pass, camera, view)
+        sources = prepare_prediction(context, scene, channel_pass, view)
         environments = prepare_environment(context, scene, channel_pass, view)
         context.progress.message("multiple scattering")
         return tasks.map(lambda one: predict(*one), marched)
-    sources = prepare_prediction(context, scene, channel_pass, camera, ())
+    sources = prepare_prediction(context, scene, channel_pass, ())
     environments = prepare_environment(context, scene, channel_pass, ())
     context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
@@ -200,9 +199,7 @@ def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:
     return [[sun] for sun in suns] if alone else [suns]
 
 
-def _channel_pass(
-    context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int], camera: Camera
-) -> ChannelPass:
+def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int]) -> ChannelPass:
     """Some colour channels and suns, ready to be marched."""
     fluence = solve_transport(context, scene, channels, suns)
     settings, media, shadow_maps = context.settings, scene.media(channels, suns), scene.occluders.shadow_maps
@@ -217,7 +214,7 @@ def _channel_pass(
     first = suns[:1] in ([], [0])
     lamps = None
     if first and scene.lamps:
-        lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(shown_pixels(scene, camera)))
+        lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
     return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering)
 
@@ -293,6 +290,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
             uncertainty = cache.uncertainty_network(network.name, cancel)
     scene = PreparedScene(
         plan,
+        camera,
         grids,
         sun_depths,
         occluders,

@@ -102,7 +102,10 @@ class FinalGather:
 
         depth: (n, n, n), optical depth towards the light for sigma_hat = 1. medium: sigma_hat and mean cosine.
         """
-        media = np.stack([np.pad(density, (1, 2)), np.pad(depth, (1, 2), mode="edge")], axis=-1)
+        n, edge = len(density), [0, *range(len(density)), -1, -1]
+        media = np.zeros((n + 3, n + 3, n + 3, 2), np.float32)
+        media[1:-2, 1:-2, 1:-2, 0] = density
+        media[..., 1] = depth[np.ix_(edge, edge, edge)]
         return cls(media, np.ascontiguousarray(light, np.float32), *medium, kernels)
 
     def __call__(self, positions: np.ndarray, turned: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..kernels import structures
 from ..kernels.field_structures import LampDepths, LampSlices
 from ..kernels.library import Kernels
 from ..numerics.interpolation import lerp_into
-from ..numerics.small_matmul import inverse
+from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.emitters import LampSource, light_start
 from ..scene.sparse_grid import SparseGrid
@@ -262,7 +262,7 @@ class LampOpticalDepth:
             way = np.zeros((3, len(u), len(v)))
             way[pyramid.axis] = pyramid.sign
             way[pyramid.others[0]], way[pyramid.others[1]] = u[:, None], v
-            length = np.linalg.norm(np.tensordot(self.world_from_index, way, 1), axis=0)
+            length = np.linalg.norm(product(np.moveaxis(way, 0, -1), self.world_from_index.T), axis=-1)
             depths.append((sigma_t * pyramid.depths[-1] * length).ravel())
             # Solid angles in the frame of the voxels; columns at an edge stand for half.
             angle = (way**2).sum(axis=0) ** -1.5 * np.prod(pyramid.spacing) / (4.0 * np.pi)

@@ -13,7 +13,7 @@ import numpy as np
 from ..kernels import structures
 from ..kernels.field_structures import CellMeans
 from ..kernels.library import Kernels
-from ..numerics.small_matmul import affine_inverse
+from ..numerics.small_matmul import affine_inverse, product
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
@@ -46,15 +46,15 @@ class Cube:
 
     def positions(self, world: np.ndarray) -> np.ndarray:
         """World positions (..., 3) in the cube's frame."""
-        return (world - self.centre) @ self.rotation / self.edge
+        return product(world - self.centre, self.rotation) / self.edge
 
     def world(self, positions: np.ndarray) -> np.ndarray:
         """World positions (..., 3) of those in the cube's frame."""
-        return positions * self.edge @ self.rotation.T + self.centre
+        return product(positions * self.edge, self.rotation.T) + self.centre
 
     def directions(self, world: np.ndarray) -> np.ndarray:
         """World unit vectors (..., 3) in the cube's frame."""
-        return world @ self.rotation
+        return product(world, self.rotation)
 
 
 def fit_cube(volume: Volume) -> Cube:

@@ -15,7 +15,7 @@ from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
 from ..plan.plan import Plan, last_albedo
 from ..scene.camera import Camera
-from ..scene.camera_rays import camera_rays, pixel_rays, pixels_around
+from ..scene.camera_rays import camera_rays, pixel_rays
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Framebuffer, add_at, summed
@@ -27,14 +27,6 @@ STEPS_PER_TASK, COMPILED_STEPS_PER_TASK = 200_000, 1_000_000
 MAX_STEPS = 1 << 18
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
 PILOT = 12
-
-
-def shown_pixels(scene: PreparedScene, camera: Camera) -> np.ndarray:
-    """bool (rows, columns): pixels of the camera's window in which rays may meet a volume."""
-    x0, y0, x1, y1 = camera.window
-    if "missed_pixels" not in scene.plan.optimizations:
-        return np.ones((y1 - y0, x1 - x0), bool)
-    return np.logical_or.reduce([pixels_around(camera, *grid.support) for grid in scene.grids])
 
 
 def lookup_offsets(columns: np.ndarray, rows: np.ndarray, seed: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from ..runtime.progress import Progress
 from ..runtime.report import Report
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
+from ..scene.camera_rays import pixels_around
 from ..scene.environment import Environment
 from ..scene.settings import Settings
 from .framebuffer import Framebuffer, Window
@@ -53,7 +54,7 @@ class RenderContext:
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """The planned scene, with everything that does not depend on the colour channel.
+    """The planned scene as a camera sees it, with everything that does not depend on the colour channel.
 
     grids: of V volumes. sun_depths: (V, L), of each volume towards each sun of the plan. depth_buffer: of surfaces that
     cover volumes, or None. extended_lights: of the suns with an angular extent, or None. groups: (G,) ScatteringGroups,
@@ -65,6 +66,7 @@ class PreparedScene:
     """
 
     plan: Plan
+    camera: Camera
     grids: list[Grid]
     sun_depths: list[list[SunOpticalDepth]]
     occluders: Occluders
@@ -87,6 +89,14 @@ class PreparedScene:
     def corners(self) -> np.ndarray:
         """Corners (8 V, 3) of the volumes in the world."""
         return np.concatenate([grid.corners() for grid in self.grids])
+
+    @functools.cached_property
+    def shown(self) -> np.ndarray:
+        """bool (rows, columns): pixels of the camera's window in which rays may meet a volume."""
+        x0, y0, x1, y1 = self.camera.window
+        if "missed_pixels" not in self.plan.optimizations:
+            return np.ones((y1 - y0, x1 - x0), bool)
+        return np.logical_or.reduce([pixels_around(self.camera, *grid.support) for grid in self.grids])
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""

@@ -69,7 +69,6 @@ def prepare_prediction(
     context: RenderContext,
     scene: PreparedScene,
     channel_pass: ChannelPass,
-    camera: Camera,
     view: Sequence[DepthSamples],
 ) -> list["Source"]:
     """What predicts the multiple scattering of every group and sun of a pass, and every lamp. Raises Cancelled.
@@ -119,7 +118,7 @@ def prepare_prediction(
                     suns=len(plan.suns) + len(plan.lamps),
                     voxel=min(scene.grids[v].voxel for v in members),
                     prepared=prepared,
-                    directions=EquivalentDirections(camera, sun, medium.anisotropy, context.cancel),
+                    directions=EquivalentDirections(scene.camera, sun, medium.anisotropy, context.cancel),
                     uncertainty=scene.uncertainty_network,
                 )
                 sources.append(source)

@@ -22,6 +22,7 @@ from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..marching.lamp_in_media import LampInMedia
+from ..numerics.small_matmul import product
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..occluders.seen_surfaces import HIDING, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
@@ -262,7 +263,7 @@ def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarr
     light = np.broadcast_to(image * angles[..., None], (*image.shape[:2], 3)).reshape(-1, 3)
     towards = Environment(np.zeros((rows, 2 * rows, 3))).directions().reshape(-1, 3)
     normals, number = np.unique(np.round(seen.normals, 3), axis=0, return_inverse=True)
-    found = np.concatenate([np.maximum(normal @ towards.T, 0.0)[None] @ light for normal in normals])
+    found = np.concatenate([product(np.maximum(product(towards, normal), 0.0)[None], light) for normal in normals])
     return found[number.reshape(-1)], light.sum(axis=0)
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene.camera import Camera
 from .camera_pass import estimate_march
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Window
@@ -21,9 +20,9 @@ class WorkEstimate:
     A job is one group of volumes in the light of one sun, or of all environments, in one set of colour channels.
     """
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, camera: Camera, passes: int):
+    def __init__(self, context: RenderContext, scene: PreparedScene, passes: int):
         """passes: in which the whole image is rendered, see ChannelPass."""
-        self._context, self._scene, self._camera, self._passes = context, scene, camera, passes
+        self._context, self._scene, self._passes = context, scene, passes
         # By the window of each tile, and of all tiles in all passes; and of those that are finished.
         self._expected: dict[Window, np.ndarray] = {}
         self._all, self._finished = np.zeros((2, 2))
@@ -42,7 +41,7 @@ class WorkEstimate:
             return
         jobs = self._jobs / self._passes
         for window in self._scene.plan.tiles:
-            tile = replace(self._camera, region=window)
+            tile = replace(self._scene.camera, region=window)
             steps, samples = estimate_march(self._context, self._scene, channel_pass, tile)
             self._expected[window] = np.array([steps, samples * jobs])
         self._all = sum(self._expected.values()) * self._passes

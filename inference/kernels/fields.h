@@ -205,13 +205,13 @@ typedef struct {
     int64_t cells;               /* along an edge */
     int64_t first[3];
     int64_t count;
-    const int64_t *numbers;      /* (count), of the cells to fill */
+    const int64_t *numbers;      /* (count), of the cells */
     int64_t parts;               /* of a cell along each axis, in whose middles the light is sampled */
     double world[9], offset[3];  /* the world from indices of cells */
     double sigma;
     double radius;               /* by which the light is softened */
-    double *light;               /* (cells, cells, cells), added to */
-    double *open;                /* the same without what lies in between; or NULL */
+    float *light;                /* (count), added to */
+    float *open;                 /* the same without what lies in between */
 } LampBeam;
 
 /* Fluence of a lamp of power 1 at points: LampInMedia. */

@@ -192,9 +192,9 @@ int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
         }
         for (int64_t part = 0; part < beam->lamp; part++) add_light(beam, part, index, point, &light, &open);
         for (int k = 0; k < used; k++) {
-            int64_t number = beam->numbers[(first + k) / samples];
-            beam->light[number] += (double)light[k] / (double)samples;
-            if (beam->open) beam->open[number] += (double)open[k] / (double)samples;
+            int64_t cell = (first + k) / samples;
+            beam->light[cell] += light[k] / (float)samples;
+            beam->open[cell] += open[k] / (float)samples;
         }
     }
     return beam->count;

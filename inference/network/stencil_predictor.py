@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kinds "stencil" and "ray" read a volume."""
 
+import functools
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -136,6 +137,26 @@ class PreparedStencil:
         return self.lookup.lattices.values.size
 
 
+@dataclass(frozen=True)
+class _SolvedLamp:
+    """The coarse transport of a lamp of power 1, over a factor.
+
+    cells: a `fluence_lattice` for albedo 1, which networks read, or a `moment_lattice` for another albedo. scale: the
+    factor. for_networks: which of them it is.
+    """
+
+    cells: np.ndarray
+    scale: float
+    for_networks: bool
+
+    @functools.cached_property
+    def light(self) -> np.ndarray:
+        """Fluence and flux, float16 (64, 64, 64, 4)."""
+        return (
+            fluence_and_flux(self.cells) if self.for_networks else self.cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16)
+        )
+
+
 class RayPredictor(StencilPredictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
@@ -156,7 +177,7 @@ class RayPredictor(StencilPredictor):
         )
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._fluence: dict[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] = {}
-        self._lamps: dict[tuple[Any, ...], tuple[np.ndarray, float]] = {}
+        self._lamps: dict[tuple[Any, ...], _SolvedLamp] = {}
         self._depths: OpenDepths | None = None
         self._environment: tuple[tuple[Any, ...], tuple[np.ndarray, np.ndarray]] | None = None
         self._albedo: CoarseAlbedo | None = None
@@ -251,14 +272,22 @@ class RayPredictor(StencilPredictor):
         assert conditions.lamp is not None
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            cells, scale = self._solve_lamp(conditions, tasks.cancel)
+            solved = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
         depth, most = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
-        gather = self._final_gather(depth, fluence_and_flux(cells), conditions)
+        gather = self._final_gather(depth, solved.light, conditions)
         place = self.cube.positions(conditions.lamp.centre[None])[0]
         ahead = self.anisotropy * mean_free_path(self.coarse, conditions.sigma_hat)
         return PreparedLampRays(
-            self.network, lookup, FluenceLattice(cells), gather, most, place, ahead, scale, self.anisotropy
+            self.network,
+            lookup,
+            FluenceLattice(solved.cells),
+            gather,
+            most,
+            place,
+            ahead,
+            solved.scale,
+            self.anisotropy,
         )
 
     def lamp_fluence(
@@ -270,13 +299,9 @@ class RayPredictor(StencilPredictor):
         predict it.
         """
 
-        def solve(lamp: tuple[Conditions, float | None]) -> tuple[np.ndarray, float]:
+        def solve(lamp: tuple[Conditions, float | None]) -> _SolvedLamp:
             conditions, albedo = lamp
-            if albedo is None:
-                cells, scale = self._solve_lamp(conditions, tasks.cancel)
-                return fluence_and_flux(cells), scale
-            cells, scale = self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO))
-            return cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16), scale
+            return self._solve_lamp(conditions, tasks.cancel, None if albedo is None else max(albedo, MIN_ALBEDO))
 
         with tasks.cancel.locked(self._lock):
             for conditions, albedo in lamps:
@@ -284,7 +309,7 @@ class RayPredictor(StencilPredictor):
                     self._solver(conditions)
             solved = list(tasks.each(solve, lamps))
         return ScatteredFluence.in_cube(
-            self.cube, [light for light, _ in solved], self.anisotropy, [scale for _, scale in solved]
+            self.cube, [one.light for one in solved], self.anisotropy, [one.scale for one in solved]
         )
 
     def lamp_nearby(
@@ -293,7 +318,7 @@ class RayPredictor(StencilPredictor):
         """The transport of the conditions' lamp for some albedos; share, extent: as in LampNearby. Raises Cancelled."""
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
-        lights = {albedo: (FluenceLattice(cells), scale) for albedo, (cells, scale) in solved.items()}
+        lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         return LampNearby(share, lights, self.anisotropy, density, extent)
 
@@ -346,14 +371,8 @@ class RayPredictor(StencilPredictor):
 
         return fluence
 
-    def _solve_lamp(
-        self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None
-    ) -> tuple[np.ndarray, float]:
-        """Lattice of the transport of a lamp, over a factor, and the factor: of a lamp of power 1.
-
-        albedo: for which it is solved, a `moment_lattice`; None for the `fluence_lattice` that networks read, for
-        albedo 1.
-        """
+    def _solve_lamp(self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None) -> _SolvedLamp:
+        """The transport of a lamp of power 1; albedo: for which it is solved, None for what networks read."""
         lamp = conditions.lamp
         assert lamp is not None
         key = conditions.sigma_hat, lamp.key, conditions.occluders, albedo
@@ -366,11 +385,8 @@ class RayPredictor(StencilPredictor):
             # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
             scale = max(float(light[0].max()), 1e-30)
             light /= np.float32(scale)
-            if albedo is None:
-                found = fluence_lattice(light, solver.boundaries), scale
-            else:
-                found = moment_lattice(light, solver.boundaries), scale
-            self._lamps[key] = found
+            lattice = fluence_lattice if albedo is None else moment_lattice
+            found = self._lamps[key] = _SolvedLamp(lattice(light, solver.boundaries), scale, albedo is None)
         return found
 
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:

@@ -33,9 +33,15 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a @ b for a (..., M, K) and b (K,) or (K, N), in blocks of rows that are small enough to stay on this thread."""
+    """a @ b for a (..., M, K) and b (K,) or (K, N), in blocks that are small enough to stay on this thread."""
     if not a.size or not b.size:
         return a @ b
+    if b.size > VECTOR_WORK:
+        # Too much for one row, which numpy treats as a vector.
+        length = max(VECTOR_WORK * len(b) // b.size, 1)
+        parts = [slice(start, start + length) for start in range(0, len(b), length)]
+        if len(parts) > 1:
+            return np.sum([product(a[..., part], b[part]) for part in parts], axis=0)
     # numpy treats a matrix of one column as a vector, too.
     work = VECTOR_WORK if b.size == a.shape[-1] else MATRIX_WORK
     rows = a.reshape(-1, a.shape[-1])
@@ -45,3 +51,13 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     np.matmul(rows[:whole].reshape(-1, each, a.shape[-1]), b, out=result[:whole].reshape(-1, each, *b.shape[1:]))
     np.matmul(rows[whole:], b, out=result[whole:])
     return result.reshape(*a.shape[:-1], *b.shape[1:])
+
+
+def product_of_columns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a @ b for a (M, K) and b (K, N), in blocks of columns that are small enough to stay on this thread."""
+    result = np.empty((len(a), b.shape[1]), np.result_type(a, b))
+    each = max(MATRIX_WORK // a.size, 1)
+    for start in range(0, b.shape[1], each):
+        some = slice(start, start + each)
+        np.matmul(a, b[:, some], out=result[:, some])
+    return result

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
@@ -186,7 +187,7 @@ def open_sky(
 def _difference(views: np.ndarray, sky: np.ndarray) -> float:
     """Mean share of the sphere in which views (N, P) are not a sky, (P,) or (N, P)."""
     angles = np.broadcast_to(pixel_solid_angles(ROWS), (ROWS, 2 * ROWS)).ravel() / (4.0 * np.pi)
-    return float((np.abs(views - sky) @ angles).mean())
+    return float(product(np.abs(views - sky), angles).mean())
 
 
 def _linear(low: np.ndarray, high: np.ndarray, axes: Sequence[int]) -> list[PlaceWeight]:

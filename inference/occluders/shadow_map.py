@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..numerics.intersection import box_interval
+from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Surface
 from .rasterization import rasterize
@@ -69,9 +70,9 @@ class ShadowMap:
         row, column = np.indices(heights.shape).reshape(2, -1)
         # A cell's column as a ray, in the frame in which the box is the unit cube.
         place = box @ self.linear.T + self.offset
-        turn = np.linalg.inv(place[[4, 2, 1]] - place[0])
+        turn = inverse(place[[4, 2, 1]] - place[0])
         foot = np.stack([column * every, row * every, np.zeros(len(row))], axis=1)
-        low, high = box_interval((foot - place[0]) @ turn, turn[2:], -margin, 1.0 + margin)
+        low, high = box_interval(product(foot - place[0], turn), turn[2:], -margin, 1.0 + margin)
         met = low < high
         return heights.reshape(-1)[met] > high[met], heights.reshape(-1)[met] > low[met]
 

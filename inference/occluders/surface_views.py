@@ -8,6 +8,7 @@ the surface point that is seen where the ray ends so far, a few times over (dist
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..scene.environment import Environment, PlaceLattice, pixel_directions, pixel_numbers, pixel_solid_angles
 from .seen_surfaces import ROWS, SeenSurfaces
 
@@ -38,7 +39,7 @@ class SurfaceViews:
 
     def fluence(self, radiance: np.ndarray) -> np.ndarray:
         """Mean (3,) over the places of the fluence of surfaces' radiance (P, 3)."""
-        return self.angles @ self._image(radiance)
+        return product(self.angles[None], self._image(radiance))[0]
 
     def environment(self, radiance: np.ndarray, name: str) -> Environment | None:
         """What places see of a radiance (P, 3), None if it is black: the mean of it, as strong at each as there.
@@ -48,8 +49,8 @@ class SurfaceViews:
         image = self._image(radiance) * (self.found[-1] >= 0)[:, None]
         if not image.any():
             return None
-        fluence = self.angles @ _shown(radiance.mean(axis=1), self.found[:-1]).T
-        weights = fluence / (self.angles @ image).mean()
+        fluence = product(_shown(radiance.mean(axis=1), self.found[:-1]), self.angles)
+        weights = fluence / product(self.angles[None], image).mean()
         lattice = PlaceLattice(self.low, self.high, weights.reshape([PLACES] * 3).astype(np.float32))
         return Environment(image.reshape(VIEW_ROWS, 2 * VIEW_ROWS, 3), name=name, weight=lattice)
 

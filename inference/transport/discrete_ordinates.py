@@ -31,6 +31,7 @@ from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import OrdinateSweep
 from ..kernels.library import Kernels
 from ..numerics.exponential import one_minus_exp
+from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
@@ -54,6 +55,8 @@ CELL_DIFFUSION = 0.2
 MIN_DEPTH = np.float32(1e-6)
 # Fluence and flux: no axis has as many directions on one side.
 SUMS = 4
+# Cells whose beams are found at once: few enough for matrix products that stay on this thread.
+BEAMS_PER_BLOCK = 1024
 # Optical thickness of a cell below which a series takes the place of differences.
 THIN_CELL = np.float32(0.03)
 
@@ -244,7 +247,7 @@ class DiscreteOrdinates:
         follow = self._lamp_followers(source, beams, np.split(radiance, INFLOW_ENDS))
         self._sweep_lamp(field, source, radiance, follow, cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
-        return (weights.astype(np.float32) @ radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
+        return product_of_columns(weights.astype(np.float32), radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
 
     def _lamp_followers(
         self, source: np.ndarray, beams: np.ndarray, swept: Sequence[np.ndarray]
@@ -282,19 +285,19 @@ class DiscreteOrdinates:
         light: float32 (x, y, z). towards: float32 (3, x, y, z), unit vectors against the beam.
         """
         beams = np.zeros((len(ORDINATES), *light.shape), np.float32)
-        lit = np.flatnonzero(light)
-        x, y, z = towards.reshape(3, -1)[:, lit]
+        flat, towards, lit = beams.reshape(len(ORDINATES), -1), towards.reshape(3, -1), np.flatnonzero(light)
         # Henyey and Greenstein's phase function but for a factor, which the quadrature divides out.
         g = np.float32(abs(self.anisotropy))
         turned = (np.copysign(1.0, self.anisotropy) * ORDINATES).astype(np.float32)
-        phases = []
-        for a, b, c in turned:
-            square = (1 - g) ** 2 + 2 * g * np.maximum(1 - (a * x + b * y + c * z), np.float32(0.0))
-            phases.append(1 / (square * np.sqrt(square)))
-        total = sum(weight * phase for weight, phase in zip(ORDINATE_WEIGHTS.astype(np.float32), phases))
-        share = light.reshape(-1)[lit] / (total * np.float32(4.0 * np.pi))
-        for beam, phase in zip(beams, phases):
-            beam.reshape(-1)[lit] = share * phase
+        weights = (4.0 * np.pi * ORDINATE_WEIGHTS).astype(np.float32)
+        for start in range(0, len(lit), BEAMS_PER_BLOCK):
+            some = lit[start : start + BEAMS_PER_BLOCK]
+            phases = np.maximum(1 - turned @ towards[:, some], np.float32(0.0))
+            phases *= 2 * g
+            phases += (1 - g) ** 2
+            phases *= np.sqrt(phases)
+            np.reciprocal(phases, out=phases)
+            flat[:, some] = phases * (light.reshape(-1)[some] / np.einsum("dn,d->n", phases, weights))
         return beams
 
     def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:

@@ -74,7 +74,8 @@ class LampInCube:
     def __call__(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
         """Mean of the unscattered light over each cell, and unit vectors (3, x, y, z) towards the lamp."""
         n = len(solver.density)
-        light, _ = self._light(solver, solver.density > 0.0, PARTS if len(self.emitters) == 1 else 1, cancel)
+        light, filled = np.zeros((n, n, n), np.float32), np.flatnonzero(solver.density > 0.0)
+        light.reshape(-1)[filled] = self._light(solver, filled, PARTS if len(self.emitters) == 1 else 1, cancel)[0]
         lamp = self.cube.positions(self.centre[None])[0]
         away = np.empty((3, n, n, n), np.float32)
         for axis, along in enumerate(np.ogrid[:n, :n, :n]):
@@ -93,13 +94,13 @@ class LampInCube:
         for axis in range(3):
             near = np.moveaxis(near, axis, 0)
             near = np.moveaxis(near[:-2] | near[1:-1] | near[2:], 0, axis)
-        # The shadows of several emitters blend: each of them may be coarser.
-        light, unhindered = self._light(cells, near, 1, cancel, len(self.emitters) ** 0.25)
         lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
+        # The shadows of several emitters blend: each of them may be coarser.
+        share, unhindered = self._light(cells, lit, 1, cancel, len(self.emitters) ** 0.25)
         most = float(unhindered.max(initial=0.0))
-        share = (light.reshape(-1)[lit] / max(most, 1e-30)).astype(np.float32)
-        share = np.clip(share, np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0))
-        depth.reshape(-1)[lit] = np.log(share) / np.float32(-max(cells.sigma, 1e-30))
+        share /= np.float32(max(most, 1e-30))
+        np.clip(share, np.float32(np.exp(-MAX_DEPTH)), np.float32(1.0), out=share)
+        depth.reshape(-1)[lit] = np.log(share, out=share) / np.float32(-max(cells.sigma, 1e-30))
         return depth, most
 
     def _light(
@@ -109,11 +110,11 @@ class LampInCube:
         few: int,
         cancel: CancelToken,
         apart: float = 1.0,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Means of the unscattered light float64 (n, n, n) over those cells that are `filled`, bool (n, n, n).
+    ) -> np.ndarray:
+        """Means of the unscattered light over C cells, float32 (2, C): as it is, and without what lies in between.
 
-        Once as it is, and once without what lies in between. few: parts of an edge of a cell that is not near the lamp.
-        apart: as for LampOpticalDepth.
+        filled: int (C,), numbers of the cells. few: parts of an edge of a cell that is not near the lamp. apart: as for
+        LampOpticalDepth.
         """
         n = len(solver.density)
         # Columns through the cells that hold density alone.
@@ -122,13 +123,15 @@ class LampInCube:
         grid = DenseGrid(solver.density[tuple(map(slice, low, high))])
         sources = [self._in_cube(emitter.source) for emitter in self.emitters]
         depths = [LampOpticalDepth(grid, linear, offset, one, apart, cancel, solver.kernels) for one in sources]
-        light, near = np.zeros((2, n, n, n)), np.zeros((n, n, n), bool)
+        light, near = np.zeros((2, len(filled)), np.float32), np.zeros((n, n, n), bool)
         for source in sources:
             first, end = (np.ceil((source.position + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
             near[tuple(slice(*ends) for ends in np.clip([first, end], 0, n).astype(int).T)] = True
-        for cells, parts in ((np.flatnonzero(filled & ~near), few), (np.flatnonzero(filled & near), NEAR_PARTS)):
+        nearby = near.reshape(-1)[filled]
+        for some, parts in ((~nearby, few), (nearby, NEAR_PARTS)):
+            cells = filled[some]
             if solver.kernels is not None:
-                self._add_compiled(solver, (depths, low), (cells, parts), light, cancel)
+                light[:, some] = self._compiled_light(solver, (depths, low), (cells, parts), cancel)
                 continue
             centres, found = _centres(n, cells), np.zeros((2, len(cells)))
             inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
@@ -144,49 +147,51 @@ class LampInCube:
                     one *= np.exp(-depth(index, float(solver.sigma)))
                     shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
                     found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
-            light.reshape(2, -1)[:, cells] = found / parts**3
-        return light[0], light[1]
+            light[:, some] = found / parts**3
+        return light
 
     def _in_cube(self, source: LampSource) -> LampSource:
         """A source of light in the cube's frame."""
         position, centre = self.cube.positions(np.stack([source.position, source.centre]))
         return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
 
-    def _add_compiled(
+    def _compiled_light(
         self,
         solver: DiscreteOrdinates | CubeCells,
         columns: tuple[Sequence[LampOpticalDepth], np.ndarray],
         samples: tuple[np.ndarray, int],
-        light: np.ndarray,
         cancel: CancelToken,
-    ) -> None:
-        """Add the light, as it is and without what lies in between, to cells (2, n, n, n) with compiled kernels.
+    ) -> np.ndarray:
+        """As `_light`, by compiled kernels.
 
         columns: optical depths of each emitter through the solver's cells, and the first of these, (3,). samples:
         numbers of cells, and into how many parts their edges are divided.
         """
         (depths, first), (cells, parts), n = columns, samples, len(solver.density)
         assert solver.kernels is not None
+        light = np.zeros((2, len(cells)), np.float32)
         described = [depth.described(float(solver.sigma)) for depth in depths]
         maps = [None if one is None else describe_shadow_map(one) for one in self.shadow_maps or [None] * len(depths)]
-        data = field_structures.LampBeam(
-            lamp=len(depths),
-            columns=structures.pointers_to(described),
-            emitters=structures.array_of([describe_emitter(emitter) for emitter in self.emitters]),
-            shadow_maps=structures.pointers_to(maps),
-            cells=n,
-            first=first,
-            parts=parts,
-            world=self.cube.rotation * (self.cube.edge / n),
-            offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
-            sigma=float(solver.sigma),
-            radius=SOFT * self.cube.edge / (n * parts),
-            light=light[0],
-            open=light[1],
-        )
         size = max(SAMPLES_PER_CALL // parts**3, 1)
         for start in range(0, len(cells), size):
             cancel.check()
-            some = np.ascontiguousarray(cells[start : start + size], np.int64)
-            data.count, data.numbers = len(some), some.ctypes.data
+            some = slice(start, start + size)
+            data = field_structures.LampBeam(
+                lamp=len(depths),
+                columns=structures.pointers_to(described),
+                emitters=structures.array_of([describe_emitter(emitter) for emitter in self.emitters]),
+                shadow_maps=structures.pointers_to(maps),
+                cells=n,
+                first=first,
+                count=len(cells[some]),
+                numbers=np.ascontiguousarray(cells[some], np.int64),
+                parts=parts,
+                world=self.cube.rotation * (self.cube.edge / n),
+                offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
+                sigma=float(solver.sigma),
+                radius=SOFT * self.cube.edge / (n * parts),
+                light=light[0, some],
+                open=light[1, some],
+            )
             solver.kernels.prepare("lamp_beam", data)
+        return light
