@@ -221,7 +221,7 @@ class LampBeam(Shared):
         ("columns", c_void_p),
         ("emitters", c_void_p),
         ("shadow_maps", c_void_p),
-        ("cells", c_int64),
+        ("shape", c_int64 * 3),
         ("first", c_int64 * 3),
         ("count", c_int64),
         ("numbers", c_void_p),

@@ -196,13 +196,13 @@ typedef struct {
     float *out;
 } LampDepths;
 
-/* Unscattered light of a lamp in cells of the working cube: LampInCube. */
+/* Unscattered light of a lamp in cells of a lattice: LampInCube, MeanLampDepth. */
 typedef struct {
     int64_t lamp;                /* its parts */
     const LampColumns *const *columns;  /* (lamp), through the cells, whose indices from `first` they take */
     const Emitter *emitters;     /* (lamp) */
     const LampShadowMap *const *shadow_maps;  /* (lamp), each may be NULL */
-    int64_t cells;               /* along an edge */
+    int64_t shape[3];            /* of the cells' lattice */
     int64_t first[3];
     int64_t count;
     const int64_t *numbers;      /* (count), of the cells */

@@ -172,14 +172,15 @@ static void add_light(const LampBeam *beam, int64_t part, const Floats *index, c
 }
 
 int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
-    int64_t parts = beam->parts, samples = parts * parts * parts, n = beam->cells, all = beam->count * samples;
+    int64_t parts = beam->parts, samples = parts * parts * parts, all = beam->count * samples;
     for (int64_t first = 0; first < all; first += LANES) {
         int used = all - first < LANES ? (int)(all - first) : LANES;
         Floats index[3], light = in_all(0.0f), open = in_all(0.0f);
         Doubles place[3], point[3];
         FOR_LANES(k) {
             int64_t sample = first + (k < used ? k : used - 1), number = beam->numbers[sample / samples];
-            int64_t cell[3] = {number / (n * n), number / n % n, number % n}, inside = sample % samples;
+            int64_t row = number / beam->shape[2], inside = sample % samples;
+            int64_t cell[3] = {row / beam->shape[1], row % beam->shape[1], number % beam->shape[2]};
             for (int axis = 2; axis >= 0; axis--) {
                 place[axis][k] = (double)cell[axis] + ((double)(inside % parts) + 0.5) / (double)parts - 0.5;
                 inside /= parts;

@@ -11,20 +11,17 @@ import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.dense_grid import DenseGrid
-from ..kernels.field_structures import LampFluence
-from ..kernels.structures import array_of
 from ..numerics.small_matmul import inverse
 from ..runtime.tasks import AnyTasks
-from ..scene.emitters import Emitter
-from ..transport.described_lamps import describe_emitter
+from ..transport.lamp_cells import LampCells, light_in_cells
 from .lamp_in_media import LampInMedia
 
 # Distance from a lamp, over its reach, from which on its parts are taken together.
 APART = 1.8
 # Voxels that a task finds at a time.
 VOXELS_PER_TASK = 1 << 15
-# Depth from which on nothing arrives.
-OPAQUE = 80.0
+# Depth from which on nothing arrives, and fluence of a lamp of power 1 that is none.
+OPAQUE, DARK = 80.0, 1e-30
 
 
 @dataclass(frozen=True)
@@ -60,38 +57,34 @@ def mean_lamp_depth(lamp: LampInMedia, medium: BoundMedium, tasks: AnyTasks) -> 
 
     def fill(start: int) -> None:
         some = wanted[start : start + VOXELS_PER_TASK]
-        found[some] = _depths(lamp, medium, np.stack(np.unravel_index(some, shape)) - 1)
+        found[some] = _depths(lamp, medium, some, shape)
 
     for _ in tasks.map(fill, range(0, len(wanted), VOXELS_PER_TASK)):
         pass
     return MeanLampDepth(DenseGrid(found.reshape(shape)), APART * lamp.reach)
 
 
-def _depths(lamp: LampInMedia, medium: BoundMedium, index: np.ndarray) -> np.ndarray:
-    """Depth float32 (N,) of all of a lamp's light at voxels int (3, N) of a medium."""
-    points = (index - medium.offset[:, None]).T @ inverse(medium.linear).T
-    index = index.astype(np.float32)
-    passed, given = np.zeros((2, len(points)), np.float32)
-    for emitter, [depth] in zip(lamp.emitters, lamp.depths):
-        # Where no part gives anything, all of them alike.
-        light = _fluence(lamp, emitter, points) + np.float32(1e-30)
-        passed += light * np.exp(-depth(index, medium.sigma_t))
-        given += light
+def _depths(lamp: LampInMedia, medium: BoundMedium, numbers: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Depth float32 (N,) of all of a lamp's light at voxels of a medium.
+
+    numbers: int (N,), in a lattice of a shape that has one voxel more than the medium on each side.
+    """
+    world_from_index, index = inverse(medium.linear), np.stack(np.unravel_index(numbers, shape)) - 1
+    if lamp.kernels is not None:
+        emitters = [(emitter, depth, None) for emitter, [depth] in zip(lamp.emitters, lamp.depths)]
+        origin = world_from_index @ (-1.0 - medium.offset)
+        cells = LampCells(shape, world_from_index, origin, np.ones(3, int), medium.sigma_t)
+        passed, given = light_in_cells(lamp.kernels, emitters, cells, (numbers, 1, 0.0))
+    else:
+        points = (index - medium.offset[:, None]).T @ world_from_index.T
+        passed, given = np.zeros((2, len(points)), np.float32)
+        for emitter, [depth] in zip(lamp.emitters, lamp.depths):
+            light = emitter.fluence(points).astype(np.float32)
+            passed += light * np.exp(-depth(index.astype(np.float32), medium.sigma_t))
+            given += light
+    # Where no part gives anything, all of them alike.
+    dark = np.flatnonzero(given < DARK)
+    if len(dark):
+        through = [np.exp(-depth(index[:, dark].astype(np.float32), medium.sigma_t)) for [depth] in lamp.depths]
+        passed[dark], given[dark] = np.mean(through, axis=0), 1.0
     return np.minimum(-np.log(np.maximum(passed / given, np.float32(1e-37))), np.float32(OPAQUE))
-
-
-def _fluence(lamp: LampInMedia, emitter: Emitter, points: np.ndarray) -> np.ndarray:
-    """Fluence float32 (N,) of one part of a lamp at world points (N, 3)."""
-    if lamp.kernels is None:
-        return emitter.fluence(points).astype(np.float32)
-    fluence, brightest = np.empty((2, len(points)))
-    data = LampFluence(
-        points=len(points),
-        positions=np.ascontiguousarray(points),
-        lamp=1,
-        emitters=array_of([describe_emitter(emitter)]),
-        fluence=fluence,
-        brightest=brightest,
-    )
-    lamp.kernels.prepare("lamp_fluence", data)
-    return fluence.astype(np.float32)

@@ -9,20 +9,17 @@ import numpy as np
 from ..grids.dense_grid import DenseGrid
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
-from ..kernels import field_structures, structures
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.emitters import Emitter, LampSource
-from .described_lamps import describe_emitter, describe_shadow_map
 from .discrete_ordinates import DiscreteOrdinates
+from .lamp_cells import LampCells, light_in_cells
 
 # Sample points along an edge of a cell, where a lamp is one point: of all cells that hold density, and of those within
 # so many cells of the lamp, where its light varies as the inverse square of a distance smaller than a cell. Nearer to
 # the lamp than a fraction of the distance between them no light is told apart.
 PARTS, NEAR_PARTS, NEAR_CELLS, SOFT = 2, 8, 2.5, 0.4
-# Samples between two polls of cancellation.
-SAMPLES_PER_CALL = 1 << 19
 # Optical depth beyond which no light arrives.
 MAX_DEPTH = 60.0
 
@@ -130,8 +127,13 @@ class LampInCube:
         nearby = near.reshape(-1)[filled]
         for some, parts in ((~nearby, few), (nearby, NEAR_PARTS)):
             cells = filled[some]
+            radius = SOFT * self.cube.edge / (n * parts)
             if solver.kernels is not None:
-                light[:, some] = self._compiled_light(solver, (depths, low), (cells, parts), cancel)
+                world = self.cube.rotation * (self.cube.edge / n)
+                origin = self.cube.world(np.full(3, 0.5 / n - 0.5))
+                lattice = LampCells((n, n, n), world, origin, low, float(solver.sigma))
+                emitters = list(zip(self.emitters, depths, self.shadow_maps or [None] * len(depths)))
+                light[:, some] = light_in_cells(solver.kernels, emitters, lattice, (cells, parts, radius), cancel)
                 continue
             centres, found = _centres(n, cells), np.zeros((2, len(cells)))
             inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
@@ -141,7 +143,6 @@ class LampInCube:
                 world, index = self.cube.world(points), (n * points + offset).T.astype(np.float32)
                 for e, (emitter, depth) in enumerate(zip(self.emitters, depths)):
                     one = emitter.fluence(world)
-                    radius = SOFT * self.cube.edge / (n * parts)
                     one = one / (1.0 + one * (4.0 * np.pi * radius**2))
                     found[1] += one
                     one *= np.exp(-depth(index, float(solver.sigma)))
@@ -154,44 +155,3 @@ class LampInCube:
         """A source of light in the cube's frame."""
         position, centre = self.cube.positions(np.stack([source.position, source.centre]))
         return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
-
-    def _compiled_light(
-        self,
-        solver: DiscreteOrdinates | CubeCells,
-        columns: tuple[Sequence[LampOpticalDepth], np.ndarray],
-        samples: tuple[np.ndarray, int],
-        cancel: CancelToken,
-    ) -> np.ndarray:
-        """As `_light`, by compiled kernels.
-
-        columns: optical depths of each emitter through the solver's cells, and the first of these, (3,). samples:
-        numbers of cells, and into how many parts their edges are divided.
-        """
-        (depths, first), (cells, parts), n = columns, samples, len(solver.density)
-        assert solver.kernels is not None
-        light = np.zeros((2, len(cells)), np.float32)
-        described = [depth.described(float(solver.sigma)) for depth in depths]
-        maps = [None if one is None else describe_shadow_map(one) for one in self.shadow_maps or [None] * len(depths)]
-        size = max(SAMPLES_PER_CALL // parts**3, 1)
-        for start in range(0, len(cells), size):
-            cancel.check()
-            some = slice(start, start + size)
-            data = field_structures.LampBeam(
-                lamp=len(depths),
-                columns=structures.pointers_to(described),
-                emitters=structures.array_of([describe_emitter(emitter) for emitter in self.emitters]),
-                shadow_maps=structures.pointers_to(maps),
-                cells=n,
-                first=first,
-                count=len(cells[some]),
-                numbers=np.ascontiguousarray(cells[some], np.int64),
-                parts=parts,
-                world=self.cube.rotation * (self.cube.edge / n),
-                offset=self.cube.world(np.full(3, 0.5 / n - 0.5)),
-                sigma=float(solver.sigma),
-                radius=SOFT * self.cube.edge / (n * parts),
-                light=light[0, some],
-                open=light[1, some],
-            )
-            solver.kernels.prepare("lamp_beam", data)
-        return light
