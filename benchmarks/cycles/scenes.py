@@ -31,8 +31,10 @@ IMAGES = ROOT / "docs" / "images" / "scenes"
 DEPTH_SAMPLES = 16
 # Samples of single scattering, at most.
 MOST_SINGLE = 256
-# Times as many samples where the phase function is narrow, since some paths are very bright there.
+# Times as many samples where the phase function is narrow, and where a lamp is near smoke or in it, since some paths are
+# very bright there.
 FORWARD, FORWARD_SAMPLES = "G 0.857", 4
+NEAR, NEAR_SAMPLES = re.compile("(light|plane) (at the edge|inside)|ball"), 8
 # Height of the pictures on the page.
 PICTURE_HEIGHT = 128
 
@@ -110,6 +112,7 @@ def measured(name, stage, options) -> dict:
         parts = parts[1:]
     for kind, image, bounces in parts:
         samples = options.samples * (FORWARD_SAMPLES if FORWARD in name else 1)
+        samples *= NEAR_SAMPLES if NEAR.search(name) else 1
         # Single scattering is cheap: less noise, and a smaller error to tell.
         samples = max(min(4 * samples, MOST_SINGLE), samples) if bounces == 0 else samples
         start = time.process_time()
@@ -181,7 +184,7 @@ def page(results) -> str:
         "mean, with its 95 % interval; 0 where Cycles' noise hides it. *Single* is left out where light is emitted and",
         "scattered: Cycles' image without bounces contains a part of that. Seconds are processor seconds of all",
         f"threads; Cycles' are those of the two renders of *whole*, with {FORWARD_SAMPLES} times as many samples at",
-        f"{FORWARD}.",
+        f"{FORWARD}, and {NEAR_SAMPLES} times as many where a lamp or a glowing surface is near the smoke or in it.",
         "",
         "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
         "| Cycles, ours |",
