@@ -31,8 +31,8 @@ IMAGES = ROOT / "docs" / "images" / "scenes"
 DEPTH_SAMPLES = 16
 # Samples of single scattering, at most.
 MOST_SINGLE = 256
-# Times as many samples where the phase function is narrow, and where a lamp is near smoke or in it, since some paths are
-# very bright there.
+# Times as many samples where the phase function is narrow, and where a lamp is near smoke or in it: some paths are very
+# bright there.
 FORWARD, FORWARD_SAMPLES = "G 0.857", 4
 NEAR, NEAR_SAMPLES = re.compile("(light|plane) (at the edge|inside)|ball"), 8
 # Height of the pictures on the page.

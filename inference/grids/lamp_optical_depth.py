@@ -127,13 +127,13 @@ class LampOpticalDepth:
         away = (linear @ DIRECTIONS)[:, :, None] * (self.source.radius * RADII)
         return float(self.grid.sample((self.centre[:, None, None] + away).reshape(3, -1).astype(np.float32)).mean())
 
-    def _excess(self, sigma_t: float) -> np.ndarray | None:
+    def _excess(self, sigma_t: float, forward: float) -> np.ndarray | None:
         """As of `excess_depths`; None where the light may as well start at points."""
         thickness = self._around * self.source.radius * sigma_t
         if thickness <= THIN_SPHERE:
             return None
         apart = float(np.linalg.norm(self.source.position - self.source.centre)) / self.source.radius
-        return excess_depths(thickness, self.source.soft_falloff, apart)
+        return excess_depths(thickness, self.source.soft_falloff, apart, forward)
 
     def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
         """One of the six, to be filled, or None where it holds nothing of the grid."""
@@ -223,8 +223,8 @@ class LampOpticalDepth:
             density = np.sum(taps, axis=0, dtype=np.float32).T
         return density
 
-    def described(self, sigma_t: float) -> structures.LampColumns:
-        """As compiled kernels read it, for an extinction per unit density and world unit."""
+    def described(self, sigma_t: float, forward: float = 0.0) -> structures.LampColumns:
+        """As compiled kernels read it; sigma_t, forward: as for calls."""
         pyramids = [structures.Pyramid() for _ in range(6)]
         for pyramid in self.pyramids:
             pyramids[pyramid.number] = pyramid.described()
@@ -239,7 +239,7 @@ class LampOpticalDepth:
             offset=self.source.position - self.source.centre,
             soft_falloff=self.source.soft_falloff,
             around=self._around,
-            excess=self._excess(sigma_t),
+            excess=self._excess(sigma_t, forward),
         )
         found.kept += pyramids
         return found
@@ -271,12 +271,16 @@ class LampOpticalDepth:
             shares.append(angle.ravel())
         return np.concatenate(depths), np.concatenate(shares)
 
-    def __call__(self, index: np.ndarray, sigma_t: float) -> np.ndarray:
-        """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid."""
+    def __call__(self, index: np.ndarray, sigma_t: float, forward: float = 0.0) -> np.ndarray:
+        """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid.
+
+        sigma_t: extinction per unit density and world unit, without the fraction `forward` of all of it that stands for
+        light that scatters straight on.
+        """
         if self.kernels is not None:
             depth = np.empty(index.shape[1], np.float32)
             index = np.ascontiguousarray(index, np.float32)
-            columns = self.described(sigma_t)
+            columns = self.described(sigma_t, forward)
             data = LampDepths(columns=columns, points=len(depth), index=index, sigma_t=sigma_t, out=depth)
             self.kernels.prepare("lamp_depths", data)
             return depth
@@ -284,7 +288,7 @@ class LampOpticalDepth:
         size = np.abs(away)
         main = size.argmax(axis=0)
         depth = np.zeros(index.shape[1], np.float32)
-        thick, excess = self._thick(sigma_t), self._excess(sigma_t)
+        thick, excess = self._thick(sigma_t), self._excess(sigma_t, forward)
         for pyramid in self.pyramids:
             inside = np.flatnonzero((main == pyramid.axis) & (np.sign(away[pyramid.axis]) == pyramid.sign))
             if not len(inside):

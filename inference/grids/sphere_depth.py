@@ -10,6 +10,12 @@ before or behind it as the surface lies; near, or within, its mean transmittance
 over the directions W in which a place at a distance d from the centre sees the surface, with l(w) the way to it and s
 the extinction. `excess_depths` are -ln T less what the points give. Lengths here are in radii, s is an optical depth
 per radius.
+
+Where light in the forward peak of the phase function, a fraction a of what is scattered, counts as unscattered, too,
+its extinction is s (1 - a), if each collision is counted. The light of a soft falloff is weaker near its middle than
+that of a point, a fraction q(d) = 2 d^2 (1 - d / sqrt(d^2 + 1)) of it, and so are the collisions there: what arrives is
+
+    T(d) + a / q(d) int_0^d s q(x) T(x) exp(-(1 - a) s (d - x)) dx.
 """
 
 import numpy as np
@@ -21,25 +27,75 @@ from ..scene.emitters import light_start
 NODES = 64
 # Nodes of quadratures, and the distance that stands for infinity.
 QUADRATURE, FAR = 48, 1e4
+# Nodes between two of these distances, for the integral over collisions.
+BETWEEN, CLOSE_NODES = np.concatenate([[0.0], np.geomspace(1e-3, FAR, 192)]), 4
 
 
-def excess_depths(thickness: float, soft_falloff: bool, apart: float) -> np.ndarray:
+def excess_depths(thickness: float, soft_falloff: bool, apart: float, forward: float = 0.0) -> np.ndarray:
     """Optical depths float32 (NODES,) to be added to those from `light_start`, at distances even in d / (1 + d).
 
-    thickness: optical depth of a radius. soft_falloff: as of PointLight. apart: distance from the centre, in radii, of
-    the points that light seems to come from; 0 for one in the centre.
+    thickness: optical depth of a radius, less the fraction `forward` that counts as unscattered. soft_falloff: as of
+    PointLight. apart: distance from the centre, in radii, of the points that light seems to come from; 0 for one in the
+    centre.
     """
-    share = np.arange(NODES) / (NODES - 1.0)
-    distance = np.minimum(share / np.maximum(1.0 - share, 1e-9), FAR)[:, None]
-    nodes, weights = legendre_nodes(QUADRATURE)
-    nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
-    longer, seen = _disk_ways(distance, nodes) if soft_falloff else _sphere_ways(distance, nodes)
-    surface = _log_mean(-thickness * longer, seen * weights)
+    distance, (nodes, weights) = _distances()[:, None], _nodes(QUADRATURE)
+    if soft_falloff and forward > 0.0:
+        surface = _log_arriving(thickness / (1.0 - forward), forward)
+    else:
+        surface = _log_surface(thickness, distance, soft_falloff)
     along = apart * (2.0 * nodes - 1.0)
     away = np.sqrt(np.maximum(distance**2 + apart**2 - 2.0 * distance * along, 0.0))
     longer = (apart**2 - 2.0 * distance * along) / np.maximum(away + distance, 1e-30)
     longer = longer + along - light_start(along, apart, 1.0, soft_falloff)
     return (_log_mean(-thickness * longer, weights) - surface).astype(np.float32)
+
+
+def start_depths(thickness: float) -> np.ndarray:
+    """Optical depths float64 (NODES,) behind which the light of a soft falloff starts to be scattered, as if at once.
+
+    At distances even in d / (1 + d). thickness: optical depth of a radius. They are those for which all light that has
+    been scattered forward at a distance is what light that starts behind them has been, exactly where no light is lost.
+    """
+    return -_log_arriving(thickness, 1.0)
+
+
+def _distances() -> np.ndarray:
+    """Distances (NODES,), even in d / (1 + d)."""
+    share = np.arange(NODES) / (NODES - 1.0)
+    return np.minimum(share / np.maximum(1.0 - share, 1e-9), FAR)
+
+
+def _nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights (Q,) of a quadrature from 0 to 1."""
+    nodes, weights = legendre_nodes(count)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
+
+
+def _log_surface(thickness: float, distance: np.ndarray, soft_falloff: bool) -> np.ndarray:
+    """ln (N,) of the mean transmittance to a surface at distances (N, 1), over that of the distance itself."""
+    nodes, weights = _nodes(QUADRATURE)
+    longer, seen = _disk_ways(distance, nodes) if soft_falloff else _sphere_ways(distance, nodes)
+    return _log_mean(-thickness * longer, seen * weights)
+
+
+def _falloff(distance: np.ndarray) -> np.ndarray:
+    """q: the light of a soft falloff at distances (N,), over that of a point."""
+    slant = np.sqrt(distance**2 + 1.0)
+    return 2.0 * distance**2 / (slant * (slant + distance))
+
+
+def _log_arriving(thickness: float, forward: float) -> np.ndarray:
+    """ln (NODES,) of what arrives from a soft falloff without a turn, over exp(-(1 - a) s d)."""
+    distance = _distances()
+    ends, (nodes, weights) = np.unique(np.concatenate([BETWEEN, distance])), _nodes(CLOSE_NODES)
+    steps = np.diff(ends)
+    places = (ends[:-1, None] + steps[:, None] * nodes).ravel()
+    turned = np.exp(_log_surface(thickness, places[:, None], True) - forward * thickness * places)
+    collisions = (thickness * _falloff(places) * turned).reshape(-1, CLOSE_NODES) @ weights * steps
+    collided = np.concatenate([[0.0], np.cumsum(collisions)])[np.searchsorted(ends, distance)]
+    straight = np.exp(_log_surface(thickness, distance[:, None], True) - forward * thickness * distance)
+    more = np.divide(forward * collided, _falloff(distance), out=np.zeros(NODES), where=distance > 0.0)
+    return np.log(straight + more)
 
 
 def _disk_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

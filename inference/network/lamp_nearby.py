@@ -17,6 +17,9 @@ by about t a, not a: s is the mean of p_(t l) over the matter on the way, read a
 function's forward peak, which the transport counts as unscattered, has p_l = G^l - (1 - G^2) G'^l, with the transport's
 G' = G / (1 + G); all light has q_l = G^l.
 
+The light of a soft falloff is weaker near its middle than that of a point, and what it scatters there is, too: its
+depth tau counts from `start_depths` on in the first term of T.
+
 The transport's moments end where those of light that goes forwards are still large, and a series that breaks off there
 is as negative at some angles as it is too bright at others. So they fade, f_l being Lanczos' factors sinc(l / 4) and 0
 above degree 3, and what they leave is taken from all light that turns by small angles, as far as that goes: c, at most
@@ -28,6 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..grids.sphere_depth import NODES
 from ..numerics.small_matmul import product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..transport.discrete_ordinates import reduced_anisotropy
@@ -94,13 +98,30 @@ class LampAtPoints:
     """Unscattered light of a lamp at N points, in the frame of the working cube.
 
     towards: (N, 3), unit vectors to the lamp. irradiance, depth: (N,), without what lies in between, and its optical
-    depth. way: from the lamp.
+    depth. scattering: (N,), the part of this depth in which it is scattered as on a straight way. way: from the lamp.
     """
 
     towards: np.ndarray
     irradiance: np.ndarray
     depth: np.ndarray
+    scattering: np.ndarray
     way: Way
+
+
+@dataclass(frozen=True)
+class SoftStart:
+    """Where the light of a soft falloff starts to be scattered.
+
+    radius: of the lamp, in edges of the cube. depths: of `start_depths`.
+    """
+
+    radius: float
+    depths: np.ndarray
+
+    def __call__(self, distance: np.ndarray) -> np.ndarray:
+        """Optical depth (N,) at distances (N,) from the lamp's middle."""
+        place = distance / (distance + self.radius) * (NODES - 1)
+        return np.interp(place, np.arange(NODES), self.depths)
 
 
 @dataclass(frozen=True)
@@ -109,7 +130,7 @@ class LampNearby:
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
     anisotropy: G of the phase function. density: of the cube's cells, a lattice of one value. extent: lower and upper
-    corner (3,) of the volume's box in the cube's frame.
+    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None.
     """
 
     share: float
@@ -117,6 +138,14 @@ class LampNearby:
     anisotropy: float
     density: FluenceLattice
     extent: Bounds
+    start: SoftStart | None = None
+
+    def lit(self, lamp: np.ndarray, points: np.ndarray, irradiance: np.ndarray, depth: np.ndarray) -> LampAtPoints:
+        """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
+        away = lamp - points
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+        scattering = depth if self.start is None else np.maximum(depth - self.start(distance), 0.0)
+        return LampAtPoints(away / distance[:, None], irradiance, depth, scattering, self.way(lamp, points))
 
     def way(self, lamp: np.ndarray, points: np.ndarray) -> Way:
         """The ways from a lamp (3,) to points (N, 3), within the volume's box."""
@@ -163,7 +192,7 @@ def _forward_light(
     unscattered = np.exp(-lamp.depth)
 
     def turned(moment: np.ndarray | float) -> np.ndarray:
-        return lamp.irradiance * (np.exp(-(1.0 - albedo * moment) * lamp.depth) - unscattered)
+        return lamp.irradiance * (np.exp(albedo * moment * lamp.scattering - lamp.depth) - unscattered)
 
     means, reduced = lamp.way.means(g, count), lamp.way.means(reduced_anisotropy(g), LAST + 1)
     peak = [turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)]

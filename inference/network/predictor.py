@@ -30,8 +30,8 @@ from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Bounds, Conditions
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PreparedPrediction, System
-from .lamp_nearby import LampAtPoints, LampNearby, transport_share
-from .prepared_rays import PreparedLampRays, directions_to
+from .lamp_nearby import LampNearby, transport_share
+from .prepared_rays import PreparedLampRays
 from .uncertainty import UncertaintyNetwork
 
 # Points per network call.
@@ -450,7 +450,7 @@ class PreparedLampPredictor:
         depth = np.maximum(ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
         share, received = self.nearby.share, softened(fluence, FORWARD_RADIUS * self.radius)
         centre = self.cube.positions(self.lamp.centre[None])[0]
-        light = LampAtPoints(directions_to(centre, x), received, depth, self.nearby.way(centre, x))
+        light = self.nearby.lit(centre, x, received, depth)
         found = np.stack([self.nearby.radiance(albedo, x, omega, light) for albedo in albedos]).astype(np.float32)
         if share < 1.0:
             found *= share

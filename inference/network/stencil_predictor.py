@@ -24,6 +24,8 @@ from ..features.mip_lattices import (
 from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
+from ..grids.lamp_optical_depth import DIRECTIONS, RADII
+from ..grids.sphere_depth import start_depths
 from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
@@ -46,7 +48,7 @@ from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
 from .conditions import Bounds, Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .lamp_nearby import MIN_ALBEDO, LampNearby
+from .lamp_nearby import MIN_ALBEDO, LampNearby, SoftStart
 from .prepared_rays import PreparedLampRays, PreparedRays
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
@@ -274,21 +276,13 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             solved = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        depth, most = conditions.lamp.unit_depth(CubeCells(self.fine, conditions.sigma_hat, self.kernels), tasks.cancel)
+        fine = CubeCells(self.fine, conditions.sigma_hat, self.kernels)
+        depth, most = conditions.lamp.unit_depth(fine, tasks.cancel)
         gather = self._final_gather(depth, solved.light, conditions)
         place = self.cube.positions(conditions.lamp.centre[None])[0]
         ahead = self.anisotropy * mean_free_path(self.coarse, conditions.sigma_hat)
-        return PreparedLampRays(
-            self.network,
-            lookup,
-            FluenceLattice(solved.cells),
-            gather,
-            most,
-            place,
-            ahead,
-            solved.scale,
-            self.anisotropy,
-        )
+        lattice, scale = FluenceLattice(solved.cells), solved.scale
+        return PreparedLampRays(self.network, lookup, lattice, gather, most, place, ahead, scale, self.anisotropy)
 
     def lamp_fluence(
         self, lamps: Sequence[tuple[Conditions, float | None]], tasks: AnyTasks = SERIAL
@@ -320,7 +314,19 @@ class RayPredictor(StencilPredictor):
             solved = {albedo: self._solve_lamp(conditions, tasks.cancel, max(albedo, MIN_ALBEDO)) for albedo in albedos}
         lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
-        return LampNearby(share, lights, self.anisotropy, density, extent)
+        start = self._soft_start(conditions, density)
+        return LampNearby(share, lights, self.anisotropy, density, extent, start)
+
+    def _soft_start(self, conditions: Conditions, density: FluenceLattice) -> SoftStart | None:
+        """Of the conditions' lamp, in the matter around it; density: of the coarse cells."""
+        assert conditions.lamp is not None
+        source = conditions.lamp.emitters[0].source
+        if not source.soft_falloff or source.radius == 0.0:
+            return None
+        radius = source.radius / self.cube.edge
+        middle, away = self.cube.positions(source.centre[None])[0], DIRECTIONS[:, :, None] * (radius * RADII)
+        around = density.values(middle + away.reshape(3, -1).T).mean()
+        return SoftStart(radius, start_depths(float(around) * radius * conditions.sigma_hat))
 
     def varying_albedo(
         self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL

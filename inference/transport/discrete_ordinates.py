@@ -119,6 +119,8 @@ class DiscreteOrdinates:
         else:
             self.sigma = np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
         self.extinction = self.sigma * self.density
+        #: Fraction of the extinction that counts as unscattered: the forward peak. Its mean where the albedo varies.
+        self.forward = float(np.mean(albedo) * anisotropy**2)
         reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:

@@ -46,11 +46,13 @@ class CubeCells:
     """Cells of the working cube that light is cast into.
 
     density: float32 (n, n, n). sigma: extinction for density 1, per edge of the cube. kernels: compiled ones, or None.
+    forward: as of DiscreteOrdinates.
     """
 
     density: np.ndarray
     sigma: float
     kernels: Kernels | None = None
+    forward: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class LampInCube:
             if solver.kernels is not None:
                 world = self.cube.rotation * (self.cube.edge / n)
                 origin = self.cube.world(np.full(3, 0.5 / n - 0.5))
-                lattice = LampCells((n, n, n), world, origin, low, float(solver.sigma))
+                lattice = LampCells((n, n, n), world, origin, low, float(solver.sigma), solver.forward)
                 emitters = list(zip(self.emitters, depths, self.shadow_maps or [None] * len(depths)))
                 light[:, some] = light_in_cells(solver.kernels, emitters, lattice, (cells, parts, radius), cancel)
                 continue
@@ -145,7 +147,7 @@ class LampInCube:
                     one = emitter.fluence(world)
                     one = one / (1.0 + one * (4.0 * np.pi * radius**2))
                     found[1] += one
-                    one *= np.exp(-depth(index, float(solver.sigma)))
+                    one *= np.exp(-depth(index, float(solver.sigma), solver.forward))
                     shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
                     found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
             light[:, some] = found / parts**3

@@ -24,7 +24,8 @@ class LampCells:
     """Cells of a lattice, in matter of which the optical depths of a lamp's light are known.
 
     shape: (3,), of the lattice. world_from_index: (3, 3) and origin: (3,), the world position of a cell's middle.
-    first: int (3,), the cell whose index is 0 in the grid of the optical depths. sigma: extinction for density 1.
+    first: int (3,), the cell whose index is 0 in the grid of the optical depths. sigma, forward: extinction for density
+    1, without the fraction that stands for light that scatters straight on.
     """
 
     shape: Sequence[int]
@@ -32,6 +33,7 @@ class LampCells:
     origin: np.ndarray
     first: np.ndarray
     sigma: float
+    forward: float = 0.0
 
 
 def light_in_cells(
@@ -49,7 +51,7 @@ def light_in_cells(
     """
     numbers, parts, radius = samples
     light = np.zeros((2, len(numbers)), np.float32)
-    columns = [depth.described(cells.sigma) for _, depth, _ in emitters]
+    columns = [depth.described(cells.sigma, cells.forward) for _, depth, _ in emitters]
     maps = [None if one is None else describe_shadow_map(one) for _, _, one in emitters]
     size = max(SAMPLES_PER_CALL // (parts**3 * len(emitters)), 1)
     for start in range(0, len(numbers), size):

@@ -53,7 +53,7 @@ def _moment(order, depth, parts):
     cosine, weights = np.polynomial.legendre.leggauss(200)
     omega = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(200), cosine], axis=1)
     way = Way(np.tile(parts[:, None], (1, 200)), np.full((4, 200), 0.25))
-    light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), np.full(200, depth), way)
+    light = LampAtPoints(np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones(200), *np.full((2, 200), depth), way)
     radiance = nearby.radiance(ALBEDO, np.zeros((200, 3)), omega, light)
     legendre = np.polynomial.legendre.Legendre.basis(order)(cosine)
     return 2.0 * np.pi * (weights * radiance * legendre).sum() / ANISOTROPY**order
