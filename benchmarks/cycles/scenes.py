@@ -34,7 +34,7 @@ MOST_SINGLE = 256
 # Times as many samples where the phase function is narrow, and where a lamp is near smoke or in it: some paths are very
 # bright there.
 FORWARD, FORWARD_SAMPLES = "G 0.857", 4
-NEAR, NEAR_SAMPLES = re.compile("(light|plane) (at the edge|inside)|ball"), 8
+NEAR, NEAR_SAMPLES = re.compile("(light|plane) (outside|at the edge|inside)|ball"), 8
 # Height of the pictures on the page.
 PICTURE_HEIGHT = 128
 
