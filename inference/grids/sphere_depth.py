@@ -29,6 +29,8 @@ NODES = 64
 QUADRATURE, FAR = 48, 1e4
 # Nodes between two of these distances, for the integral over collisions.
 BETWEEN, CLOSE_NODES = np.concatenate([[0.0], np.geomspace(1e-3, FAR, 192)]), 4
+# Light that is none.
+NOTHING = 1e-300
 
 
 def excess_depths(thickness: float, soft_falloff: bool, apart: float, forward: float = 0.0) -> np.ndarray:
@@ -95,7 +97,7 @@ def _log_arriving(thickness: float, forward: float) -> np.ndarray:
     collided = np.concatenate([[0.0], np.cumsum(collisions)])[np.searchsorted(ends, distance)]
     straight = np.exp(_log_surface(thickness, distance[:, None], True) - forward * thickness * distance)
     more = np.divide(forward * collided, _falloff(distance), out=np.zeros(NODES), where=distance > 0.0)
-    return np.log(straight + more)
+    return np.log(np.maximum(straight + more, NOTHING))
 
 
 def _disk_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -120,7 +120,7 @@ class DiscreteOrdinates:
             self.sigma = np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
         self.extinction = self.sigma * self.density
         #: Fraction of the extinction that counts as unscattered: the forward peak. Its mean where the albedo varies.
-        self.forward = float(np.mean(albedo) * anisotropy**2)
+        self.forward = float(np.average(albedo * np.ones_like(density), weights=density + 1e-30) * anisotropy**2)
         reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:

@@ -60,3 +60,12 @@ def test_nothing_changes_where_nothing_scatters_straight_on():
     np.testing.assert_array_equal(excess_depths(1.0, False, 0.5, 0.7), excess_depths(1.0, False, 0.5))
     found, expected = excess_depths(1.0, True, 0.5, 1e-6), excess_depths(1.0, True, 0.5)
     np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("thickness", [1e-30, 1e-3, 30.0, 1e4, 1e8])
+@pytest.mark.parametrize("forward", [1e-6, 0.5, 1.0 - 1e-6])
+def test_depths_are_finite_in_any_matter(thickness, forward):
+    for apart in (0.0, 0.5):
+        assert np.isfinite(excess_depths(thickness, True, apart, forward)).all()
+    starts = start_depths(thickness)
+    assert np.isfinite(starts).all() and starts.min() > -1e-6
