@@ -22,7 +22,7 @@ from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
 from .described import describe_grid
 from .optical_depth_sweep import cubic
-from .sphere_depth import NODES, excess_depths
+from .sphere_depth import EXCESS_MOST, FIRST_PART, NODES, excess_depths
 
 # Largest number of columns along each axis of a slice, and of slices of a pyramid.
 MAX_COLUMNS, MAX_SLICES = 384, 384
@@ -239,6 +239,7 @@ class LampOpticalDepth:
             offset=self.source.position - self.source.centre,
             soft_falloff=self.source.soft_falloff,
             around=self._around,
+            uneven=forward > 0.0 and self.source.soft_falloff,
             excess=self._excess(sigma_t, forward),
         )
         found.kept += pyramids
@@ -296,14 +297,16 @@ class LampOpticalDepth:
             depths, outside = self._within(pyramid, away[:, inside], thick)
             depths *= np.float32(sigma_t)
             if excess is not None:
-                depths = np.maximum(depths + self._beyond(excess, index[:, inside], sigma_t), np.float32(0.0))
+                uneven = forward > 0.0 and self.source.soft_falloff
+                more = self._beyond(excess, index[:, inside], sigma_t, uneven)
+                depths = np.maximum(depths + more, np.float32(0.0))
             depth[inside] = np.where(outside, np.float32(0.0), depths)
         return depth
 
-    def _beyond(self, excess: np.ndarray, index: np.ndarray, sigma_t: float) -> np.ndarray:
+    def _beyond(self, excess: np.ndarray, index: np.ndarray, sigma_t: float, uneven: bool) -> np.ndarray:
         """Depth float32 (N,) of light of a sphere beyond that from the lamp's place, at continuous indices (3, N).
 
-        excess: of `excess_depths`.
+        excess: of `excess_depths`. uneven: whether it varies with the density on the first part of the way.
         """
         steps, radius = index - self.centre[:, None].astype(np.float32), np.float32(self.source.radius)
         away, offset = self.world_from_index @ steps, self.source.position - self.source.centre
@@ -321,6 +324,11 @@ class LampOpticalDepth:
         place = (distance / (distance + radius)).astype(np.float32) * np.float32(NODES - 1)
         cell = np.minimum(place.astype(np.int32), NODES - 2)
         more = lerp_into(excess[cell], excess[cell + 1], place - cell)
+        if uneven:
+            share = np.minimum(FIRST_PART * self.source.radius / distance, 1.0)
+            places = [self.centre[:, None] + steps * (node * share) for node in GAUSS_NODES]
+            mean = np.mean([self.grid.sample(place.astype(np.float32)) for place in places], axis=0)
+            more *= np.clip(mean / max(self._around, 1e-30), 0.0, EXCESS_MOST).astype(np.float32)
         return more + (sigma_t * missing * density).astype(np.float32)
 
     def _within(self, pyramid: _Pyramid, away: np.ndarray, thick: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,8 @@ its extinction is s (1 - a), if each collision is counted. The light of a soft f
 that of a point, a fraction q(d) = 2 d^2 (1 - d / sqrt(d^2 + 1)) of it, and so are the collisions there: what arrives is
 
     T(d) + a / q(d) int_0^d s q(x) T(x) exp(-(1 - a) s (d - x)) dx.
+
+Where the density varies, what this adds is in proportion to the density on the first part of the way.
 """
 
 import numpy as np
@@ -25,6 +27,9 @@ from ..scene.emitters import light_start
 
 #: Number of nodes of a table, even in d / (1 + d); kernels hold it, too.
 NODES = 64
+#: Where the density varies, depths are in proportion to the mean on so many radii of the way, over that around the
+#: sphere, up to a limit; measured. The kernel holds both.
+FIRST_PART, EXCESS_MOST = 3.0, 1.5
 # Nodes of quadratures, and the distance that stands for infinity.
 QUADRATURE, FAR = 48, 1e4
 # Nodes between two of these distances, for the integral over collisions.

@@ -96,6 +96,7 @@ typedef struct {
     double radius, offset[3];  /* its radius, and the lamp's place less its centre, in the world, */
     int64_t soft_falloff;    /* whether light starts on a disk, */
     double around;           /* the mean density within the sphere, */
+    int64_t uneven;          /* whether excess varies with the density on the first part of the way, */
     const float *excess;     /* (EXCESS_NODES), depths to be added at distances d, even in d / (d + radius), or NULL */
 } LampColumns;
 

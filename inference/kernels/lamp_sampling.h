@@ -54,6 +54,22 @@ static inline Floats inverse_roots(Floats x) {
 /* Nodes of LampColumns.excess: grids/sphere_depth.NODES. */
 #define EXCESS_NODES 64
 
+/* sphere_depth.FIRST_PART, EXCESS_MOST. */
+#define FIRST_PART 3.0f
+#define EXCESS_MOST 1.5f
+
+/* Mean density on a share of the ways from the sphere's centre, of components steps, over that around it. */
+static inline Floats relative_density(const LampColumns *lamp, const Floats *steps, Floats share) {
+    Floats total = in_all(0.0f);
+    for (int node = 0; node < 2; node++) {
+        Floats place[3];
+        for (int axis = 0; axis < 3; axis++)
+            place[axis] = (float)lamp->centre[axis] + steps[axis] * ((float)GAUSS_NODES[node] * share);
+        total += sample_grid(&lamp->density, place);
+    }
+    return clamped_to(0.5f * total / (float)larger(lamp->around, 1e-30), in_all(0.0f), in_all(EXCESS_MOST));
+}
+
 /* What the light of a sphere has to pass beyond that from the lamp's place: LampOpticalDepth._beyond. */
 static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, float sigma_t) {
     Floats steps[3], square = in_all(1e-30f), along = in_all(0.0f), total = in_all(0.0f), below, above;
@@ -90,7 +106,10 @@ static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, 
         below[n] = lamp->excess[cell], above[n] = lamp->excess[cell + 1];
         place[n] -= (float)cell;
     }
-    return lerp_lanes(below, above, place) + sigma_t * missing * density;
+    Floats more = lerp_lanes(below, above, place);
+    Floats first = clamped_to(FIRST_PART * radius * inverse, in_all(0.0f), in_all(1.0f));
+    if (lamp->uneven) more *= relative_density(lamp, steps, first);
+    return more + sigma_t * missing * density;
 }
 
 /* Optical depths towards a lamp at continuous indices. */

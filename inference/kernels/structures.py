@@ -137,6 +137,7 @@ class LampColumns(Shared):
         ("offset", c_double * 3),
         ("soft_falloff", c_int64),
         ("around", c_double),
+        ("uneven", c_int64),
         ("excess", c_void_p),
     ]
 

@@ -31,7 +31,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.sphere_depth import NODES
+from ..grids.lamp_optical_depth import GAUSS_NODES
+from ..grids.sphere_depth import EXCESS_MOST, FIRST_PART, NODES
 from ..numerics.small_matmul import product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..transport.discrete_ordinates import reduced_anisotropy
@@ -112,16 +113,23 @@ class LampAtPoints:
 class SoftStart:
     """Where the light of a soft falloff starts to be scattered.
 
-    radius: of the lamp, in edges of the cube. depths: of `start_depths`.
+    radius: of the lamp, in edges of the cube. around: the mean density within it. depths: of `start_depths` there.
     """
 
     radius: float
+    around: float
     depths: np.ndarray
 
-    def __call__(self, distance: np.ndarray) -> np.ndarray:
-        """Optical depth (N,) at distances (N,) from the lamp's middle."""
+    def __call__(self, lamp: np.ndarray, points: np.ndarray, density: FluenceLattice) -> np.ndarray:
+        """Optical depth (N,) of the ways from a lamp (3,) to points (N, 3); in proportion to the density on them."""
+        ways = points - lamp
+        distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-30)
+        share = np.minimum(FIRST_PART * self.radius / distance, 1.0)
+        places = lamp + (np.array(GAUSS_NODES)[:, None, None] * share[:, None]) * ways
+        mean = density.values(places.reshape(-1, 3)).reshape(places.shape[:2]).mean(axis=0)
         place = distance / (distance + self.radius) * (NODES - 1)
-        return np.interp(place, np.arange(NODES), self.depths)
+        more = np.clip(mean / max(self.around, 1e-30), 0.0, EXCESS_MOST)
+        return more * np.interp(place, np.arange(NODES), self.depths)
 
 
 @dataclass(frozen=True)
@@ -144,7 +152,9 @@ class LampNearby:
         """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
         away = lamp - points
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
-        scattering = depth if self.start is None else np.maximum(depth - self.start(distance), 0.0)
+        scattering = depth
+        if self.start is not None:
+            scattering = np.maximum(depth - self.start(lamp, points, self.density), 0.0)
         return LampAtPoints(away / distance[:, None], irradiance, depth, scattering, self.way(lamp, points))
 
     def way(self, lamp: np.ndarray, points: np.ndarray) -> Way:

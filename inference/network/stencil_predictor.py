@@ -325,8 +325,8 @@ class RayPredictor(StencilPredictor):
             return None
         radius = source.radius / self.cube.edge
         middle, away = self.cube.positions(source.centre[None])[0], DIRECTIONS[:, :, None] * (radius * RADII)
-        around = density.values(middle + away.reshape(3, -1).T).mean()
-        return SoftStart(radius, start_depths(float(around) * radius * conditions.sigma_hat))
+        around = float(density.values(middle + away.reshape(3, -1).T).mean())
+        return SoftStart(radius, around, start_depths(around * radius * conditions.sigma_hat))
 
     def varying_albedo(
         self, conditions: Conditions, image: np.ndarray | None = None, tasks: AnyTasks = SERIAL
