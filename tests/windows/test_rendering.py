@@ -263,7 +263,7 @@ def warm(pixels):
 
 def test_f12_renders_and_esc_stops(window):
     # Minutes of work, to be stopped at its beginning.
-    window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 64; scene.mrpnn.threads = 1")
+    window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 256; scene.mrpnn.threads = 1")
     # Keycode 96 is F12; the name means Alt+F12 in some keyboard maps.
     window.press("96")
     window.until(RENDERING)
@@ -363,7 +363,7 @@ def test_loading_a_file_during_a_render_ends_the_render(window):
         "with over(area('VIEW_3D')): bpy.ops.mrpnn.render('INVOKE_DEFAULT')",
         "bpy.ops.render.render('INVOKE_DEFAULT')",
     ):
-        window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 64; scene.mrpnn.threads = 1")
+        window.do("scene.render.resolution_percentage = 400; scene.mrpnn.depth_samples = 256; scene.mrpnn.threads = 1")
         window.do(begin)
         window.until(f"{THREADS} or {RENDERING}")
         # Scenes that are edited meanwhile are others than those that were read.
