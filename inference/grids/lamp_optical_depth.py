@@ -239,11 +239,15 @@ class LampOpticalDepth:
             offset=self.source.position - self.source.centre,
             soft_falloff=self.source.soft_falloff,
             around=self._around,
-            uneven=forward > 0.0 and self.source.soft_falloff,
+            uneven=self._uneven(forward),
             excess=self._excess(sigma_t, forward),
         )
         found.kept += pyramids
         return found
+
+    def _uneven(self, forward: float) -> bool:
+        """Whether what light of a sphere passes more than points give varies with the density on its way."""
+        return self.source.soft_falloff and forward > 0.0
 
     def _thick(self, sigma_t: float) -> bool:
         """Whether voxels are so thick that the last part of the way is integrated."""
@@ -297,8 +301,7 @@ class LampOpticalDepth:
             depths, outside = self._within(pyramid, away[:, inside], thick)
             depths *= np.float32(sigma_t)
             if excess is not None:
-                uneven = forward > 0.0 and self.source.soft_falloff
-                more = self._beyond(excess, index[:, inside], sigma_t, uneven)
+                more = self._beyond(excess, index[:, inside], sigma_t, self._uneven(forward))
                 depths = np.maximum(depths + more, np.float32(0.0))
             depth[inside] = np.where(outside, np.float32(0.0), depths)
         return depth

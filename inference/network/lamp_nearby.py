@@ -38,6 +38,7 @@ from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
+from .prepared_rays import directions_to
 
 # Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
 # its multiple scattering, and from which on it is what networks predict: against photons at a mean cosine of 0.857 the
@@ -150,12 +151,10 @@ class LampNearby:
 
     def lit(self, lamp: np.ndarray, points: np.ndarray, irradiance: np.ndarray, depth: np.ndarray) -> LampAtPoints:
         """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
-        away = lamp - points
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
         scattering = depth
         if self.start is not None:
             scattering = np.maximum(depth - self.start(lamp, points, self.density), 0.0)
-        return LampAtPoints(away / distance[:, None], irradiance, depth, scattering, self.way(lamp, points))
+        return LampAtPoints(directions_to(lamp, points), irradiance, depth, scattering, self.way(lamp, points))
 
     def way(self, lamp: np.ndarray, points: np.ndarray) -> Way:
         """The ways from a lamp (3,) to points (N, 3), within the volume's box."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The compiled kernels that prepare fields against their twins in numpy: ordinary, extreme and random contents."""
 
+import itertools
 import time
 import warnings
 
@@ -117,8 +118,8 @@ def test_optical_depths_around_lamps(kind, lamp):
             found = LampOpticalDepth(grid, linear, offset, lamp, kernels=kernels)
             for one, other in zip(expected.pyramids, found.pyramids, strict=True):
                 assert_close(one.depths, other.depths)
-            for sigma_t in (1e-3, 50.0):
-                assert_close(expected(points, sigma_t), found(points, sigma_t))
+            for sigma_t, forward in itertools.product((1e-3, 50.0), (0.0, 0.7)):
+                assert_close(expected(points, sigma_t, forward), found(points, sigma_t, forward))
 
 
 @pytest.mark.parametrize("kind", LAMPS)
