@@ -6,8 +6,7 @@ nearby is not: it falls with the square of the distance, comes from all around, 
 leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
 itself holds the light: with its moments L_lm of the radiance, up to degree 3, what scatters towards the camera is
 
-    sum_lm (2 l + 1) / (4 pi) G^l f_l L_lm Y_lm(-omega)
-        + E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) (f_l T(p_l) + (1 - f_l) c T(q_l)),
+    sum_lm (2 l + 1) / (4 pi) G^l L_lm Y_lm(-omega) + E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) T(p_l),
 
 where T(s) = exp(-(1 - w s) tau) - exp(-tau) is light of the lamp, of irradiance E behind an optical depth tau, that has
 turned by small angles since. Were the lamp far away, and its scattering by a phase function of the Legendre moments
@@ -15,15 +14,24 @@ p_l, s would be p_l: after n scatterings moments are n-th powers (Goudsmit and S
 Electrons", 1940). But light from a place that turns by an angle a at a part t of the way arrives off the straight line
 by about t a, not a: s is the mean of p_(t l) over the matter on the way, read at a few places. Light in the phase
 function's forward peak, which the transport counts as unscattered, has p_l = G^l - (1 - G^2) G'^l, with the transport's
-G' = G / (1 + G); all light has q_l = G^l.
+G' = G / (1 + G).
 
 The light of a soft falloff is weaker near its middle than that of a point, and what it scatters there is, too: its
 depth tau counts from `start_depths` on in the first term of T.
 
 The transport's moments end where those of light that goes forwards are still large, and a series that breaks off there
-is as negative at some angles as it is too bright at others. So they fade, f_l being Lanczos' factors sinc(l / 4) and 0
-above degree 3, and what they leave is taken from all light that turns by small angles, as far as that goes: c, at most
-1, is how much of its third degree the transport has.
+is as negative at some angles as it is too bright at others. So the sum is told apart into light whose moments of all
+degrees are known, and a rest:
+
+    c E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) T(G^l)
+        + (r_0 - a) / (4 pi) + a p(f . omega; G r)
+        + sum_lm (2 l + 1) / (4 pi) G^l f_l (R_lm - a r^l Y_lm(f)) Y_lm(-omega).
+
+All light that turns by small angles has the moments G^l, and c, at most 1, is how much of its third degree there is.
+The rest R_lm is taken for light that comes evenly from everywhere, and light of Henyey and Greenstein's distribution p
+around its mean direction f: of an amount a and a mean cosine r that the first two of the rest's moments r_l along f
+tell, but for a bound on r, since the transport's few directions make beams of what spreads. What differs from these
+fades, f_l being Lanczos' factors sinc(l / 4).
 """
 
 from collections.abc import Mapping
@@ -33,8 +41,9 @@ import numpy as np
 
 from ..grids.lamp_optical_depth import GAUSS_NODES
 from ..grids.sphere_depth import EXCESS_MOST, FIRST_PART, NODES
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import lengths, product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
+from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import reduced_anisotropy
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
@@ -46,12 +55,16 @@ from .prepared_rays import directions_to
 NEAR, FAR = 0.1, 0.2
 #: Highest degree of the transport's moments.
 LAST = int(DEGREES[-1])
-# Lanczos' factors of the degrees.
-FADING = np.sinc(np.arange(LAST + 1) / (LAST + 1))
+# Lanczos' factors of the degrees, times their weights in a series of Legendre's polynomials.
+WEIGHTS = np.sinc(np.arange(LAST + 1) / (LAST + 1)) * (2 * np.arange(LAST + 1) + 1) / (4.0 * np.pi)
+# The first harmonic of each degree.
+FIRST = np.arange(LAST + 1) ** 2
 # Places on the way from a lamp at which matter is read.
 PLACES = 4
+# Largest mean cosine of light that is known by the transport's moments alone; measured.
+STRAIGHTEST = 0.6
 # Least light that scatters towards the camera, over what would if it did so evenly; measured.
-LEAST = 0.2
+LEAST = 0.05
 # Square of the anisotropy below which there is no forward peak.
 MIN_FORWARD = 1e-3
 # Terms of Legendre series are summed down to this one, but no more than so many.
@@ -176,27 +189,19 @@ class LampNearby:
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
         moments = light.values(positions) * np.float32(scale)
-        weights = (2 * DEGREES + 1) * g**DEGREES * FADING[DEGREES] / (4.0 * np.pi)
-        found = product(moments * spherical_harmonics(-omega).T, weights).astype(np.float64)
-        # Of the third degree along the lamp's light.
-        along = DEGREES == LAST
-        third = (moments[:, along] * spherical_harmonics(-lamp.towards)[along].T).sum(axis=1)
-        found += _forward_light((omega * lamp.towards).sum(axis=1), g, albedo, lamp, third)
-        # At wide angles the little there is may be less than what a series of few degrees has too much.
+        if g**2 < MIN_FORWARD:
+            found = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
+        else:
+            found = _scattered(moments, omega, lamp, g, albedo)
         return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
 
 
-def _forward_light(
-    cosine: np.ndarray, anisotropy: float, albedo: float, lamp: LampAtPoints, third: np.ndarray
+def _scattered(
+    moments: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
 ) -> np.ndarray:
-    """Light (N,), W/(m^2 sr), that has turned by small angles, then towards the camera.
-
-    cosine: (N,), of the angle between the camera ray and the direction to the lamp. third: (N,), moment of the
-    transport's radiance of degree 3 along the lamp's light.
-    """
+    """Light (N,), W/(m^2 sr), scattered towards the camera of the transport's moments (N, 16), and of what is ahead of
+    them. omega: (N, 3), camera rays."""
     g, forward = anisotropy, anisotropy**2
-    if forward < MIN_FORWARD:
-        return np.zeros(len(cosine))
     count = max(min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS), LAST + 1)
     unscattered = np.exp(-lamp.depth)
 
@@ -204,16 +209,38 @@ def _forward_light(
         return lamp.irradiance * (np.exp(albedo * moment * lamp.scattering - lamp.depth) - unscattered)
 
     means, reduced = lamp.way.means(g, count), lamp.way.means(reduced_anisotropy(g), LAST + 1)
-    peak = [turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)]
-    most = turned(means[LAST])
-    known = np.divide(third + peak[LAST], most, out=np.ones(len(cosine)), where=np.abs(most) > 1e-30)
-    known = np.clip(known, 0.0, 1.0)
+    ahead = np.stack([turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)], axis=1)
+    third, most = _along(moments, -lamp.towards)[:, LAST] + ahead[:, LAST], turned(means[LAST])
+    known = np.divide(third, most, out=np.ones(len(moments)), where=np.abs(most) > 1e-30).clip(0.0, 1.0)
+    # Of each degree, along the lamp's light: of what is known, and of the rest without what the transport holds.
+    straight = [known * turned(mean) for mean in means]
+    rest = ahead - np.stack(straight[: LAST + 1], axis=1)
+    flux = moments[:, 1:4] - rest[:, 1, None] * lamp.towards
+    middle = flux / np.maximum(lengths(flux), 1e-30)[:, None]
+    cosine = (omega * lamp.towards).sum(axis=1)
+    inside = _along(moments, middle) + rest * _legendre(-(middle * lamp.towards).sum(axis=1))
+    whole, first, second = inside[:, 0], np.maximum(inside[:, 1], 0.0), inside[:, 2]
+    straightness = (second / np.maximum(first, 1e-30)).clip(0.0, STRAIGHTEST)
+    amount = np.minimum(first / np.maximum(straightness, 1e-6), np.maximum(whole, 0.0))
+    turn = -(middle * omega).sum(axis=1)
+    differs = _along(moments, -omega) + rest * _legendre(cosine)
+    differs -= (amount[:, None] * straightness[:, None] ** np.arange(LAST + 1)) * _legendre(turn)
+    # Of degree 0, what is not of that distribution.
+    found = product(differs, WEIGHTS * g ** np.arange(LAST + 1)) + amount * henyey_greenstein(turn, g * straightness)
     # Legendre's polynomials by their recurrence.
-    before, here, found = np.zeros(len(cosine)), np.ones(len(cosine)), np.zeros(len(cosine))
-    for order, mean in enumerate(means):
-        light = known * turned(mean)
-        if order <= LAST:
-            light += FADING[order] * (peak[order] - light)
+    before, here = np.zeros(len(cosine)), np.ones(len(cosine))
+    for order, light in enumerate(straight):
         found += (2 * order + 1) / (4.0 * np.pi) * g**order * light * here
         before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
     return found
+
+
+def _along(moments: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Moments (N, LAST + 1) by Legendre's polynomials along directions (N, 3), of those by spherical harmonics."""
+    return np.add.reduceat(moments * spherical_harmonics(directions).T, FIRST, axis=1)
+
+
+def _legendre(cosine: np.ndarray) -> np.ndarray:
+    """Legendre's polynomials (N, LAST + 1) of cosines (N,)."""
+    square = cosine * cosine
+    return np.stack([np.ones_like(cosine), cosine, 1.5 * square - 0.5, cosine * (2.5 * square - 1.5)], axis=1)
