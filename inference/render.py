@@ -13,7 +13,7 @@ from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_pass import add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer, Window
-from .image.lamp_pass import prepare_lamp_march
+from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
 from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
 from .image.predicted_error import error_is_known, expected_error
@@ -168,9 +168,9 @@ def _tiles(
     def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
         if samples is not None:
             if channel_pass.first:
-                add_scattered_emission(context, scene, channel_pass, tile, samples, emission)
+                add_scattered_emission(context, scene, channel_pass, tile, samples.nodes, emission)
             add_multiple_scattering(context, sources, tile, samples)
-            add_environment_light(context, environments, tile, samples)
+            add_environment_light(context, environments, tile, samples.nodes)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
         return tile
 
@@ -203,6 +203,9 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     """Some colour channels and suns, ready to be marched."""
     fluence = solve_transport(context, scene, channels, suns)
     settings, media, shadow_maps = context.settings, scene.media(channels, suns), scene.occluders.shadow_maps
+    first = suns[:1] in ([], [0])
+    near = lamps_nearby(scene, channels) if first and scene.lamps and settings.multiple else []
+    detail = settings.most_detail if near else 1
     options = MarchOptions(
         settings.depth_samples,
         fluence,
@@ -210,13 +213,13 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         scene.plan.groups,
         settings.leave_out,
         scattering=scattering_channels(media, channels.indices),
+        most_detail=detail,
     )
-    first = suns[:1] in ([], [0])
     lamps = None
     if first and scene.lamps:
         lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
-    return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering)
+    return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering, near, detail)
 
 
 def load_compiled(settings: Settings, report: Report) -> Kernels | None:

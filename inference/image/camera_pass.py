@@ -119,6 +119,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         RayFeatures(np.concatenate(features)) if features else None,
         RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
         np.concatenate(scattering) if scattering else None,
+        rays.batch.detail,
     )
     report.count("points", len(samples.ray))
     return samples
@@ -143,7 +144,7 @@ def estimate_march(
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
     near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
-    batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
+    batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
     size = _rays_per_task(context, scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
@@ -290,11 +291,11 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     report.count("rays marched", np.count_nonzero(hit))
     if not hit.any():
         return None
-    if hit.all():
-        return _TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
-    return _TileRays(
-        RayBatch(origins[hit], directions[hit], near[hit], far[hit]), pixel[hit], offsets[hit], share[hit], free[hit]
-    )
+    rays = _TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
+    if not hit.all():
+        batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
+        rays = _TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
+    return replace(rays, batch=channel_pass.detailed(rays.batch))
 
 
 def _ray_intervals(

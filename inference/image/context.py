@@ -12,8 +12,10 @@ from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
+from ..marching.lamp_detail import detail_of_rays
 from ..marching.lamp_in_media import LampInMedia
 from ..marching.marcher import Marcher
+from ..marching.ray_steps import RayBatch
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..network.uncertainty import UncertaintyNetwork
@@ -121,7 +123,7 @@ class ChannelPass:
     suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
     does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
     rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does. scattering: as
-    in MarchOptions.
+    in MarchOptions. near: lamps near volumes, whose light needs more depth samples. most_detail: as in MarchOptions.
     """
 
     channels: Channels
@@ -131,6 +133,12 @@ class ChannelPass:
     march: Marcher
     lamps: bool = False
     scattering: Sequence[int] = (0,)
+    near: Sequence[LampInMedia] = ()
+    most_detail: int = 1
+
+    def detailed(self, rays: RayBatch) -> RayBatch:
+        """Rays with as many depth samples as the light of lamps near them needs."""
+        return replace(rays, detail=detail_of_rays(self.near, rays, self.most_detail)) if self.near else rays
 
     def scattering_place(self, channel: int) -> int:
         """Place of a colour channel among those whose scattering is gathered."""

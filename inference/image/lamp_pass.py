@@ -68,6 +68,20 @@ def prepare_lamp_march(
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius, means)
 
 
+def lamps_nearby(scene: PreparedScene, channels: Channels) -> list[LampInMedia]:
+    """Lamps so near a group of volumes that the coarse transport alone is their multiple scattering in it."""
+    if not scene.plan.predicts_lamps:
+        return []
+    near = [
+        k
+        for g, group in scene.predicted(channels)
+        for cluster, lamp in zip(scene.plan.lamp_clusters[g], lamps_of_group(scene, g))
+        if group.predictor.transport_share(lamp) >= 1.0
+        for k in cluster
+    ]
+    return [scene.lamps[k] for k in sorted(set(near))]
+
+
 def _mean_depths(
     context: RenderContext, scene: PreparedScene, channels: Channels, pixels: int
 ) -> list[MeanLampDepth | None]:

@@ -161,11 +161,12 @@ def add_multiple_scattering(
     """Add the predicted multiple scattering of every source to the tile, and its uncertainty. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
-            inside = np.flatnonzero(samples.share(source.members))
+            some = samples if source.needs_detail else samples.nodes
+            inside = np.flatnonzero(some.share(source.members))
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
-            estimate = _Estimate(context, samples, tile, source)
+            estimate = _Estimate(context, some, tile, source)
             if "shared_pixels" not in context.settings.leave_out:
                 estimate.evaluate(inside)
             else:
@@ -224,6 +225,11 @@ class Source:
     prepared: PreparedPredictor | PreparedLampPredictor
     directions: EquivalentDirections | None = None
     uncertainty: UncertaintyNetwork | None = None
+
+    @property
+    def needs_detail(self) -> bool:
+        """Whether its light varies along rays more than nodes of the depth samples tell."""
+        return isinstance(self.prepared, PreparedLampPredictor) and self.prepared.alone
 
     @functools.cached_property
     def alike(self) -> list[list[int]]:
@@ -368,6 +374,8 @@ class _Estimate:
         source = self.source
         if features is None:
             return None
+        if len(source.lights) == 1:
+            return features.of(points, source.group, source.lights[0])
         shares = source.shares
         if not isinstance(shares, np.ndarray):
             shares = shares(self.samples.positions(points))

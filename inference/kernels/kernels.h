@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 16
+#define MRPNN_INTERFACE 17
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -177,7 +177,7 @@ typedef struct {
     const double *wide_nodes, *wide_weights;  /* in [0, 1] */
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
-    int64_t depth_samples, adaptive, coarse_count;
+    int64_t depth_samples, most_detail, adaptive, coarse_count;
     int64_t skip_empty;
     double step_thickness;           /* optical thickness that steps may have where a ray begins, */
     double step_growth;              /* and the optical depth over which that grows by e; */
@@ -196,6 +196,7 @@ typedef struct {
     const double *origins, *directions;  /* (rays, 3) */
     const double *near_distance, *far_distance;  /* (rays) */
     const int64_t *counts;               /* (rays), number of steps */
+    const int64_t *detail;               /* (rays), times as many depth samples, at most `most_detail`, or NULL: once */
     int64_t max_count;                   /* no count may be larger: `scratch` is made for it */
     const volatile int32_t *stop;        /* not 0: return as soon as possible */
     void *scratch;
@@ -210,11 +211,11 @@ typedef struct {
     double *scattering_depth;            /* (rays, volumes, scattering), or NULL where no albedo varies */
     double *emission;                    /* (rays, channels), or NULL */
     int64_t *sample_counts;              /* (rays) */
-    double *sample_distance, *sample_weight;  /* (rays * depth_samples) */
-    float *sample_fraction;              /* (rays * depth_samples, volumes) */
-    float *sample_scattering;            /* (rays * depth_samples, volumes, scattering), or NULL where none varies */
-    float *sample_features;              /* (rays * depth_samples, groups, suns, 7), or NULL */
-    float *lamp_features;                /* (rays * depth_samples, groups, lamps, 7), or NULL */
+    double *sample_distance, *sample_weight;  /* (S), S = rays * depth_samples * most_detail */
+    float *sample_fraction;              /* (S, volumes) */
+    float *sample_scattering;            /* (S, volumes, scattering), or NULL where none varies */
+    float *sample_features;              /* (S, groups, suns, 7), or NULL */
+    float *lamp_features;                /* (S, groups, lamps, 7), or NULL */
     int64_t samples;
     int64_t blocks;                      /* blocks of steps evaluated */
 } Gathered;

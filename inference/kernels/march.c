@@ -619,42 +619,55 @@ static int64_t sample_count(const Scene *scene, double alpha) {
     return count < fewest ? fewest : count > most ? most : count;
 }
 
-/* Depth samples at the Gauss-Legendre nodes of the ray's opacity; returns their number. */
-static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, Work *work, Gathered *out) {
-    int64_t count = work->blocks ? sample_count(scene, alpha) : 0, steps = work->stride, block = 0;
+/* A depth sample where a part of the ray's opacity is in front of it, behind those before. */
+static void place_sample(const Scene *scene, const Ray *ray, double opacity, int64_t n, Work *work, Gathered *out) {
+    double wanted = -log1p(-(opacity < 1.0 - 1e-12 ? opacity : 1.0 - 1e-12));
+    int64_t sample = out->samples + n, steps = work->stride, block = n ? work->sample_step[n - 1] / STEPS : 0;
+    while (block + 1 < work->blocks && work->before[block + 1] <= wanted) block++;
+    wanted -= work->before[block];
+    const float *within_block = work->within + STEPS * block, *tau = work->tau + STEPS * block;
+    int step = 0, last = STEPS - 1;
+    for (int k = 0; k < STEPS; k++) step += (double)within_block[k] <= wanted;
+    for (int k = 0; k < STEPS; k++) {
+        if (tau[k] > 0.0f) last = k;
+    }
+    if (step > last) step = last;
+    float thickness = tau[step];
+    double inside = (wanted - (double)(within_block[step] - thickness)) / (thickness > 1e-30f ? thickness : 1e-30f);
+    inside = inside > 0.0 ? (inside < 1.0 ? inside : 1.0) : 0.0;
+    int64_t s = STEPS * block + step;
+    work->sample_step[n] = s;
+    work->sample_inside[n] = (float)inside;
+    out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
+    float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * steps + s] / total;
+    }
+    for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
+        const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
+        out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
+    }
+}
+
+/* Depth samples at the Gauss-Legendre nodes of the ray's opacity, and in the middles of `detail` parts of each node's
+share but for the one that holds it; returns their number. */
+static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, int64_t detail, Work *work, Gathered *out) {
+    int64_t count = work->blocks ? sample_count(scene, alpha) : 0;
     const double *nodes = scene->nodes + count * scene->depth_samples;
     const double *weights = scene->node_weights + count * scene->depth_samples;
+    double begin = 0.0;
     for (int64_t n = 0; n < count; n++) {
-        int64_t sample = out->samples + n;
-        double opacity = nodes[n] * alpha;
-        double wanted = -log1p(-(opacity < 1.0 - 1e-12 ? opacity : 1.0 - 1e-12));
-        while (block + 1 < work->blocks && work->before[block + 1] <= wanted) block++;
-        wanted -= work->before[block];
-        const float *within_block = work->within + STEPS * block, *tau = work->tau + STEPS * block;
-        int step = 0, last = STEPS - 1;
-        for (int k = 0; k < STEPS; k++) step += (double)within_block[k] <= wanted;
-        for (int k = 0; k < STEPS; k++) {
-            if (tau[k] > 0.0f) last = k;
+        double part = weights[n] / (double)detail;
+        for (int64_t k = 0; k < detail; k++) {
+            double low = begin + (double)k * part;
+            int holds = (k == 0 || nodes[n] >= low) && (k + 1 == detail || nodes[n] < low + part);
+            double node = holds ? nodes[n] : low + 0.5 * part;
+            place_sample(scene, ray, node * alpha, n * detail + k, work, out);
+            out->sample_weight[out->samples + n * detail + k] = part * alpha;
         }
-        if (step > last) step = last;
-        float thickness = tau[step];
-        double inside = (wanted - (double)(within_block[step] - thickness)) / (thickness > 1e-30f ? thickness : 1e-30f);
-        inside = inside > 0.0 ? (inside < 1.0 ? inside : 1.0) : 0.0;
-        int64_t s = STEPS * block + step;
-        work->sample_step[n] = s;
-        work->sample_inside[n] = (float)inside;
-        out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
-        out->sample_weight[sample] = weights[n] * alpha;
-        float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * steps + s] / total;
-        }
-        for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
-            const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
-            out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
-        }
+        begin += weights[n];
     }
-    return count;
+    return count * detail;
 }
 
 /* Optical thickness of steps in each group. */
@@ -1196,6 +1209,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
     int64_t steps = STEPS * (blocks + AHEAD);
     int64_t volumes = scene->volumes, groups = scene->groups;
+    int64_t samples = scene->depth_samples * (scene->most_detail > 1 ? scene->most_detail : 1);
     work->room = blocks;
     work->stride = steps;
 #define TAKE(field, type, amount)                       \
@@ -1238,9 +1252,9 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(lines, Line, volumes)
     TAKE(cells, int64_t, LANES * volumes)
     TAKE(near, uint8_t, (AHEAD + 1) * volumes)
-    TAKE(sample_step, int64_t, scene->depth_samples)
-    TAKE(sample_inside, float, scene->depth_samples)
-    TAKE(sample_light, float, scene->depth_samples)
+    TAKE(sample_step, int64_t, samples)
+    TAKE(sample_inside, float, samples)
+    TAKE(sample_light, float, samples)
 #undef TAKE
     if (groups == 1) work->whole_start = work->start, work->whole_end = work->end;
     return used;
@@ -1281,7 +1295,9 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     double *single = out->single_scattering + r * scene->volumes * scene->suns * scene->scattering;
     for (int64_t n = 0; n < scene->volumes * scene->suns * scene->scattering; n++) single[n] = 0.0;
 
-    int64_t count = place_samples(scene, &ray, alpha, work, out), edges = list_edges(work);
+    int64_t most = scene->most_detail > 1 ? scene->most_detail : 1, detail = rays->detail ? rays->detail[r] : 1;
+    detail = detail < 1 ? 1 : detail > most ? most : detail;
+    int64_t count = place_samples(scene, &ray, alpha, detail, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0, of_lamps = out->lamp_features && count > 0;
     if (features || of_lamps) sum_groups(scene, work);
     for (int64_t l = 0; l < scene->suns; l++) {

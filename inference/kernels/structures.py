@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 16
+INTERFACE = 17
 CHANNELS = 3
 PHASES = 8192
 
@@ -239,6 +239,7 @@ class Scene(Shared):
         ("nodes", c_void_p),
         ("node_weights", c_void_p),
         ("depth_samples", c_int64),
+        ("most_detail", c_int64),
         ("adaptive", c_int64),
         ("coarse_count", c_int64),
         ("skip_empty", c_int64),
@@ -268,6 +269,7 @@ class Rays(Shared):
         ("near_distance", c_void_p),
         ("far_distance", c_void_p),
         ("counts", c_void_p),
+        ("detail", c_void_p),
         ("max_count", c_int64),
         ("stop", c_void_p),
         ("scratch", c_void_p),

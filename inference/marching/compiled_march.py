@@ -78,6 +78,7 @@ class CompiledMarch:
         """As calling it, for a number of steps int (R,) for each ray. Raises Cancelled."""
         count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
         counts = np.ascontiguousarray(counts, np.int64)
+        most *= self._options.most_detail
         batch = structures.Rays(
             rays=count,
             origins=_doubles(rays.origins),
@@ -85,6 +86,7 @@ class CompiledMarch:
             near_distance=_doubles(rays.near),
             far_distance=_doubles(rays.far),
             counts=counts,
+            detail=None if rays.detail is None else np.ascontiguousarray(rays.detail, np.int64),
             max_count=int(counts.max(initial=1)),
             stop=self._stop,
         )
@@ -187,6 +189,7 @@ class CompiledMarch:
             nodes=nodes,
             node_weights=weights,
             depth_samples=most,
+            most_detail=options.most_detail,
             adaptive="faint_rays" in options.optimizations,
             coarse_count=COARSE_COUNT,
             skip_empty="empty_space" in options.optimizations,

@@ -3,11 +3,13 @@
 
 Multiple scattering varies smoothly along a ray, and its integral over the ray's opacity is computed by Gauss-Legendre
 quadrature: n depths integrate polynomials of degree 2n - 1 exactly, where as many equal strata integrate only straight
-lines.
+lines. That of a lamp close by does not. On rays of more detail the share of opacity that each node stands for is
+divided into equal parts, sampled in their middles but for the one that holds the node: what is smooth still has the
+nodes for itself.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +56,34 @@ def entry_point(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros(count), np.full(count, 1.0 / count)
 
 
+def divided(quadrature: tuple[np.ndarray, np.ndarray], detail: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes (n detail,) ascending and weights of a quadrature whose nodes' shares are divided; places (n,) of its own.
+
+    quadrature: nodes and weights (n,), each node within its share of [0, 1].
+    """
+    nodes, weights = quadrature
+    parts = np.arange(detail)
+    part, begin = weights[:, None] / detail, np.append(0.0, np.cumsum(weights)[:-1])[:, None]
+    low = begin + parts * part
+    holds = ((parts == 0) | (nodes[:, None] >= low)) & ((parts + 1 == detail) | (nodes[:, None] < low + part))
+    found = np.where(holds, nodes[:, None], low + 0.5 * part)
+    return found.ravel(), np.repeat(part.ravel(), detail), np.flatnonzero(holds)
+
+
 def sample_opacities(
-    alpha: np.ndarray, most: int, adaptive: bool = True, quadrature: Quadrature = gauss_legendre
+    alpha: np.ndarray,
+    most: int,
+    adaptive: bool = True,
+    quadrature: Quadrature = gauss_legendre,
+    detail: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions of depth samples: ray int (M,), opacity between the ray's start and the sample (M,), and weight (M,).
 
     alpha: (R,), opacity of each ray, to which the weights of its samples sum. most, adaptive: as for `sample_counts`.
+    detail: int (R,), as of RayBatch.
     """
+    if detail is not None:
+        return _detailed_opacities(alpha, sample_counts(alpha, most, adaptive), quadrature, detail)
     counts = sample_counts(alpha, most, adaptive)
     ray = np.repeat(np.arange(len(alpha)), counts)
     number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -71,6 +94,20 @@ def sample_opacities(
     return ray, nodes[count, number] * alpha[ray], weights[count, number] * alpha[ray]
 
 
+def _detailed_opacities(
+    alpha: np.ndarray, counts: np.ndarray, quadrature: Quadrature, detail: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `sample_opacities`; counts: int (R,), of samples without detail."""
+    ray = np.repeat(np.arange(len(alpha)), counts * detail)
+    starts, (opacity, weight) = np.cumsum(counts * detail) - counts * detail, np.zeros((2, len(ray)))
+    for count, parts in np.unique(np.stack([counts, detail], axis=1)[counts > 0], axis=0):
+        nodes, weights, _ = divided(quadrature(int(count)), int(parts))
+        rays = np.flatnonzero((counts == count) & (detail == parts))
+        samples = starts[rays, None] + np.arange(len(nodes))
+        opacity[samples], weight[samples] = alpha[rays, None] * nodes, alpha[rays, None] * weights
+    return ray, opacity, weight
+
+
 @dataclass
 class DepthSamples:
     """Depth samples along camera rays, ray after ray.
@@ -78,7 +115,8 @@ class DepthSamples:
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
     each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), share of each
     volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps.
-    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None.
+    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
+    None.
     """
 
     pixel: np.ndarray
@@ -92,6 +130,7 @@ class DepthSamples:
     features: RayFeatures | None = None
     lamp_features: RayFeatures | None = None
     scattering: np.ndarray | None = None
+    detail: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -99,6 +138,41 @@ class DepthSamples:
         self.starts, self.counts = starts, counts
         # The sampled ray of each sample.
         self.sampled = np.repeat(np.arange(len(starts)), counts)
+
+    @functools.cached_property
+    def nodes(self) -> "DepthSamples":
+        """The samples without detail."""
+        if self.detail is None:
+            return self
+        sampled = np.arange(len(self.starts))
+        kept = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
+        detail = self.detail[self.ray[kept]]
+        return DepthSamples(
+            self.pixel,
+            self.origins,
+            self.directions,
+            self.offsets,
+            self.ray[kept],
+            self.distance[kept],
+            self.weight[kept] * detail,
+            self.fraction[kept],
+            None if self.features is None else RayFeatures(self.features.values[kept]),
+            None if self.lamp_features is None else RayFeatures(self.lamp_features.values[kept]),
+            None if self.scattering is None else self.scattering[kept],
+        )
+
+    def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Sampled rays (S,), by number, whose nodes are the same ones, together: their places among these, their
+        samples at nodes (R, n), and the nodes (n,) in the opacity."""
+        starts, counts = self.starts[sampled], self.counts[sampled]
+        details = np.ones_like(counts) if self.detail is None else self.detail[self.ray[starts]]
+        most = int(details.max(initial=1)) + 1
+        for kind in np.flatnonzero(np.bincount(counts * most + details)):
+            count, detail = divmod(int(kind), most)
+            quadrature = gauss_legendre(count // detail)
+            places = divided(quadrature, detail)[2] if detail > 1 else np.arange(count)
+            rays = np.flatnonzero((counts == count) & (details == detail))
+            yield rays, starts[rays, None] + places, quadrature[0]
 
     def positions(self, samples: np.ndarray | slice) -> np.ndarray:
         """World positions (N, 3) of some samples."""
@@ -136,12 +210,11 @@ class DepthSamples:
     def optical_depths(self) -> tuple[np.ndarray, np.ndarray]:
         """Optical depth (M,) between the camera and each sample, and of its whole ray.
 
-        Samples are Gauss-Legendre nodes in the opacity of rays, which their weights sum to.
+        Of samples without detail, Gauss-Legendre nodes in the opacity of rays, which their weights sum to.
         """
         nodes = np.zeros(len(self.ray))
-        for count in np.unique(self.counts):
-            rays = np.flatnonzero(self.counts == count)
-            nodes[self.starts[rays, None] + np.arange(count)] = gauss_legendre(int(count))[0]
+        for _, samples, opacities in self._alike(np.arange(len(self.starts))):
+            nodes[samples] = opacities
         alpha = np.minimum(np.add.reduceat(self.weight, self.starts), 1.0 - 1e-12)
         alpha = np.repeat(alpha, self.counts)
         return -np.log1p(-nodes * alpha), -np.log1p(-alpha)
@@ -152,17 +225,15 @@ class DepthSamples:
         parts: (M,), weighted values. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of
         the Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them;
         noise contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a
-        lattice. With one sample the error is taken to be the sum itself.
+        lattice. With one sample the error is taken to be the sum itself. Of rays of more detail it is as much less as
+        they have more samples.
         """
         chosen = self.sampled[points]
         chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]
-        starts, counts = self.starts[chosen], self.counts[chosen]
         errors = np.zeros(len(chosen))
-        for count in np.flatnonzero(np.bincount(counts)):
-            rays = np.flatnonzero(counts == count)
-            samples = starts[rays, None] + np.arange(count)
-            errors[rays] = _upper_quarter(parts[samples], count)
-        return self.pixel[self.ray[starts]], errors
+        for rays, samples, _ in self._alike(chosen):
+            errors[rays] = _upper_quarter(parts[samples], samples.shape[1])
+        return self.pixel[self.ray[self.starts[chosen]]], errors
 
 
 def _upper_quarter(parts: np.ndarray, count: int) -> np.ndarray:

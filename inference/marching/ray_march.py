@@ -38,7 +38,8 @@ class MarchOptions:
     prediction; None altogether if no ray features are wanted. shadow_maps: of each sun, or None if no surface shadows
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
     those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity. scattering: colour channels
-    whose scattering is gathered, by number; one stands for all unless an albedo varies in colour.
+    whose scattering is gathered, by number; one stands for all unless an albedo varies in colour. most_detail: largest
+    of RayBatch.detail.
     """
 
     depth_samples: int
@@ -48,6 +49,7 @@ class MarchOptions:
     optimizations: frozenset[str] = ALL
     quadrature: Quadrature = gauss_legendre
     scattering: Sequence[int] = (0,)
+    most_detail: int = 1
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
     scattering = [medium.scattering(media, channel) for channel in options.scattering]
     single = _single(medium, sun_depths, transmitted, visibility, scattering)
     opacities = sample_opacities(
-        alpha, options.depth_samples, "faint_rays" in options.optimizations, options.quadrature
+        alpha, options.depth_samples, "faint_rays" in options.optimizations, options.quadrature, rays.detail
     )
     block, step, inside, weight = _sample_depths(medium, *opacities)
     ray = blocks.ray[block]

@@ -52,17 +52,20 @@ class RayBatch:
     """Rays that are marched together.
 
     origins, directions: float64 (R, 3) in the world, unit directions. near, far: float64 (R,), distances between which
-    the rays are marched.
+    the rays are marched. detail: int (R,), times as many depth samples on each as `MarchOptions.depth_samples` says, at
+    most `MarchOptions.most_detail`; None: as many.
     """
 
     origins: np.ndarray
     directions: np.ndarray
     near: np.ndarray
     far: np.ndarray
+    detail: np.ndarray | None = None
 
     def take(self, rays: np.ndarray | slice) -> "RayBatch":
         """Some of the rays, by number."""
-        return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays])
+        detail = None if self.detail is None else self.detail[rays]
+        return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail)
 
 
 def steps_per_voxel(media: Sequence[BoundMedium]) -> float:

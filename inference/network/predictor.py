@@ -259,7 +259,7 @@ class VolumePredictor:
         bounds: as for `prepare`.
         """
         lamp, prepared, nearby = light.lamp, None, None
-        conditions, share = self._lamp_conditions(sigma_t, lamp, bounds, occluders), self._transport_share(lamp)
+        conditions, share = self._lamp_conditions(sigma_t, lamp, bounds, occluders), self.transport_share(lamp)
         if share < 1.0:
             prepared = self._predictor.prepare_lamp(conditions, tasks)
         if share > 0.0:
@@ -292,13 +292,13 @@ class VolumePredictor:
         anywhere, asked = (np.full(3, -0.5), np.full(3, 0.5)), []
         for light in lights:
             conditions, albedo = self._lamp_conditions(sigma_t, light.lamp, anywhere, occluders), None
-            if light.albedos and self._transport_share(light.lamp) >= 1.0:
+            if light.albedos and self.transport_share(light.lamp) >= 1.0:
                 conditions, albedo = replace(conditions, sigma_hat=sigma_t * self.cube.edge), max(light.albedos)
             asked.append((conditions, albedo))
         return self._predictor.lamp_fluence(asked, tasks)
 
-    def _transport_share(self, lamp: PredictedLamp) -> float:
-        """As `transport_share`."""
+    def transport_share(self, lamp: PredictedLamp) -> float:
+        """Share of the coarse transport alone in a lamp's multiple scattering, 0 to 1."""
         return transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
 
     def _lamp_conditions(self, sigma_t: float, lamp: PredictedLamp, bounds: Bounds, occluders: Occluders) -> Conditions:
@@ -425,6 +425,11 @@ class PreparedLampPredictor:
     radius: float
     nearby: LampNearby | None = None
     outside: float = 0.0
+
+    @property
+    def alone(self) -> bool:
+        """Whether the coarse transport alone is the light, which varies along rays as that of a lamp close by."""
+        return self.prediction is None
 
     @property
     def lattice_cells(self) -> int:

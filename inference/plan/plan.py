@@ -406,7 +406,9 @@ def make_plan(
     different = len(skies) + bool(reflects and environments)
     memory += different * SKY_BYTES if different > 1 else 0
     memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
-    tiles, needed = _plan_tiles(camera, settings, len(rendered), len(merged) + len(lamps), memory)
+    depth_samples = settings.depth_samples * (settings.most_detail if lamps and predicts_lamps else 1)
+    ray = ray_bytes(depth_samples, len(rendered), len(merged) + len(lamps))
+    tiles, needed = _plan_tiles(camera, settings, ray, memory)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
     if needed > settings.memory_limit:
@@ -514,9 +516,9 @@ def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
 
 
 def _plan_tiles(
-    camera: Camera, settings: Settings, volumes: int, suns: int, memory: int
+    camera: Camera, settings: Settings, ray: int, memory: int
 ) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Tiles of the camera's window, and the bytes needed including them; memory: bytes needed without them."""
+    """Tiles of the camera's window, and the bytes needed including them; ray, memory: of a ray, and without them."""
     x0, y0, x1, y1 = camera.window
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     threads, needed = settings.threads or os.cpu_count() or 1, memory
@@ -525,7 +527,7 @@ def _plan_tiles(
         pixels = min(threads, len(tiles)) * _largest(tiles)
         if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
             pixels = (x1 - x0) * (y1 - y0)
-        needed = memory + pixels * ray_bytes(settings.depth_samples, volumes, suns)
+        needed = memory + pixels * ray
         if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
             break
     return tiles, needed

@@ -6,6 +6,12 @@ from dataclasses import dataclass
 from .errors import SceneError
 from .optimizations import ALL
 
+#: By how much depth samples are multiplied on rays that pass lamps near volumes: odd numbers, which leave nodes of a
+#: quadrature in the middle of the parts of their shares.
+DETAIL = 1, 3, 5, 9
+# Depth samples of a ray above which none are added.
+ENOUGH = 96
+
 
 @dataclass
 class Settings:
@@ -48,3 +54,8 @@ class Settings:
             raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")
+
+    @property
+    def most_detail(self) -> int:
+        """The largest of DETAIL that is used."""
+        return max(factor for factor in DETAIL if factor == 1 or factor * self.depth_samples <= ENOUGH)

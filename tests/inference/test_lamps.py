@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lamps: what they give to points, and the laws that pictures lit by them obey."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -367,6 +369,24 @@ def test_lights_add_up():
     alone = sum(picture([light], settings=settings).rgb for light in lights)
     together = picture(lights, settings=settings).rgb
     assert np.abs(alone - together).max() < 1e-4 * together.max()
+
+
+@pytest.mark.parametrize(
+    "lamp",
+    [PointLight((0.1, 0.05, 0.2), 3.0), LAMPS["inside"](), SpotLight((0.0, 0.0, 0.45), (0.2, 0.1, -1.0), 5.0, 0.6)],
+)
+def test_few_depth_samples_suffice_for_lamps_nearby(lamp):
+    """Their light varies along rays within a fraction of what the samples of a sun's are apart."""
+    few, many = (picture([lamp], anisotropy=0.8, settings=Settings(samples)).multiple for samples in (4, 128))
+    assert np.sqrt(((few - many) ** 2).mean()) < 0.1 * many.mean()
+
+
+def test_lamps_nearby_do_not_change_where_the_light_of_suns_is_sampled():
+    sun, settings = Sun(TOWARDS, 0.5), Settings(depth_samples=4)
+    dark = LAMPS["inside"](1e-30)
+    kept = replace(settings, leave_out=settings.leave_out - {"faint_lamps"})
+    alone, beside = (picture(lights, settings=kept).multiple for lights in ([sun], [sun, dark]))
+    np.testing.assert_allclose(beside, alone, rtol=1e-6, atol=1e-7 * alone.max())
 
 
 def test_a_small_sphere_is_a_point():

@@ -60,6 +60,7 @@ def random_recipe(random: np.random.Generator) -> Recipe:
         optimizations=frozenset(random.choice(["faint_rays", "empty_space", "behind_opaque"], 2).tolist()),
         kind=str(random.choice(["lumps", "solid", "voxels", "magnitudes"])),
         lamps=tuple(random.choice(LAMPS, random.integers(0, 3)).tolist()),
+        detail=int(random.choice([1, 5])),
     )
 
 
@@ -103,7 +104,11 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
     for values in arrays:
         if random.random() < 0.4:
             spoil(random, values)
-    return RayBatch(*arrays)
+    detail = rays.detail
+    if detail is not None and random.random() < 0.4:
+        detail = detail.copy()
+        spoil(random, detail)
+    return RayBatch(*arrays, detail)
 
 
 def march(kernels: Kernels, random: np.random.Generator) -> None:

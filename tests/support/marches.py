@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Random scenes for camera rays: media bound to grids, lamps, and rays through them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class Recipe:
     lamps: tuple[str, ...] = ()
     albedo: int = 0
     means: bool = False
+    detail: int = 1
 
 
 #: Kinds of lamps.
@@ -112,6 +113,8 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | N
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     media = [_medium(random, recipe, directions, v) for v in range(recipe.volumes)]
     batch = _rays(random, recipe, media, rays)
+    if recipe.detail > 1:
+        batch = replace(batch, detail=random.integers(1, recipe.detail + 1, len(batch.near)))
     shadow_maps = None
     if recipe.shadows:
         corners = np.concatenate([medium.grid.corners() for medium in media])
@@ -131,6 +134,7 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | N
         recipe.groups,
         recipe.optimizations,
         scattering=scattering_channels(media, channels),
+        most_detail=recipe.detail,
     )
     lamps = _lamps(random, recipe, media, kernels) if recipe.lamps else None
     return MarchScene(media, options, channels, batch, lamps)

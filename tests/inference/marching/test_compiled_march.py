@@ -48,6 +48,7 @@ SCENES = {
     "without optimizations": Recipe(optimizations=frozenset(), emission=1, thickness=30.0),
     "without ray features": Recipe(features=False, thickness=100.0),
     "many depth samples": Recipe(depth_samples=96),
+    "rays of more detail": Recipe(depth_samples=5, detail=9, lamps=("point", "square")),
     "a point light": Recipe(lamps=("point",)),
     "a point light in dense smoke": Recipe(lamps=("point",), thickness=200.0),
     "a soft spot": Recipe(lamps=("soft spot",), sparse=True, voxels=BIG),

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from inference.marching.depth_samples import DepthSamples, sample_opacities
+from inference.marching.depth_samples import DepthSamples, divided, gauss_legendre, sample_opacities
+from inference.scene.settings import DETAIL
 
 
 @pytest.mark.parametrize("most", [1, 2, 5, 9])
@@ -47,3 +48,36 @@ def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     spread = np.bincount(ray, noise).std()
     # Independent noise does not cancel along a ray as that of lookups does: a factor of two.
     assert np.sqrt((told**2).mean()) == pytest.approx(0.5 * spread, rel=0.1)
+
+
+@pytest.mark.parametrize("detail", DETAIL)
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 32])
+def test_divided_shares_keep_the_nodes_and_integrate_what_is_not_smooth(count, detail):
+    nodes, weights, places = divided(gauss_legendre(count), detail)
+    assert len(nodes) == count * detail and weights.sum() == pytest.approx(1.0, rel=1e-12)
+    assert np.all(np.diff(nodes) > 0.0)
+    np.testing.assert_array_equal(nodes[places], gauss_legendre(count)[0])
+    # Each sample lies within its part, so that a jump costs less than one part.
+    ends = np.cumsum(weights)
+    assert np.all((nodes > ends - weights - 1e-12) & (nodes < ends + 1e-12))
+    for place in np.linspace(0.05, 0.95, 11):
+        assert abs((weights * (nodes < place)).sum() - place) <= weights.max()
+
+
+def test_samples_at_nodes_are_those_of_rays_without_detail():
+    alpha, detail = np.random.default_rng(5).uniform(0.01, 1.0, 300), np.random.default_rng(6).choice(DETAIL, 300)
+    nothing, pixel = np.zeros((300, 3)), np.arange(300)
+
+    def samples(detail):
+        ray, opacity, weight = sample_opacities(alpha, 6, detail=detail)
+        share = np.ones((len(ray), 1))
+        return DepthSamples(pixel, nothing, nothing, alpha, ray, opacity, weight, share, detail=detail)
+
+    some, expected = samples(detail), samples(None)
+    assert len(some.ray) > 3 * len(expected.ray)
+    np.testing.assert_allclose(np.bincount(some.ray, some.weight), alpha, rtol=1e-12)
+    np.testing.assert_array_equal(some.nodes.ray, expected.ray)
+    np.testing.assert_allclose(some.nodes.distance, expected.distance, rtol=1e-15)
+    np.testing.assert_allclose(some.nodes.weight, expected.weight, rtol=1e-12)
+    # What is even has no error.
+    assert some.standard_error(some.weight, np.arange(len(some.weight)))[1].max() < 1e-12
