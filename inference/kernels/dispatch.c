@@ -29,6 +29,7 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t lamp_depths_##variant(const LampDepths *data);                                 \
     int64_t lamp_beam_##variant(const LampBeam *data);                                     \
     int64_t lamp_fluence_##variant(const LampFluence *data);                               \
+    int64_t scatter_nearby_##variant(const NearbyLight *data);                             \
     int64_t gather_light_##variant(const LightGather *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
@@ -126,4 +127,5 @@ PREPARE(fill_lamp_columns, const LampSlices)
 PREPARE(lamp_depths, const LampDepths)
 PREPARE(lamp_beam, const LampBeam)
 PREPARE(lamp_fluence, const LampFluence)
+PREPARE(scatter_nearby, const NearbyLight)
 PREPARE(gather_light, const LightGather)

@@ -246,6 +246,32 @@ class LampFluence(Shared):
     ]
 
 
+class NearbyLight(Shared):
+    _fields_ = [
+        ("points", c_int64),
+        ("index", c_void_p),
+        ("omega", c_void_p),
+        ("towards", c_void_p),
+        ("irradiance", c_void_p),
+        ("depth", c_void_p),
+        ("scattering", c_void_p),
+        ("places", c_int64),
+        ("parts", c_void_p),
+        ("matter", c_void_p),
+        ("cells", c_void_p),
+        ("edge", c_int64),
+        ("scale", c_double),
+        ("anisotropy", c_double),
+        ("reduced", c_double),
+        ("albedo", c_double),
+        ("terms", c_int64),
+        ("weights", c_double * 4),
+        ("straightest", c_double),
+        ("least", c_double),
+        ("out", c_void_p),
+    ]
+
+
 class LightGather(Shared):
     _fields_ = [
         ("points", c_int64),
@@ -283,5 +309,6 @@ FUNCTIONS = {
     "lamp_depths": LampDepths,
     "lamp_beam": LampBeam,
     "lamp_fluence": LampFluence,
+    "scatter_nearby": NearbyLight,
     "gather_light": LightGather,
 }

@@ -224,6 +224,26 @@ typedef struct {
     double *brightest;           /* (points), as if it faced each of them */
 } LampFluence;
 
+/* Light of a lamp nearby that points scatter towards the camera: LampNearby. */
+typedef struct {
+    int64_t points;
+    const float *index;          /* (3, points), places in cells */
+    const float *omega;          /* (3, points), unit vectors along camera rays */
+    const float *towards;        /* (3, points), unit vectors to the lamp */
+    const float *irradiance, *depth, *scattering;  /* (points), of LampAtPoints */
+    int64_t places;              /* on the way from the lamp, at most 8 */
+    const float *parts, *matter; /* (places, points) */
+    const float *cells;          /* (edge, edge, edge, 16), the transport's moments over `scale`; edge >= 2 */
+    int64_t edge;
+    double scale;
+    double anisotropy, reduced;  /* of the phase function, and without its forward peak */
+    double albedo;
+    int64_t terms;               /* of the series of Legendre's polynomials, at least 4 */
+    double weights[4];           /* of what differs from a distribution of Henyey and Greenstein's, by degree */
+    double straightest, least;
+    float *out;                  /* (points), W/(m^2 sr) */
+} NearbyLight;
+
 /* Light that points receive along rays around their camera rays: final_gather. */
 typedef struct {
     int64_t points;

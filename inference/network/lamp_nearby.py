@@ -41,6 +41,8 @@ import numpy as np
 
 from ..grids.lamp_optical_depth import GAUSS_NODES
 from ..grids.sphere_depth import EXCESS_MOST, FIRST_PART, NODES
+from ..kernels.field_structures import NearbyLight
+from ..kernels.library import Kernels
 from ..numerics.small_matmul import lengths, product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..scene.phase_function import henyey_greenstein
@@ -152,7 +154,8 @@ class LampNearby:
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
     anisotropy: G of the phase function. density: of the cube's cells, a lattice of one value. extent: lower and upper
-    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None.
+    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None. kernels:
+    compiled ones, or None.
     """
 
     share: float
@@ -161,6 +164,7 @@ class LampNearby:
     density: FluenceLattice
     extent: Bounds
     start: SoftStart | None = None
+    kernels: Kernels | None = None
 
     def lit(self, lamp: np.ndarray, points: np.ndarray, irradiance: np.ndarray, depth: np.ndarray) -> LampAtPoints:
         """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
@@ -188,12 +192,54 @@ class LampNearby:
         frame. lamp: at the points.
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
+        if self.kernels is not None and g**2 >= MIN_FORWARD:
+            return self._compiled(self.kernels, albedo, positions, omega, lamp)
         moments = light.values(positions) * np.float32(scale)
         if g**2 < MIN_FORWARD:
             found = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
         else:
             found = _scattered(moments, omega, lamp, g, albedo)
         return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
+
+    def _compiled(
+        self, kernels: Kernels, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints
+    ) -> np.ndarray:
+        """As `radiance`."""
+        (light, scale), out = self.lights[albedo], np.empty(len(positions), np.float32)
+        data = NearbyLight(
+            points=len(positions),
+            index=_floats(light.index(positions)),
+            omega=_floats(omega.T),
+            towards=_floats(lamp.towards.T),
+            irradiance=_floats(lamp.irradiance),
+            depth=_floats(lamp.depth),
+            scattering=_floats(lamp.scattering),
+            places=len(lamp.way.parts),
+            parts=_floats(lamp.way.parts),
+            matter=_floats(lamp.way.matter),
+            cells=_floats(light.cells),
+            edge=len(light.cells),
+            scale=scale,
+            anisotropy=self.anisotropy,
+            reduced=reduced_anisotropy(self.anisotropy),
+            albedo=albedo,
+            terms=_terms(self.anisotropy),
+            weights=WEIGHTS,
+            straightest=STRAIGHTEST,
+            least=LEAST,
+            out=out,
+        )
+        kernels.prepare("scatter_nearby", data)
+        return out
+
+
+def _floats(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32)
+
+
+def _terms(anisotropy: float) -> int:
+    """Number of the terms of Legendre series."""
+    return max(min(int(np.log(MIN_TERM) / np.log(anisotropy**2)) + 2, MAX_TERMS), LAST + 1)
 
 
 def _scattered(
@@ -202,13 +248,12 @@ def _scattered(
     """Light (N,), W/(m^2 sr), scattered towards the camera of the transport's moments (N, 16), and of what is ahead of
     them. omega: (N, 3), camera rays."""
     g, forward = anisotropy, anisotropy**2
-    count = max(min(int(np.log(MIN_TERM) / np.log(forward)) + 2, MAX_TERMS), LAST + 1)
     unscattered = np.exp(-lamp.depth)
 
     def turned(moment: np.ndarray | float) -> np.ndarray:
         return lamp.irradiance * (np.exp(albedo * moment * lamp.scattering - lamp.depth) - unscattered)
 
-    means, reduced = lamp.way.means(g, count), lamp.way.means(reduced_anisotropy(g), LAST + 1)
+    means, reduced = lamp.way.means(g, _terms(g)), lamp.way.means(reduced_anisotropy(g), LAST + 1)
     ahead = np.stack([turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)], axis=1)
     third, most = _along(moments, -lamp.towards)[:, LAST] + ahead[:, LAST], turned(means[LAST])
     known = np.divide(third, most, out=np.ones(len(moments)), where=np.abs(most) > 1e-30).clip(0.0, 1.0)

@@ -315,7 +315,7 @@ class RayPredictor(StencilPredictor):
         lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = self._soft_start(conditions, density)
-        return LampNearby(share, lights, self.anisotropy, density, extent, start)
+        return LampNearby(share, lights, self.anisotropy, density, extent, start, self.kernels)
 
     def _soft_start(self, conditions: Conditions, density: FluenceLattice) -> SoftStart | None:
         """Of the conditions' lamp, in the matter around it; density: of the coarse cells."""

@@ -72,6 +72,11 @@ class FluenceLattice:
         self._edge = len(cells)
         self._cells = cells.astype(np.float32, copy=False).reshape(-1, cells.shape[-1])
 
+    @property
+    def cells(self) -> np.ndarray:
+        """Of which values are interpolated, float32 (n, n, n, K)."""
+        return self._cells.reshape(self._edge, self._edge, self._edge, -1)
+
     @cached_property
     def _logs(self) -> np.ndarray:
         """The first of the values, float32: three of four probes read nothing else."""
@@ -79,7 +84,11 @@ class FluenceLattice:
 
     def values(self, positions: np.ndarray) -> np.ndarray:
         """All values of the cells, interpolated, float32 (N, K) at positions (N, 3) in the cube's frame."""
-        return _interpolate(self._cells, ((positions.T + 0.5) * CELLS + 0.5).astype(np.float32), self._edge)
+        return _interpolate(self._cells, self.index(positions), self._edge)
+
+    def index(self, positions: np.ndarray) -> np.ndarray:
+        """Places float32 (3, N), in cells, of positions (N, 3) in the cube's frame."""
+        return ((positions.T + 0.5) * CELLS + 0.5).astype(np.float32)
 
     def read(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float) -> np.ndarray:
         """Features float32 (N, 7).

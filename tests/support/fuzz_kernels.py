@@ -28,6 +28,7 @@ from inference.kernels.field_structures import LatticePart
 from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
 from inference.marching.ray_steps import RayBatch
+from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
@@ -35,6 +36,7 @@ from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.lamp_beam import LampInCube
 from inference.transport.radiance_sweep import sweep_radiance
+from inference.transport.scattered_fluence import FluenceLattice
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
@@ -278,7 +280,20 @@ def gathering(kernels: Kernels, random: np.random.Generator) -> None:
     gather(spoiled(random, (count, 3)), spoiled(random, (count, 3, 3)))
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering)
+def nearby(kernels: Kernels, random: np.random.Generator) -> None:
+    """Light of a lamp nearby at points anywhere."""
+    n, count, places = int(random.integers(2, 12)), int(random.integers(1, 40)), int(random.integers(1, 9))
+    lattice = FluenceLattice(spoiled(random, (n, n, n, 16)))
+    anisotropy = float(random.choice([-1.0, 1.0]) * random.uniform(0.05, 0.99))
+    lamp = LampNearby(
+        1.0, {0.9: (lattice, 2.0)}, anisotropy, lattice, (np.full(3, -0.5), np.full(3, 0.5)), None, kernels
+    )
+    way = Way(*(spoiled(random, (places, count)) for _ in range(2)))
+    light = LampAtPoints(spoiled(random, (count, 3)), *(spoiled(random, (count,)) for _ in range(3)), way)
+    lamp.radiance(0.9, spoiled(random, (count, 3)), spoiled(random, (count, 3)), light)
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

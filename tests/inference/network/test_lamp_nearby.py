@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Directions of the light around a lamp, against photons followed from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from inference.kernels.library import Kernels, load_kernels
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.transport.scattered_fluence import FluenceLattice
 
+KERNELS = load_kernels()
 ANISOTROPY, ALBEDO = 0.857, 0.9
 #: Places of matter on the way through even smoke.
 EVEN = (np.arange(4) + 0.5) / 4
@@ -81,3 +85,25 @@ def _traced(order, least, most, photons=150_000):
         along = cosine * along + np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) * aside
         along /= np.linalg.norm(along, axis=1)[:, None]
     return found / photons
+
+
+@pytest.mark.parametrize("anisotropy", [0.857, 0.3, 0.97, -0.5])
+@pytest.mark.parametrize("variant", range(KERNELS.best + 1))
+def test_compiled_light_equals_its_twin(anisotropy, variant):
+    random = np.random.default_rng(12)
+    cells = 0.2 * random.normal(size=(66, 66, 66, 16)).astype(np.float32)
+    cells[..., 0] = 1.0 + np.abs(cells).sum(axis=-1)
+    density = random.random((66, 66, 66, 1)).astype(np.float32)
+    box = np.full(3, -0.5), np.full(3, 0.5)
+    nearby = LampNearby(1.0, {ALBEDO: (FluenceLattice(cells), 0.3)}, anisotropy, FluenceLattice(density), box)
+    compiled = replace(nearby, kernels=Kernels(KERNELS.path, variant))
+    points, omega = random.uniform(-0.5, 0.5, (203, 3)), random.normal(size=(203, 3))
+    omega /= np.linalg.norm(omega, axis=1)[:, None]
+    light = nearby.lit(
+        np.array([0.1, 0.2, 0.45]), points, random.uniform(0.0, 20.0, 203), random.uniform(0.0, 9.0, 203)
+    )
+    # Beside a cone, where there is no light of the lamp's own.
+    light.irradiance[::5] = 0.0
+    expected = nearby.radiance(ALBEDO, points, omega, light)
+    assert np.all(expected > 0.0)
+    np.testing.assert_allclose(compiled.radiance(ALBEDO, points, omega, light), expected, rtol=2e-3, atol=2e-4)

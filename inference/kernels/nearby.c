@@ -1,0 +1,207 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* Light that lamps nearby scatter towards the camera: inference/network/lamp_nearby.py explains it and is its twin. */
+
+#include <math.h>
+
+#include "exponential.h"
+#include "fields.h"
+#include "lamp_sampling.h"
+#include "variants.h"
+
+/* Degrees of the transport's moments, and their harmonics. */
+#define DEGREES 4
+#define HARMONICS (DEGREES * DEGREES)
+/* Places on the way from a lamp. */
+#define MOST_PLACES 8
+
+static const float SPHERE = 12.566370614f;
+
+/* The harmonics of unit vectors, in the order of numerics/spherical_harmonics.py. */
+static void harmonics(Floats x, Floats y, Floats z, Floats *out) {
+    const float root3 = 1.7320508076f, root6 = 2.4494897428f, root10 = 3.1622776602f, root15 = 3.8729833462f;
+    Floats xx = x * x, yy = y * y, zz = z * z;
+    out[0] = in_all(1.0f);
+    out[1] = x, out[2] = y, out[3] = z;
+    out[4] = root3 * (x * y), out[5] = root3 * (y * z), out[6] = root3 * (z * x);
+    out[7] = 0.5f * (3.0f * zz - 1.0f);
+    out[8] = 0.5f * root3 * (xx - yy);
+    out[9] = 0.25f * root10 * y * (3.0f * xx - yy);
+    out[10] = root15 * x * y * z;
+    out[11] = 0.25f * root6 * y * (5.0f * zz - 1.0f);
+    out[12] = 0.5f * z * (5.0f * zz - 3.0f);
+    out[13] = 0.25f * root6 * x * (5.0f * zz - 1.0f);
+    out[14] = 0.5f * root15 * z * (xx - yy);
+    out[15] = 0.25f * root10 * x * (xx - 3.0f * yy);
+}
+
+/* Moments by Legendre's polynomials along unit vectors, of those by harmonics. */
+static void along(const Floats *moments, const Floats *way, Floats *out) {
+    Floats of[HARMONICS];
+    harmonics(way[0], way[1], way[2], of);
+    for (int degree = 0, n = 0; degree < DEGREES; degree++) {
+        out[degree] = in_all(0.0f);
+        for (; n < (degree + 1) * (degree + 1); n++) out[degree] += moments[n] * of[n];
+    }
+}
+
+static void legendre(Floats cosine, Floats *out) {
+    Floats square = cosine * cosine;
+    out[0] = in_all(1.0f), out[1] = cosine;
+    out[2] = 1.5f * square - 0.5f, out[3] = cosine * (2.5f * square - 1.5f);
+}
+
+static Floats dot(const Floats *a, const Floats *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static Floats roots(Floats x) {
+    Floats found;
+    FOR_LANES(n) found[n] = sqrtf(x[n]);
+    return found;
+}
+
+/* Henyey and Greenstein's phase function, 1/sr. */
+static Floats henyey_greenstein(Floats cosine, Floats anisotropy) {
+    Ints backwards = anisotropy < 0.0f;
+    Floats g = choose(backwards, -anisotropy, anisotropy), turn = 1.0f - choose(backwards, -cosine, cosine);
+    Floats square = (1.0f - g) * (1.0f - g) + 2.0f * g * choose(turn > 0.0f, turn, in_all(0.0f));
+    return (1.0f - g * g) / (SPHERE * square * roots(square));
+}
+
+/* Numbers from a place on, of which the last is repeated behind the end. */
+static Floats some_of(const float *from, int64_t first, int64_t points) {
+    if (points - first >= LANES) return load(from + first);
+    Floats found;
+    FOR_LANES(n) found[n] = from[least_int(first + n, points - 1)];
+    return found;
+}
+
+/* The transport's moments, interpolated. */
+static void moments_at(const NearbyLight *data, int64_t first, Floats *out) {
+    Floats most = in_all((float)data->edge - 1.0f - 1e-3f), index[3], inside[3];
+    Ints cell[3];
+    for (int k = 0; k < 3; k++) {
+        index[k] = clamped_to(some_of(data->index + k * data->points, first, data->points), in_all(0.0f), most);
+        cell[k] = to_ints(index[k]);
+        inside[k] = index[k] - to_floats(cell[k]);
+    }
+    FOR_LANES(n) {
+        const float *at = data->cells + HARMONICS * (((int64_t)cell[0][n] * data->edge + cell[1][n]) * data->edge + cell[2][n]);
+        int64_t x = HARMONICS * data->edge * data->edge, y = HARMONICS * data->edge, z = HARMONICS;
+        float fx = inside[0][n], fy = inside[1][n], fz = inside[2][n], found[HARMONICS];
+        for (int k = 0; k < HARMONICS; k++) {
+            float a = at[k] + fz * (at[k + z] - at[k]), b = at[k + y] + fz * (at[k + y + z] - at[k + y]);
+            float c = at[k + x] + fz * (at[k + x + z] - at[k + x]);
+            float d = at[k + x + y] + fz * (at[k + x + y + z] - at[k + x + y]);
+            a += fy * (b - a), c += fy * (d - c);
+            found[k] = (a + fx * (c - a)) * (float)data->scale;
+        }
+        for (int k = 0; k < HARMONICS; k++) out[k][n] = found[k];
+    }
+}
+
+/* Means over the matter on the way of moments whose powers are taken: of one order after the other. */
+typedef struct {
+    Floats left[MOST_PLACES], step[MOST_PLACES];
+    int64_t places;
+} Means;
+
+static Means means_of(const NearbyLight *data, double anisotropy, int64_t first) {
+    Means means = {.places = least_int(data->places, MOST_PLACES)};
+    Floats sum = in_all(0.0f);
+    float rate = anisotropy > 0.0 ? (float)-log(anisotropy) : 0.0f;
+    for (int64_t p = 0; p < means.places; p++) {
+        means.left[p] = some_of(data->matter + p * data->points, first, data->points);
+        sum += means.left[p];
+        means.step[p] = in_all((float)anisotropy);
+        if (anisotropy <= 0.0) continue;
+        means.step[p] = transmittance(some_of(data->parts + p * data->points, first, data->points) * rate);
+    }
+    /* Where light scatters backwards it is the phase function's own powers. */
+    for (int64_t p = 0; p < means.places && anisotropy <= 0.0; p++) means.left[p] /= sum;
+    return means;
+}
+
+static Floats next_mean(Means *means) {
+    Floats sum = in_all(0.0f);
+    for (int64_t p = 0; p < means->places; p++) {
+        sum += means->left[p];
+        means->left[p] *= means->step[p];
+    }
+    return sum;
+}
+
+/* Unscattered light at points, and how much of it has turned by small angles since. */
+typedef struct {
+    Floats irradiance, depth, scattering, unscattered;
+} Beam;
+
+static Floats turned(const Beam *beam, Floats moment) {
+    return beam->irradiance * (transmittance(beam->depth - moment * beam->scattering) - beam->unscattered);
+}
+
+static Floats scattered(const NearbyLight *data, int64_t first) {
+    int64_t points = data->points;
+    float g = (float)data->anisotropy, forward = g * g;
+    Floats moments[HARMONICS], omega[3], towards[3], away[3], back[3];
+    moments_at(data, first, moments);
+    for (int k = 0; k < 3; k++) {
+        omega[k] = some_of(data->omega + k * points, first, points), back[k] = -omega[k];
+        towards[k] = some_of(data->towards + k * points, first, points), away[k] = -towards[k];
+    }
+    Beam beam = {some_of(data->irradiance, first, points), some_of(data->depth, first, points),
+                 (float)data->albedo * some_of(data->scattering, first, points), in_all(0.0f)};
+    beam.unscattered = transmittance(beam.depth);
+    Means means = means_of(data, data->anisotropy, first), reduced = means_of(data, data->reduced, first);
+    Floats straight[DEGREES], rest[DEGREES], third[DEGREES], mean = in_all(0.0f);
+    for (int l = 0; l < DEGREES; l++) {
+        mean = next_mean(&means);
+        straight[l] = turned(&beam, mean);
+        rest[l] = turned(&beam, mean - (1.0f - forward) * next_mean(&reduced));
+    }
+    along(moments, away, third);
+    Floats most = straight[DEGREES - 1], size = choose(most < 0.0f, -most, most);
+    Floats known = choose(size > 1e-30f, (third[DEGREES - 1] + rest[DEGREES - 1]) / choose(size > 1e-30f, most, in_all(1.0f)), in_all(1.0f));
+    known = clamped_to(known, in_all(0.0f), in_all(1.0f));
+    for (int l = 0; l < DEGREES; l++) straight[l] *= known, rest[l] -= straight[l];
+
+    Floats middle[3], inside[DEGREES], seen[DEGREES], polynomial[DEGREES], cosine = dot(omega, towards);
+    for (int k = 0; k < 3; k++) middle[k] = moments[1 + k] + rest[1] * away[k];
+    Floats length = roots(dot(middle, middle));
+    for (int k = 0; k < 3; k++) middle[k] /= choose(length > 1e-30f, length, in_all(1e-30f));
+    along(moments, middle, inside);
+    legendre(dot(middle, away), polynomial);
+    for (int l = 0; l < DEGREES; l++) inside[l] += rest[l] * polynomial[l];
+    Floats ahead = choose(inside[1] > 0.0f, inside[1], in_all(0.0f)), whole = choose(inside[0] > 0.0f, inside[0], in_all(0.0f));
+    Floats r = clamped_to(inside[2] / choose(ahead > 1e-30f, ahead, in_all(1e-30f)), in_all(0.0f), in_all((float)data->straightest));
+    Floats amount = least_of(ahead / choose(r > 1e-6f, r, in_all(1e-6f)), whole), turn = dot(middle, back);
+
+    along(moments, back, seen);
+    legendre(cosine, polynomial);
+    for (int l = 0; l < DEGREES; l++) seen[l] += rest[l] * polynomial[l];
+    legendre(turn, polynomial);
+    Floats found = amount * henyey_greenstein(turn, g * r), power = amount;
+    float weight = 1.0f;
+    for (int l = 0; l < DEGREES; l++) {
+        found += (float)data->weights[l] * weight * (seen[l] - power * polynomial[l]);
+        power *= r, weight *= g;
+    }
+    /* Legendre's polynomials by their recurrence. */
+    Floats before = in_all(0.0f), here = in_all(1.0f);
+    weight = 1.0f / SPHERE;
+    for (int64_t order = 0; order < data->terms; order++) {
+        Floats light = order < DEGREES ? straight[order] : known * turned(&beam, next_mean(&means));
+        found += (float)(2 * order + 1) * weight * (light * here);
+        Floats after = ((float)(2 * order + 1) * (cosine * here) - (float)order * before) / (float)(order + 1);
+        before = here, here = after, weight *= g;
+    }
+    /* What is left of series of few degrees must not be negative. */
+    Floats least = (float)data->least / SPHERE * moments[0];
+    return choose(found > least, found, least);
+}
+
+int64_t NAMED(scatter_nearby, VARIANT)(const NearbyLight *data) {
+    for (int64_t first = 0; first < data->points; first += LANES) {
+        Floats found = scattered(data, first);
+        for (int n = 0; n < LANES && first + n < data->points; n++) data->out[first + n] = found[n];
+    }
+    return data->points;
+}
