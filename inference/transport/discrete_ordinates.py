@@ -120,7 +120,8 @@ class DiscreteOrdinates:
             self.sigma = np.float32(sigma_hat * (1.0 - albedo * anisotropy**2))
         self.extinction = self.sigma * self.density
         #: Fraction of the extinction that counts as unscattered: the forward peak. Its mean where the albedo varies.
-        self.forward = float(np.average(albedo * np.ones_like(density), weights=density + 1e-30) * anisotropy**2)
+        mean = float(np.average(albedo, weights=density + 1e-30)) if isinstance(albedo, np.ndarray) else albedo
+        self.forward = mean * anisotropy**2
         reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
