@@ -161,6 +161,7 @@ static Floats scattered(const NearbyLight *data, int64_t first) {
     Floats most = straight[DEGREES - 1], size = choose(most < 0.0f, -most, most);
     Floats known = choose(size > 1e-30f, (third[DEGREES - 1] + rest[DEGREES - 1]) / choose(size > 1e-30f, most, in_all(1.0f)), in_all(1.0f));
     known = clamped_to(known, in_all(0.0f), in_all(1.0f));
+    Floats all = moments[0] + rest[0];
     for (int l = 0; l < DEGREES; l++) straight[l] *= known, rest[l] -= straight[l];
 
     Floats middle[3], inside[DEGREES], seen[DEGREES], polynomial[DEGREES], cosine = dot(omega, towards);
@@ -173,6 +174,7 @@ static Floats scattered(const NearbyLight *data, int64_t first) {
     Floats ahead = choose(inside[1] > 0.0f, inside[1], in_all(0.0f)), whole = choose(inside[0] > 0.0f, inside[0], in_all(0.0f));
     Floats r = clamped_to(inside[2] / choose(ahead > 1e-30f, ahead, in_all(1e-30f)), in_all(0.0f), in_all((float)data->straightest));
     Floats amount = least_of(ahead / choose(r > 1e-6f, r, in_all(1e-6f)), whole), turn = dot(middle, back);
+    amount *= 1.0f - clamped_to(straight[0] / choose(all > 1e-30f, all, in_all(1e-30f)), in_all(0.0f), in_all(1.0f));
 
     along(moments, back, seen);
     legendre(cosine, polynomial);

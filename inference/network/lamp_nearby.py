@@ -30,8 +30,9 @@ degrees are known, and a rest:
 All light that turns by small angles has the moments G^l, and c, at most 1, is how much of its third degree there is.
 The rest R_lm is taken for light that comes evenly from everywhere, and light of Henyey and Greenstein's distribution p
 around its mean direction f: of an amount a and a mean cosine r that the first two of the rest's moments r_l along f
-tell, but for a bound on r, since the transport's few directions make beams of what spreads. What differs from these
-fades, f_l being Lanczos' factors sinc(l / 4).
+tell, but for a bound on r, since the transport's few directions make beams of what spreads, and the less of it the more
+of all light is known, since of little rest the moments are those of errors. What differs from these fades, f_l being
+Lanczos' factors sinc(l / 4).
 """
 
 from collections.abc import Mapping
@@ -267,6 +268,7 @@ def _scattered(
     whole, first, second = inside[:, 0], np.maximum(inside[:, 1], 0.0), inside[:, 2]
     straightness = (second / np.maximum(first, 1e-30)).clip(0.0, STRAIGHTEST)
     amount = np.minimum(first / np.maximum(straightness, 1e-6), np.maximum(whole, 0.0))
+    amount *= 1.0 - (straight[0] / np.maximum(moments[:, 0] + ahead[:, 0], 1e-30)).clip(0.0, 1.0)
     turn = -(middle * omega).sum(axis=1)
     differs = _along(moments, -omega) + rest * _legendre(cosine)
     differs -= (amount[:, None] * straightness[:, None] ** np.arange(LAST + 1)) * _legendre(turn)
