@@ -246,8 +246,10 @@ def _terms(anisotropy: float) -> int:
 def _scattered(
     moments: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
 ) -> np.ndarray:
-    """Light (N,), W/(m^2 sr), scattered towards the camera of the transport's moments (N, 16), and of what is ahead of
-    them. omega: (N, 3), camera rays."""
+    """Light (N,), W/(m^2 sr), that scatters towards the camera, of the lamp and of the transport's moments (N, 16).
+
+    omega: (N, 3), along camera rays.
+    """
     g, forward = anisotropy, anisotropy**2
     unscattered = np.exp(-lamp.depth)
 
