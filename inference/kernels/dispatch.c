@@ -20,6 +20,8 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t sample_open_depths_##variant(const OpenDepthSamples *data);                    \
     int64_t sweep_ordinates_##variant(const OrdinateSweep *data);                          \
     int64_t sweep_radiance_##variant(const RadianceSweep *data);                           \
+    int64_t sweep_moments_##variant(const MomentSweep *data);                              \
+    int64_t follow_peak_##variant(const PeakPhotons *data);                                \
     int64_t conjugate_gradients_##variant(Diffusion *data);                                \
     int64_t mean_cells_##variant(const CellMeans *data);                                   \
     int64_t halve_##variant(const Halving *data);                                          \
@@ -118,6 +120,8 @@ PREPARE(sweep_blocks, const BlockSweep)
 PREPARE(sample_open_depths, const OpenDepthSamples)
 PREPARE(sweep_ordinates, const OrdinateSweep)
 PREPARE(sweep_radiance, const RadianceSweep)
+PREPARE(sweep_moments, const MomentSweep)
+PREPARE(follow_peak, const PeakPhotons)
 PREPARE(conjugate_gradients, Diffusion)
 PREPARE(mean_cells, const CellMeans)
 PREPARE(halve, const Halving)

@@ -110,6 +110,47 @@ class RadianceSweep(Shared):
     ]
 
 
+class MomentSweep(Shared):
+    _fields_ = [
+        ("shape", c_int64 * 3),
+        ("strides", c_int64 * 3),
+        ("first", c_int64),
+        ("kinds", c_void_p),
+        ("slopes", c_void_p),
+        ("along", c_void_p),
+        ("weights", c_void_p),
+        ("passed", c_void_p),
+        ("mean", c_void_p),
+        ("lobes", c_int64),
+        ("light", c_void_p),
+        ("rows", c_int64),
+        ("columns", c_int64),
+        ("table", c_void_p),
+        ("moments", c_void_p),
+        ("scratch", c_void_p),
+    ]
+
+
+class PeakPhotons(Shared):
+    _fields_ = [
+        ("shape", c_int64 * 3),
+        ("depth", c_void_p),
+        ("closed", c_void_p),
+        ("lamp", c_double * 3),
+        ("axis", c_double * 3),
+        ("cosine", c_double),
+        ("photons", c_int64),
+        ("starts", c_void_p),
+        ("numbers", c_void_p),
+        ("collisions", c_int64),
+        ("anisotropy", c_double),
+        ("reduced", c_double),
+        ("wide", c_double),
+        ("albedo", c_double),
+        ("sums", c_void_p),
+    ]
+
+
 class Diffusion(Shared):
     _fields_ = [
         ("shape", c_int64 * 3),
@@ -267,6 +308,7 @@ class NearbyLight(Shared):
         ("terms", c_int64),
         ("weights", c_double * 4),
         ("straightest", c_double),
+        ("straightest_peak", c_double),
         ("least", c_double),
         ("out", c_void_p),
     ]
@@ -300,6 +342,8 @@ FUNCTIONS = {
     "sample_open_depths": OpenDepthSamples,
     "sweep_ordinates": OrdinateSweep,
     "sweep_radiance": RadianceSweep,
+    "sweep_moments": MomentSweep,
+    "follow_peak": PeakPhotons,
     "conjugate_gradients": Diffusion,
     "mean_cells": CellMeans,
     "halve": Halving,

@@ -103,6 +103,42 @@ typedef struct {
     double *scratch;             /* (2, shape[1] + 1, shape[2] + 1) */
 } RadianceSweep;
 
+/* Moments of light that scatters once, along four directions that rise along every axis: wide_light.wide_light. */
+typedef struct {
+    int64_t shape[3];            /* cells along the axis of the steepest rise, and the others */
+    int64_t strides[3];          /* negative for axes that are turned */
+    int64_t first;               /* cell at which the directions enter */
+    const uint8_t *kinds;        /* (cells), 0 where nothing is kept, 1 where the moments are, 2 where matter is, too */
+    const float *slopes;         /* (2, 4), of the directions */
+    const float *along;          /* (3, 4), unit vectors */
+    const float *weights;        /* (4, 16), of the radiance in the moments */
+    const float *passed;         /* (cells, 4), transmittance */
+    const float *mean;           /* (cells, 4), mean of exp(-tau) */
+    int64_t lobes;
+    const float *light;          /* (cells, lobes, 5), amount, direction and row of the table */
+    int64_t rows, columns;
+    const float *table;          /* (rows, columns), phase function from a cosine of -1 to 1 */
+    float *moments;              /* (cells, 16), added to */
+    float *scratch;              /* (2, shape[1] + 1, shape[2] + 1, 4) */
+} MomentSweep;
+
+/* Photons of a lamp that scatter within the forward peak: peak_photons.peak_light. */
+typedef struct {
+    int64_t shape[3];
+    const float *depth;          /* (cells), optical thickness of a cell's edge */
+    const uint8_t *closed;       /* (3, cells), whether a surface parts a cell from the next along an axis; or NULL */
+    double lamp[3];              /* in cells */
+    double axis[3], cosine;      /* of the cone in which its light travels; -1 where there is none */
+    int64_t photons;
+    const int64_t *starts;       /* (photons), cells of the first collisions */
+    const int64_t *numbers;      /* (photons), which tell their random numbers */
+    int64_t collisions;          /* at most */
+    double anisotropy, reduced;  /* G, and that of the wide angles */
+    double wide;                 /* share of the scattering by wide angles */
+    double albedo;
+    float *sums;                 /* (cells, 5), fluence, flux and squares, added to */
+} PeakPhotons;
+
 /* Conjugate gradients: diffusion.solve. */
 typedef struct {
     int64_t shape[3];
@@ -233,14 +269,14 @@ typedef struct {
     const float *irradiance, *depth, *scattering;  /* (points), of LampAtPoints */
     int64_t places;              /* on the way from the lamp, at most 8 */
     const float *parts, *matter; /* (places, points) */
-    const float *cells;          /* (edge, edge, edge, 16), the transport's moments over `scale`; edge >= 2 */
+    const float *cells;          /* (edge, edge, edge, 20), the light of nearby_light over `scale`; edge >= 2 */
     int64_t edge;
     double scale;
     double anisotropy, reduced;  /* of the phase function, and without its forward peak */
     double albedo;
     int64_t terms;               /* of the series of Legendre's polynomials, at least 4 */
     double weights[4];           /* of what differs from a distribution of Henyey and Greenstein's, by degree */
-    double straightest, least;
+    double straightest, straightest_peak, least;
     float *out;                  /* (points), W/(m^2 sr) */
 } NearbyLight;
 

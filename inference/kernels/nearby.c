@@ -11,6 +11,8 @@
 /* Degrees of the transport's moments, and their harmonics. */
 #define DEGREES 4
 #define HARMONICS (DEGREES * DEGREES)
+/* With the fluence and the flux of light that has scattered within the forward peak alone. */
+#define VALUES (HARMONICS + 4)
 /* Places on the way from a lamp. */
 #define MOST_PLACES 8
 
@@ -74,8 +76,8 @@ static Floats some_of(const float *from, int64_t first, int64_t points) {
     return found;
 }
 
-/* The transport's moments, interpolated. */
-static void moments_at(const NearbyLight *data, int64_t first, Floats *out) {
+/* The transport's values, interpolated. */
+static void values_at(const NearbyLight *data, int64_t first, Floats *out) {
     Floats most = in_all((float)data->edge - 1.0f - 1e-3f), index[3], inside[3];
     Ints cell[3];
     for (int k = 0; k < 3; k++) {
@@ -84,17 +86,17 @@ static void moments_at(const NearbyLight *data, int64_t first, Floats *out) {
         inside[k] = index[k] - to_floats(cell[k]);
     }
     FOR_LANES(n) {
-        const float *at = data->cells + HARMONICS * (((int64_t)cell[0][n] * data->edge + cell[1][n]) * data->edge + cell[2][n]);
-        int64_t x = HARMONICS * data->edge * data->edge, y = HARMONICS * data->edge, z = HARMONICS;
-        float fx = inside[0][n], fy = inside[1][n], fz = inside[2][n], found[HARMONICS];
-        for (int k = 0; k < HARMONICS; k++) {
+        const float *at = data->cells + VALUES * (((int64_t)cell[0][n] * data->edge + cell[1][n]) * data->edge + cell[2][n]);
+        int64_t x = VALUES * data->edge * data->edge, y = VALUES * data->edge, z = VALUES;
+        float fx = inside[0][n], fy = inside[1][n], fz = inside[2][n], found[VALUES];
+        for (int k = 0; k < VALUES; k++) {
             float a = at[k] + fz * (at[k + z] - at[k]), b = at[k + y] + fz * (at[k + y + z] - at[k + y]);
             float c = at[k + x] + fz * (at[k + x + z] - at[k + x]);
             float d = at[k + x + y] + fz * (at[k + x + y + z] - at[k + x + y]);
             a += fy * (b - a), c += fy * (d - c);
             found[k] = (a + fx * (c - a)) * (float)data->scale;
         }
-        for (int k = 0; k < HARMONICS; k++) out[k][n] = found[k];
+        for (int k = 0; k < VALUES; k++) out[k][n] = found[k];
     }
 }
 
@@ -138,47 +140,57 @@ static Floats turned(const Beam *beam, Floats moment) {
     return beam->irradiance * (transmittance(beam->depth - moment * beam->scattering) - beam->unscattered);
 }
 
-static Floats scattered(const NearbyLight *data, int64_t first) {
-    int64_t points = data->points;
-    float g = (float)data->anisotropy, forward = g * g;
-    Floats moments[HARMONICS], omega[3], towards[3], away[3], back[3];
-    moments_at(data, first, moments);
-    for (int k = 0; k < 3; k++) {
-        omega[k] = some_of(data->omega + k * points, first, points), back[k] = -omega[k];
-        towards[k] = some_of(data->towards + k * points, first, points), away[k] = -towards[k];
-    }
-    Beam beam = {some_of(data->irradiance, first, points), some_of(data->depth, first, points),
-                 (float)data->albedo * some_of(data->scattering, first, points), in_all(0.0f)};
+static Floats positive(Floats x) { return choose(x > 0.0f, x, in_all(0.0f)); }
+
+static Floats at_least(Floats x, float least) { return choose(x > least, x, in_all(least)); }
+
+/* What scatters towards the camera of light around the direction of its flux. */
+static Floats lobe(const NearbyLight *data, Floats fluence, const Floats *flux, const Floats *back) {
+    Floats all = positive(fluence), size = roots(dot(flux, flux));
+    Floats straightness = least_of(size / at_least(all, 1e-30f), in_all((float)data->straightest_peak));
+    return all * henyey_greenstein(dot(flux, back) / at_least(size, 1e-30f), (float)data->anisotropy * straightness);
+}
+
+/* Of light that has scattered within the peak alone. */
+static Floats scattered_narrow(const NearbyLight *data, int64_t first, const Floats *light, const Floats *towards,
+                               const Floats *omega, const Floats *back) {
+    float g = (float)data->anisotropy, wide = 1.0f - g * g;
+    Floats cosine = dot(omega, towards), ahead = positive(cosine), rest[3], found = (1.0f - ahead) * lobe(data, light[0], light + 1, back);
+    if (!any_lane(ahead > 0.0f)) return found;
+    Beam beam = {some_of(data->irradiance, first, data->points), some_of(data->depth, first, data->points),
+                 (float)data->albedo * some_of(data->scattering, first, data->points), in_all(0.0f)};
     beam.unscattered = transmittance(beam.depth);
     Means means = means_of(data, data->anisotropy, first), reduced = means_of(data, data->reduced, first);
-    Floats straight[DEGREES], rest[DEGREES], third[DEGREES], mean = in_all(0.0f);
-    for (int l = 0; l < DEGREES; l++) {
-        mean = next_mean(&means);
-        straight[l] = turned(&beam, mean);
-        rest[l] = turned(&beam, mean - (1.0f - forward) * next_mean(&reduced));
-    }
-    along(moments, away, third);
-    Floats most = straight[DEGREES - 1], size = choose(most < 0.0f, -most, most);
-    Floats known = choose(size > 1e-30f, (third[DEGREES - 1] + rest[DEGREES - 1]) / choose(size > 1e-30f, most, in_all(1.0f)), in_all(1.0f));
+    Floats straight[2], mean;
+    for (int l = 0; l < 2; l++) mean = next_mean(&means), straight[l] = turned(&beam, mean - wide * next_mean(&reduced));
+    Floats size = choose(straight[1] < 0.0f, -straight[1], straight[1]), along = -dot(light + 1, towards);
+    Floats known = choose(size > 1e-30f, along / choose(size > 1e-30f, straight[1], in_all(1.0f)), in_all(1.0f));
     known = clamped_to(known, in_all(0.0f), in_all(1.0f));
-    Floats all = moments[0] + rest[0];
-    for (int l = 0; l < DEGREES; l++) straight[l] *= known, rest[l] -= straight[l];
+    for (int k = 0; k < 3; k++) rest[k] = light[1 + k] + known * straight[1] * towards[k];
+    found += ahead * lobe(data, light[0] - known * straight[0], rest, back);
+    /* Legendre's polynomials by their recurrence. */
+    Floats before = in_all(0.0f), here = in_all(1.0f);
+    float weight = 1.0f / SPHERE;
+    for (int64_t order = 0; order < data->terms; order++) {
+        Floats one = order < 2 ? straight[order] : in_all(0.0f);
+        if (order >= 2) mean = next_mean(&means), one = turned(&beam, mean - wide * next_mean(&reduced));
+        found += (float)(2 * order + 1) * weight * (ahead * known * one * here);
+        Floats after = ((float)(2 * order + 1) * (cosine * here) - (float)order * before) / (float)(order + 1);
+        before = here, here = after, weight *= g;
+    }
+    return found;
+}
 
-    Floats middle[3], inside[DEGREES], seen[DEGREES], polynomial[DEGREES], cosine = dot(omega, towards);
-    for (int k = 0; k < 3; k++) middle[k] = moments[1 + k] + rest[1] * away[k];
-    Floats length = roots(dot(middle, middle));
-    for (int k = 0; k < 3; k++) middle[k] /= choose(length > 1e-30f, length, in_all(1e-30f));
+/* Of all other light, which the transport's moments tell. */
+static Floats scattered_wide(const NearbyLight *data, const Floats *moments, const Floats *back) {
+    float g = (float)data->anisotropy;
+    Floats middle[3], inside[DEGREES], seen[DEGREES], polynomial[DEGREES], length = roots(dot(moments + 1, moments + 1));
+    for (int k = 0; k < 3; k++) middle[k] = moments[1 + k] / at_least(length, 1e-30f);
     along(moments, middle, inside);
-    legendre(dot(middle, away), polynomial);
-    for (int l = 0; l < DEGREES; l++) inside[l] += rest[l] * polynomial[l];
-    Floats ahead = choose(inside[1] > 0.0f, inside[1], in_all(0.0f)), whole = choose(inside[0] > 0.0f, inside[0], in_all(0.0f));
-    Floats r = clamped_to(inside[2] / choose(ahead > 1e-30f, ahead, in_all(1e-30f)), in_all(0.0f), in_all((float)data->straightest));
-    Floats amount = least_of(ahead / choose(r > 1e-6f, r, in_all(1e-6f)), whole), turn = dot(middle, back);
-    amount *= 1.0f - clamped_to(straight[0] / choose(all > 1e-30f, all, in_all(1e-30f)), in_all(0.0f), in_all(1.0f));
-
+    Floats whole = positive(inside[0]), mean = positive(inside[1]);
+    Floats r = clamped_to(inside[2] / at_least(mean, 1e-30f), in_all(0.0f), in_all((float)data->straightest));
+    Floats amount = least_of(mean / at_least(r, 1e-6f), whole), turn = dot(middle, back);
     along(moments, back, seen);
-    legendre(cosine, polynomial);
-    for (int l = 0; l < DEGREES; l++) seen[l] += rest[l] * polynomial[l];
     legendre(turn, polynomial);
     Floats found = amount * henyey_greenstein(turn, g * r), power = amount;
     float weight = 1.0f;
@@ -186,17 +198,22 @@ static Floats scattered(const NearbyLight *data, int64_t first) {
         found += (float)data->weights[l] * weight * (seen[l] - power * polynomial[l]);
         power *= r, weight *= g;
     }
-    /* Legendre's polynomials by their recurrence. */
-    Floats before = in_all(0.0f), here = in_all(1.0f);
-    weight = 1.0f / SPHERE;
-    for (int64_t order = 0; order < data->terms; order++) {
-        Floats light = order < DEGREES ? straight[order] : known * turned(&beam, next_mean(&means));
-        found += (float)(2 * order + 1) * weight * (light * here);
-        Floats after = ((float)(2 * order + 1) * (cosine * here) - (float)order * before) / (float)(order + 1);
-        before = here, here = after, weight *= g;
+    return found;
+}
+
+static Floats scattered(const NearbyLight *data, int64_t first) {
+    int64_t points = data->points;
+    Floats values[VALUES], omega[3], towards[3], back[3];
+    values_at(data, first, values);
+    for (int k = 0; k < 3; k++) {
+        omega[k] = some_of(data->omega + k * points, first, points), back[k] = -omega[k];
+        towards[k] = some_of(data->towards + k * points, first, points);
     }
+    Floats found = scattered_wide(data, values, back);
+    /* Light that scatters backwards has no peak. */
+    if (data->anisotropy > 0.0) found += scattered_narrow(data, first, values + HARMONICS, towards, omega, back);
     /* What is left of series of few degrees must not be negative. */
-    Floats least = (float)data->least / SPHERE * moments[0];
+    Floats least = (float)data->least / SPHERE * values[0];
     return choose(found > least, found, least);
 }
 

@@ -3,36 +3,39 @@
 
 Networks have learnt the light of suns, which enters a volume from outside and is as bright everywhere. That of a lamp
 nearby is not: it falls with the square of the distance, comes from all around, and how much of it an albedo below 1
-leaves does not follow from the transport for albedo 1 that networks read. Solved for the true albedo, the transport
-itself holds the light: with its moments L_lm of the radiance, up to degree 3, what scatters towards the camera is
+leaves does not follow from the transport for albedo 1 that networks read. `transport.nearby_light` solves it for the
+true albedo, in two parts that scatter towards the camera in different ways.
 
-    sum_lm (2 l + 1) / (4 pi) G^l L_lm Y_lm(-omega) + E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) T(p_l),
+Light that has scattered within the phase function's forward peak alone has a fluence S and a flux F. Seen from the side
+and from behind the lamp it is light of Henyey and Greenstein's distribution p around the flux, with the mean cosine
+|F| / S, and scatters as
 
-where T(s) = exp(-(1 - w s) tau) - exp(-tau) is light of the lamp, of irradiance E behind an optical depth tau, that has
-turned by small angles since. Were the lamp far away, and its scattering by a phase function of the Legendre moments
-p_l, s would be p_l: after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of
-Electrons", 1940). But light from a place that turns by an angle a at a part t of the way arrives off the straight line
-by about t a, not a: s is the mean of p_(t l) over the matter on the way, read at a few places. Light in the phase
-function's forward peak, which the transport counts as unscattered, has p_l = G^l - (1 - G^2) G'^l, with the transport's
-G' = G / (1 + G).
+    S p(-omega . F / |F|; G |F| / S).
+
+Seen towards the lamp its shape counts, too. The lamp's light of irradiance E behind an optical depth tau has become
+
+    E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) T(p_l),    T(s) = exp(-(1 - w s) tau) - exp(-tau),
+
+where p_l = G^l - (1 - G^2) G'^l with the transport's G' = G / (1 + G) are the peak's moments, were the lamp far away:
+after n scatterings moments are n-th powers (Goudsmit and Saunderson, "Multiple Scattering of Electrons", 1940). But
+light from a place that turns by an angle a at a part t of the way arrives off the straight line by about t a, not a: s
+is the mean of p_(t l) over the matter on the way, read at a few places. As much of this is taken as F holds along the
+lamp's light, and the rest of S and F scatters by p again: all of it where the lamp is right ahead, and the first form
+alone from beside it on.
 
 The light of a soft falloff is weaker near its middle than that of a point, and what it scatters there is, too: its
 depth tau counts from `start_depths` on in the first term of T.
 
-The transport's moments end where those of light that goes forwards are still large, and a series that breaks off there
-is as negative at some angles as it is too bright at others. So the sum is told apart into light whose moments of all
-degrees are known, and a rest:
+Of all other light the transport holds moments L_lm of the radiance up to degree 3, and what scatters towards the camera
+is
 
-    c E sum_l (2 l + 1) / (4 pi) G^l P_l(omega . l) T(G^l)
-        + (r_0 - a) / (4 pi) + a p(f . omega; G r)
-        + sum_lm (2 l + 1) / (4 pi) G^l f_l (R_lm - a r^l Y_lm(f)) Y_lm(-omega).
+    (L_0 - a) / (4 pi) + a p(-omega . f; G r)
+        + sum_lm (2 l + 1) / (4 pi) G^l f_l (L_lm - a r^l Y_lm(f)) Y_lm(-omega):
 
-All light that turns by small angles has the moments G^l, and c, at most 1, is how much of its third degree there is.
-The rest R_lm is taken for light that comes evenly from everywhere, and light of Henyey and Greenstein's distribution p
-around its mean direction f: of an amount a and a mean cosine r that the first two of the rest's moments r_l along f
-tell, but for a bound on r, since the transport's few directions make beams of what spreads, and the less of it the more
-of all light is known, since of little rest the moments are those of errors. What differs from these fades, f_l being
-Lanczos' factors sinc(l / 4).
+light that comes evenly from everywhere, and light of Henyey and Greenstein's distribution around its mean direction f,
+of an amount a and a mean cosine r that its first two moments along f tell. What differs from these fades, f_l being
+the roots of Lanczos' factors sinc(l / 4), since a series that breaks off is as negative at some angles as it is too
+bright at others.
 """
 
 from collections.abc import Mapping
@@ -48,6 +51,7 @@ from ..numerics.small_matmul import lengths, product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import reduced_anisotropy
+from ..transport.forward_peak import MIN_FORWARD
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
 from .prepared_rays import directions_to
@@ -58,18 +62,16 @@ from .prepared_rays import directions_to
 NEAR, FAR = 0.1, 0.2
 #: Highest degree of the transport's moments.
 LAST = int(DEGREES[-1])
-# Lanczos' factors of the degrees, times their weights in a series of Legendre's polynomials.
-WEIGHTS = np.sinc(np.arange(LAST + 1) / (LAST + 1)) * (2 * np.arange(LAST + 1) + 1) / (4.0 * np.pi)
+# Roots of Lanczos' factors of the degrees, times their weights in a series of Legendre's polynomials.
+WEIGHTS = np.sqrt(np.sinc(np.arange(LAST + 1) / (LAST + 1))) * (2 * np.arange(LAST + 1) + 1) / (4.0 * np.pi)
 # The first harmonic of each degree.
 FIRST = np.arange(LAST + 1) ** 2
 # Places on the way from a lamp at which matter is read.
 PLACES = 4
-# Largest mean cosine of light that is known by the transport's moments alone; measured.
-STRAIGHTEST = 0.6
+# Largest mean cosines of light around a direction: that of the transport's moments, measured, and that of the peak's.
+STRAIGHTEST, STRAIGHTEST_PEAK = 0.9, 0.999
 # Least light that scatters towards the camera, over what would if it did so evenly; measured.
 LEAST = 0.05
-# Square of the anisotropy below which there is no forward peak.
-MIN_FORWARD = 1e-3
 # Terms of Legendre series are summed down to this one, but no more than so many.
 MIN_TERM, MAX_TERMS = 1e-4, 160
 #: Smallest albedo for which the transport is solved.
@@ -227,6 +229,7 @@ class LampNearby:
             terms=_terms(self.anisotropy),
             weights=WEIGHTS,
             straightest=STRAIGHTEST,
+            straightest_peak=STRAIGHTEST_PEAK,
             least=LEAST,
             out=out,
         )
@@ -246,42 +249,72 @@ def _terms(anisotropy: float) -> int:
 def _scattered(
     moments: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
 ) -> np.ndarray:
-    """Light (N,), W/(m^2 sr), that scatters towards the camera, of the lamp and of the transport's moments (N, 16).
+    """Light (N,), W/(m^2 sr), that scatters towards the camera, of the lamp and of the transport's moments (N, 20).
 
     omega: (N, 3), along camera rays.
     """
-    g, forward = anisotropy, anisotropy**2
-    unscattered = np.exp(-lamp.depth)
+    count = (LAST + 1) ** 2
+    found = _scattered_wide(moments[:, :count], omega, anisotropy)
+    # Light that scatters backwards has no peak.
+    if anisotropy > 0.0:
+        found += _scattered_narrow(moments[:, count], moments[:, count + 1 :], omega, lamp, anisotropy, albedo)
+    return found
 
-    def turned(moment: np.ndarray | float) -> np.ndarray:
-        return lamp.irradiance * (np.exp(albedo * moment * lamp.scattering - lamp.depth) - unscattered)
 
-    means, reduced = lamp.way.means(g, _terms(g)), lamp.way.means(reduced_anisotropy(g), LAST + 1)
-    ahead = np.stack([turned(mean - (1.0 - forward) * less) for mean, less in zip(means, reduced)], axis=1)
-    third, most = _along(moments, -lamp.towards)[:, LAST] + ahead[:, LAST], turned(means[LAST])
-    known = np.divide(third, most, out=np.ones(len(moments)), where=np.abs(most) > 1e-30).clip(0.0, 1.0)
-    # Of each degree, along the lamp's light: of what is known, and of the rest without what the transport holds.
-    straight = [known * turned(mean) for mean in means]
-    rest = ahead - np.stack(straight[: LAST + 1], axis=1)
-    flux = moments[:, 1:4] - rest[:, 1, None] * lamp.towards
+def _scattered_wide(moments: np.ndarray, omega: np.ndarray, anisotropy: float) -> np.ndarray:
+    """Of the light that the transport's moments (N, 16) tell."""
+    g, flux = anisotropy, moments[:, 1:4]
     middle = flux / np.maximum(lengths(flux), 1e-30)[:, None]
-    cosine = (omega * lamp.towards).sum(axis=1)
-    inside = _along(moments, middle) + rest * _legendre(-(middle * lamp.towards).sum(axis=1))
-    whole, first, second = inside[:, 0], np.maximum(inside[:, 1], 0.0), inside[:, 2]
-    straightness = (second / np.maximum(first, 1e-30)).clip(0.0, STRAIGHTEST)
-    amount = np.minimum(first / np.maximum(straightness, 1e-6), np.maximum(whole, 0.0))
-    amount *= 1.0 - (straight[0] / np.maximum(moments[:, 0] + ahead[:, 0], 1e-30)).clip(0.0, 1.0)
+    inside = _along(moments, middle)
+    whole, mean = np.maximum(inside[:, 0], 0.0), np.maximum(inside[:, 1], 0.0)
+    straightness = (inside[:, 2] / np.maximum(mean, 1e-30)).clip(0.0, STRAIGHTEST)
+    amount = np.minimum(mean / np.maximum(straightness, 1e-6), whole)
     turn = -(middle * omega).sum(axis=1)
-    differs = _along(moments, -omega) + rest * _legendre(cosine)
+    differs = _along(moments, -omega)
     differs -= (amount[:, None] * straightness[:, None] ** np.arange(LAST + 1)) * _legendre(turn)
     # Of degree 0, what is not of that distribution.
-    found = product(differs, WEIGHTS * g ** np.arange(LAST + 1)) + amount * henyey_greenstein(turn, g * straightness)
+    found = product(differs, WEIGHTS * g ** np.arange(LAST + 1))
+    return found + amount * henyey_greenstein(turn, g * straightness)
+
+
+def _scattered_narrow(
+    fluence: np.ndarray, flux: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
+) -> np.ndarray:
+    """Of light that has scattered within the peak alone, of a fluence (N,) and a flux (N, 3)."""
+    cosine = (omega * lamp.towards).sum(axis=1)
+    ahead = np.maximum(cosine, 0.0)
+    straight = straight_light(lamp, anisotropy, albedo)
+    first = straight[1]
+    known = np.divide(-(flux * lamp.towards).sum(axis=1), first, out=np.ones(len(first)), where=np.abs(first) > 1e-30)
+    known = known.clip(0.0, 1.0)
+    rest = flux + (known * first)[:, None] * lamp.towards
+    found = (1.0 - ahead) * _lobe(fluence, flux, omega, anisotropy)
+    found += ahead * _lobe(fluence - known * straight[0], rest, omega, anisotropy)
     # Legendre's polynomials by their recurrence.
     before, here = np.zeros(len(cosine)), np.ones(len(cosine))
     for order, light in enumerate(straight):
-        found += (2 * order + 1) / (4.0 * np.pi) * g**order * light * here
+        found += (2 * order + 1) / (4.0 * np.pi) * anisotropy**order * ahead * known * light * here
         before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
     return found
+
+
+def straight_light(lamp: LampAtPoints, anisotropy: float, albedo: float) -> list[np.ndarray]:
+    """Legendre moments (N,) around the way from the lamp of light that has turned within the peak alone, by degree."""
+    count, unscattered = _terms(anisotropy), np.exp(-lamp.depth)
+    means, less = lamp.way.means(anisotropy, count), lamp.way.means(reduced_anisotropy(anisotropy), count)
+    wide = 1.0 - anisotropy**2
+    return [
+        lamp.irradiance * (np.exp(albedo * (mean - wide * part) * lamp.scattering - lamp.depth) - unscattered)
+        for mean, part in zip(means, less)
+    ]
+
+
+def _lobe(fluence: np.ndarray, flux: np.ndarray, omega: np.ndarray, anisotropy: float) -> np.ndarray:
+    """What scatters towards the camera (N,) of light around the direction of its flux (N, 3)."""
+    fluence, size = np.maximum(fluence, 0.0), lengths(flux)
+    straightness = np.minimum(size / np.maximum(fluence, 1e-30), STRAIGHTEST_PEAK)
+    turn = -(flux * omega).sum(axis=1) / np.maximum(size, 1e-30)
+    return fluence * henyey_greenstein(turn, anisotropy * straightness)
 
 
 def _along(moments: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -36,6 +36,7 @@ from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
 from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..transport.lamp_beam import CubeCells
 from ..transport.mean_free_path import mean_free_path
+from ..transport.nearby_light import NearbyMedium, nearby_light
 from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import (
     FluenceLattice,
@@ -386,8 +387,13 @@ class RayPredictor(StencilPredictor):
         if found is None:
             if len(self._lamps) >= MAX_LATTICES:
                 self._lamps.clear()
-            solver = self._solver(conditions) if albedo is None else self._new_solver(conditions, albedo)
-            light = solver.lamp(lamp, cancel, exact=albedo is not None)
+            if albedo is None:
+                solver = self._solver(conditions)
+                light = solver.lamp(lamp, cancel)
+            else:
+                solver = self._new_solver(conditions, albedo)
+                medium = NearbyMedium(self.coarse, conditions.sigma_hat, self.anisotropy, albedo, self.kernels)
+                light = nearby_light(solver, medium, lamp, cancel)
             # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
             scale = max(float(light[0].max()), 1e-30)
             light /= np.float32(scale)

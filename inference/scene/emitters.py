@@ -73,6 +73,15 @@ class SphereEmitter:
         """Distance below which the inverse square no longer holds."""
         return self.radius
 
+    @property
+    def power(self) -> float:
+        """That it gives, of a lamp of power 1: within the cone alone, if there is one."""
+        if self.cone is None:
+            return self.share
+        cosine = np.linspace(-1.0, 1.0, 2001)
+        directions = cosine[:, None] * self.cone.axis + np.sqrt(1.0 - cosine**2)[:, None] * _across(self.cone.axis)
+        return self.share * float(self.cone.passed(directions, np.zeros(len(cosine))).mean())
+
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
         return self.brightest(points) * self._within_cone(points)
@@ -221,6 +230,12 @@ Emitter = SphereEmitter | QuadEmitter
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-30)[:, None]
+
+
+def _across(axis: np.ndarray) -> np.ndarray:
+    """A unit vector (3,) across another."""
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    return across / np.linalg.norm(across)
 
 
 def _everywhere(rays: int) -> tuple[np.ndarray, np.ndarray]:

@@ -213,56 +213,89 @@ class DiscreteOrdinates:
             self._correct(field, change, cancel)
         return swept
 
-    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER, exact: bool = False) -> np.ndarray:
+    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
 
-        beam: of the lamp, on any number of cells. exact: whether it is the answer, and not a feature of networks, which
-        have learnt from few sweeps; then float32 (16, x, y, z), of the radiance times each of `spherical_harmonics` of
-        where the light goes, over all directions. Raises Cancelled.
+        beam: of the lamp, on any number of cells. Raises Cancelled.
         """
         n = len(self.density)
         light, towards = beam(self, cancel)
-        field, sweeps, converged = np.zeros((5, n, n, n), np.float32), SWEEPS, CONVERGED
+        field, sweeps = np.zeros((5, n, n, n), np.float32), SWEEPS
         beams, source = self._beams(light.astype(np.float32), towards.astype(np.float32)), self._source(field)
         if self.varies:
             beams *= self.albedo
         swept = np.empty((4, n, n, n), np.float32)
         follow = self._lamp_followers(source, beams, [swept] * 6)
         if self.coarser is not None:
-            # Only a start, however exact the answer is to be.
             field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
             sweeps = FINE_SWEEPS
-        if exact:
-            sweeps, converged = EXACT_SWEEPS, EXACTLY_CONVERGED
         for number in range(sweeps):
             self._sweep_lamp(field, source, swept, follow, cancel)
             change = self.albedo * self.extinction * (swept[0] - field[0])
             if self.boundaries is not None:
                 change *= ~self.boundaries.inside
-            if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
+            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
             self._correct(field, change, cancel)
-        if not exact:
-            return swept
-        field[:4] = swept
-        radiance = np.empty_like(beams)
-        follow = self._lamp_followers(source, beams, np.split(radiance, INFLOW_ENDS))
-        self._sweep_lamp(field, source, radiance, follow, cancel)
+        return swept
+
+    def moments(self, first: np.ndarray, beams: np.ndarray | None = None, cancel: CancelToken = NEVER) -> np.ndarray:
+        """What becomes of light that scatters: radiance times each of `spherical_harmonics` of where it goes.
+
+        float32 (16, x, y, z). first: fluence and flux, float32 (4, x, y, z), of light that is not in the result. beams:
+        float32 (26, x, y, z), other light that scatters along each of ORDINATES, for albedo 1, or None. Not where the
+        albedo varies. Raises Cancelled.
+        """
+        n = len(self.density)
+        if self.coarser is None:
+            again = self._scattered_again(first, beams, cancel)
+        else:
+            # Smooth enough for cells twice as large.
+            coarse_first = np.stack([self._means(values) for values in first])
+            coarse_beams = None if beams is None else np.stack([self._means(values) for values in beams])
+            again = self.coarser._scattered_again(coarse_first, coarse_beams, cancel)
+            again = np.stack([self._finer(values) for values in again])
+        field, radiance = np.zeros((5, n, n, n), np.float32), np.empty((len(ORDINATES), n, n, n), np.float32)
+        np.add(first, again, out=field[:4])
+        self._limit_flux(field)
+        follow = self._lamp_followers(field, beams, np.split(radiance, INFLOW_ENDS))
+        self._sweep_lamp(field, field, radiance, follow, cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
         return product_of_columns(weights.astype(np.float32), radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
 
+    def _scattered_again(self, first: np.ndarray, beams: np.ndarray | None, cancel: CancelToken) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of what `moments` finds."""
+        n = len(self.density)
+        again, swept = np.zeros((4, n, n, n), np.float32), np.empty((4, n, n, n), np.float32)
+        field = np.zeros((5, n, n, n), np.float32)
+        follow = self._lamp_followers(field, beams, [swept] * 6)
+        for number in range(EXACT_SWEEPS):
+            np.add(first, again, out=field[:4])
+            self._limit_flux(field)
+            self._sweep_lamp(field, field, swept, follow, cancel)
+            change = self.albedo * self.extinction * (swept[0] - again[0])
+            if self.boundaries is not None:
+                change *= ~self.boundaries.inside
+            again[:] = swept
+            most = EXACTLY_CONVERGED * (self.extinction * (swept[0] + first[0])).sum()
+            if number == EXACT_SWEEPS - 1 or np.abs(change).sum() <= most:
+                break
+            self._correct(again, change, cancel)
+        return again
+
     def _lamp_followers(
-        self, source: np.ndarray, beams: np.ndarray, swept: Sequence[np.ndarray]
+        self, source: np.ndarray, beams: np.ndarray | None, swept: Sequence[np.ndarray]
     ) -> list[Callable[[], object]]:
         """What follows light along all directions; source and beams: as for `_follower`, swept: for each axis and sign.
 
         Beams are those of each direction, so that no light is lost whatever the quadrature of the phase function.
         """
         sides = [(axis, sign) for axis in range(3) for sign in (1, -1)]
+        parts = [None] * len(sides) if beams is None else np.split(beams, INFLOW_ENDS)
         return [
             self._follower(axis, sign, np.ones(len(STEPS[axis])), source, one, beams=some)
-            for (axis, sign), some, one in zip(sides, np.split(beams, INFLOW_ENDS), swept)
+            for (axis, sign), some, one in zip(sides, parts, swept)
         ]
 
     def _sweep_lamp(

@@ -2,17 +2,19 @@
 """Unscattered light of a lamp in the cells of the coarse transport."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..grids.dense_grid import DenseGrid
+from ..grids.held_cells import box_of, with_neighbours
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.emitters import Emitter, LampSource
+from ..scene.emitters import Emitter, LampSource, SphereEmitter
+from ..scene.spot_cone import SpotCone
 from .discrete_ordinates import DiscreteOrdinates
 from .lamp_cells import LampCells, light_in_cells
 
@@ -27,18 +29,6 @@ MAX_DEPTH = 60.0
 def _centres(n: int, numbers: np.ndarray) -> np.ndarray:
     """Centres (N, 3) of cells, by flat number, of a cube from -1/2 to 1/2 of n cells along an edge."""
     return (np.stack(np.unravel_index(numbers, (n, n, n)), axis=1) + 0.5) / n - 0.5
-
-
-def _support(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first cell (3,) that holds density and the one behind the last along each axis, at least two cells."""
-    ends = []
-    for axis in range(3):
-        held = np.flatnonzero(density.max(axis=tuple(other for other in range(3) if other != axis)) > 0.0)
-        first, end = (held[0], held[-1] + 1) if len(held) else (0, 2)
-        first = min(first, density.shape[axis] - 2)
-        ends.append((first, max(end, first + 2)))
-    low, high = np.array(ends).T
-    return low, high
 
 
 @dataclass(frozen=True)
@@ -70,16 +60,38 @@ class LampInCube:
     key: bytes
     centre: np.ndarray
 
-    def __call__(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def place(self) -> np.ndarray:
+        """The centre (3,) in the cube's frame."""
+        return self.cube.positions(self.centre[None])[0]
+
+    @property
+    def cone(self) -> SpotCone | None:
+        """In which its light travels, in the cube's frame, or None."""
+        cones = [emitter.cone for emitter in self.emitters if isinstance(emitter, SphereEmitter)]
+        if not cones or cones[0] is None:
+            return None
+        return replace(cones[0], axis=self.cube.directions(cones[0].axis))
+
+    def __call__(
+        self, solver: "DiscreteOrdinates | CubeCells", cancel: CancelToken = NEVER
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Mean of the unscattered light over each cell, and unit vectors (3, x, y, z) towards the lamp."""
         n = len(solver.density)
         light, filled = np.zeros((n, n, n), np.float32), np.flatnonzero(solver.density > 0.0)
         light.reshape(-1)[filled] = self._light(solver, filled, PARTS if len(self.emitters) == 1 else 1, cancel)[0]
-        lamp = self.cube.positions(self.centre[None])[0]
+        lamp = self.place
         away = np.empty((3, n, n, n), np.float32)
         for axis, along in enumerate(np.ogrid[:n, :n, :n]):
             away[axis] = lamp[axis] + 0.5 - (along + 0.5) / n
         away /= np.maximum(np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2), np.float32(1e-9))
+        cone = self.cone
+        if cone is not None:
+            # Of cells that the cone touches, the middle may lie beside it.
+            lit, flat = np.flatnonzero(light), away.reshape(3, -1)
+            level = -sum(part * towards[lit] for part, towards in zip(cone.axis, flat))
+            beside = lit[level < cone.cosine]
+            flat[:, beside] = -cone.turned(-flat[:, beside].T).T
         return light, away
 
     def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> tuple[np.ndarray, float]:
@@ -89,10 +101,7 @@ class LampInCube:
         take, the distance, a spot's cone and an area light's side. 0 in cells that neither hold density nor touch one
         that does. Raises Cancelled.
         """
-        near = np.pad(cells.density > 0.0, 1)
-        for axis in range(3):
-            near = np.moveaxis(near, axis, 0)
-            near = np.moveaxis(near[:-2] | near[1:-1] | near[2:], 0, axis)
+        near = with_neighbours(cells.density > 0.0)
         lit, depth = np.flatnonzero(near), np.zeros(near.shape, np.float32)
         # The shadows of several emitters blend: each of them may be coarser.
         share, unhindered = self._light(cells, lit, 1, cancel, len(self.emitters) ** 0.25)
@@ -117,9 +126,10 @@ class LampInCube:
         """
         n = len(solver.density)
         # Columns through the cells that hold density alone.
-        low, high = _support(solver.density)
+        box = box_of(solver.density)
+        low = np.array([part.start for part in box])
         linear, offset = n * np.eye(3), 0.5 * n - 0.5 - low
-        grid = DenseGrid(solver.density[tuple(map(slice, low, high))])
+        grid = DenseGrid(solver.density[box])
         sources = [self._in_cube(emitter.source) for emitter in self.emitters]
         depths = [LampOpticalDepth(grid, linear, offset, one, apart, cancel, solver.kernels) for one in sources]
         light, near = np.zeros((2, len(filled)), np.float32), np.zeros((n, n, n), bool)
@@ -151,7 +161,31 @@ class LampInCube:
                     shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
                     found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
             light[:, some] = found / parts**3
+        self._add_closest(light, filled, solver)
         return light
+
+    def _add_closest(self, light: np.ndarray, filled: np.ndarray, solver: DiscreteOrdinates | CubeCells) -> None:
+        """Add to the cells that the lamp's points lie in what softening by a radius r took; light: (2, C).
+
+        Along each way that is the integral of r^2 / (d^2 + r^2) exp(-sigma d) over distances d.
+        """
+        n = len(solver.density)
+        cell = self.cube.edge / n
+        radius = SOFT * cell / NEAR_PARTS
+        # Distances over r, evenly spaced in the angle that r is seen under.
+        apart = np.tan((np.arange(64) + 0.5) / 64 * 0.5 * np.pi)
+        for emitter in self.emitters:
+            if not isinstance(emitter, SphereEmitter) or emitter.radius > radius:
+                continue
+            place = np.floor((self.cube.positions(emitter.position[None])[0] + 0.5) * n).astype(int)
+            if ((place < 0) | (place >= n)).any():
+                continue
+            number = np.ravel_multi_index(tuple(place), (n, n, n))
+            at = np.searchsorted(filled, number)
+            if at < len(filled) and filled[at] == number:
+                depth = float(solver.sigma) * float(solver.density[tuple(place)]) * radius
+                taken = emitter.power * 0.5 * np.pi * radius / cell**3
+                light[:, at] += taken * np.array([np.exp(-depth / self.cube.edge * apart).mean(), 1.0])
 
     def _in_cube(self, source: LampSource) -> LampSource:
         """A source of light in the cube's frame."""

@@ -26,7 +26,7 @@ def sweep_radiance(
     absorbs its extinction times its fluence. Raises Cancelled.
     """
     swept = np.zeros((4, *extinction.shape))
-    slopes, weights = _directions(face)
+    slopes, weights = directions(face)
     lengths, kinds = np.unique(np.sqrt(1.0 + (slopes**2).sum(axis=1)).round(12), return_inverse=True)
     cells = _cells(extinction, emission, cell * lengths)
     for axis in range(3):
@@ -109,7 +109,7 @@ def _follow_compiled(
     )
 
 
-def _directions(face: int) -> tuple[np.ndarray, np.ndarray]:
+def directions(face: int) -> tuple[np.ndarray, np.ndarray]:
     """Slopes (n, 2) and solid angles (n,) of one 24th of the sphere.
 
     Directions that rise along all axes, and most along the first.

@@ -34,9 +34,12 @@ from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
+from inference.transport.forward_peak import forward_peak
 from inference.transport.lamp_beam import LampInCube
+from inference.transport.peak_photons import LampInCells, peak_light
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.scattered_fluence import FluenceLattice
+from inference.transport.wide_light import Lobe, wide_light
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
@@ -283,7 +286,7 @@ def gathering(kernels: Kernels, random: np.random.Generator) -> None:
 def nearby(kernels: Kernels, random: np.random.Generator) -> None:
     """Light of a lamp nearby at points anywhere."""
     n, count, places = int(random.integers(2, 12)), int(random.integers(1, 40)), int(random.integers(1, 9))
-    lattice = FluenceLattice(spoiled(random, (n, n, n, 16)))
+    lattice = FluenceLattice(spoiled(random, (n, n, n, 20)))
     anisotropy = float(random.choice([-1.0, 1.0]) * random.uniform(0.05, 0.99))
     lamp = LampNearby(
         1.0, {0.9: (lattice, 2.0)}, anisotropy, lattice, (np.full(3, -0.5), np.full(3, 0.5)), None, kernels
@@ -293,7 +296,18 @@ def nearby(kernels: Kernels, random: np.random.Generator) -> None:
     lamp.radiance(0.9, spoiled(random, (count, 3)), spoiled(random, (count, 3)), light)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby)
+def scattering(kernels: Kernels, random: np.random.Generator) -> None:
+    """Light that scatters in cells around a lamp."""
+    shape = tuple(random.integers(1, 12, 3).tolist())
+    peak = forward_peak(float(random.uniform(-0.99, 0.99)))
+    closed = (random.random((3, *shape)) < 0.2).astype(np.uint8) if random.random() < 0.5 else None
+    lamp = LampInCells(spoiled(random, shape), spoiled(random, shape), random.normal(size=3) * 10.0, closed, 0.9)
+    peak_light(lamp, peak, kernels, photons=300)
+    lobes = [Lobe(spoiled(random, shape), spoiled(random, (3, *shape)), float(random.random())) for _ in range(2)]
+    wide_light(spoiled(random, shape), 0.9, lobes, peak, kernels)
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

@@ -1,0 +1,108 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* Photons that scatter within the forward peak: inference/transport/peak_photons.py explains them and is their twin. */
+
+#include <math.h>
+
+#include "fields.h"
+#include "variants.h"
+
+#define SUMS 5
+
+static uint64_t mixed(uint64_t x) {
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
+    return x ^ (x >> 31);
+}
+
+/* A number in [0, 1). */
+static double draw(uint64_t *state) {
+    *state += 0x9E3779B97F4A7C15u;
+    return (double)(mixed(*state) >> 11) * 0x1p-53;
+}
+
+/* x^(3/2) */
+static double power_of_three_halves(double x) { return x * sqrt(x); }
+
+/* Turn a photon; returns whether by a small angle. */
+static int scatter(const PeakPhotons *data, uint64_t *state, double *along) {
+    double g = data->anisotropy, reduced = data->reduced;
+    double u = draw(state), angle = 6.283185307179586 * draw(state);
+    double root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u), cosine = (1.0 + g * g - root * root) / (2.0 * g);
+    double whole = (1.0 - g * g) / power_of_three_halves(1.0 + g * g - 2.0 * g * cosine);
+    double wide = data->wide * (1.0 - reduced * reduced) / power_of_three_halves(1.0 + reduced * reduced - 2.0 * reduced * cosine);
+    if (draw(state) * whole < wide) return 0;
+    double rest = 1.0 - cosine * cosine, sine = rest > 0.0 ? sqrt(rest) : 0.0;
+    double x = along[0], y = along[1], z = along[2], sign = z >= 0.0 ? 1.0 : -1.0;
+    double a = -1.0 / (sign + z), b = x * y * a, p = sine * cos(angle), q = sine * sin(angle);
+    along[0] = p * (1.0 + sign * x * x * a) + q * b + cosine * x;
+    along[1] = p * (sign * b) + q * (sign + y * y * a) + cosine * y;
+    along[2] = p * (-sign * x) - q * y + cosine * z;
+    return 1;
+}
+
+/* Turn a direction that points out of the cone to its edge: spot_cone.SpotCone.turned. */
+static void into_cone(const PeakPhotons *data, double *along) {
+    double level = 0.0, square = 0.0, aside[3];
+    for (int k = 0; k < 3; k++) level += along[k] * data->axis[k];
+    if (!(level < data->cosine)) return;
+    for (int k = 0; k < 3; k++) aside[k] = along[k] - level * data->axis[k], square += aside[k] * aside[k];
+    double tilt = sqrt(square) > 1e-30 ? sqrt(square) : 1e-30, sine = sqrt(1.0 - data->cosine * data->cosine);
+    for (int k = 0; k < 3; k++) along[k] = data->cosine * data->axis[k] + sine * aside[k] / tilt;
+}
+
+/* Fly to the next collision; returns whether there is one. */
+static int fly(const PeakPhotons *data, double left, const double *along, double *place, int64_t *cell, double weight) {
+    const int64_t *shape = data->shape, strides[3] = {shape[1] * shape[2], shape[2], 1};
+    int64_t cells = shape[0] * strides[0], up[3], at = 0, axis = -1;
+    double inverse[3], turned[3], x[3], way, rate;
+    for (int k = 0; k < 3; k++) {
+        up[k] = along[k] > 0.0, turned[k] = along[k], x[k] = place[k], at += cell[k] * strides[k];
+        inverse[k] = fabs(along[k]) > 1e-12 ? 1.0 / along[k] : 0.0;
+    }
+    for (;;) {
+        way = INFINITY, axis = -1, rate = data->depth[at];
+        for (int k = 0; k < 3; k++) {
+            double to = ((double)(cell[k] + up[k]) - x[k]) * inverse[k];
+            if (inverse[k] != 0.0 && to < way) way = to, axis = k;
+        }
+        if (axis < 0) return 0;
+        way = way > 0.0 ? way : 0.0;
+        int collides = rate * way >= left;
+        if (collides) way = left / rate;
+        double added = weight * way;
+        float *sums = data->sums + SUMS * at;
+        sums[0] += (float)added;
+        for (int k = 0; k < 3; k++) sums[1 + k] += (float)(added * turned[k]), x[k] += turned[k] * way;
+        sums[4] += (float)(added * added);
+        if (collides) break;
+        left -= rate * way;
+        int64_t lower = up[axis] ? at : at - strides[axis];
+        if (data->closed && (up[axis] || cell[axis] > 0) && data->closed[axis * cells + lower]) return 0;
+        cell[axis] += up[axis] ? 1 : -1, at += up[axis] ? strides[axis] : -strides[axis];
+        if (cell[axis] < 0 || cell[axis] >= shape[axis]) return 0;
+    }
+    for (int k = 0; k < 3; k++) place[k] = x[k];
+    return 1;
+}
+
+int64_t NAMED(follow_peak, VARIANT)(const PeakPhotons *data) {
+    const int64_t *shape = data->shape;
+    for (int64_t n = 0; n < data->photons; n++) {
+        uint64_t state = mixed(((uint64_t)data->numbers[n] + 1) * 0x9E3779B97F4A7C15u);
+        int64_t start = data->starts[n], cell[3] = {start / (shape[1] * shape[2]), start / shape[2] % shape[1], start % shape[2]};
+        double place[3], along[3], square = 0.0, weight = 1.0;
+        for (int k = 0; k < 3; k++) {
+            place[k] = (double)cell[k] + draw(&state), along[k] = place[k] - data->lamp[k];
+            square += along[k] * along[k];
+        }
+        double length = sqrt(square) > 1e-30 ? sqrt(square) : 1e-30;
+        for (int k = 0; k < 3; k++) along[k] /= length;
+        into_cone(data, along);
+        for (int64_t c = 0; c < data->collisions && scatter(data, &state, along); c++) {
+            double left = -log(1.0 - draw(&state));
+            if (!fly(data, left, along, place, cell, weight)) break;
+            weight *= data->albedo;
+        }
+    }
+    return data->photons;
+}

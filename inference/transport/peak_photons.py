@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light of a lamp that has scattered within the phase function's forward peak alone, by photons.
+
+It spreads by small angles from where a lamp's unscattered light collides, out of a spot's cone for example, which no
+few directions of a transport can tell. Photons start where that light scatters first, and fly from collision to
+collision until one scatters by a wide angle or leaves the cells; the lengths of their flights through cells are the
+fluence. Where few photons come, the fluence and the flux are smoothed: as little as makes them certain enough.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kernels.field_structures import PeakPhotons
+from ..kernels.library import Kernels
+from ..runtime.cancellation import NEVER, CancelToken
+from ..scene.spot_cone import SpotCone
+from .forward_peak import ForwardPeak
+
+#: Photons of a lamp, and between two polls of cancellation.
+PHOTONS, PHOTONS_PER_CALL = 100_000, 20_000
+# Collisions of a photon, at most.
+MOST_COLLISIONS = 500
+# Of a sequence of low discrepancy (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), by axis.
+SPREAD = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
+# Sums of a cell: fluence, flux, and the squares of what photons add to the fluence.
+SUMS = 5
+# Relative variance of a cell's fluence from which on it is smoothed.
+CERTAIN = 0.01
+# By how much smoothing once lessens the variance of light that is seen along a line of cells.
+LESS = 4.0
+# Of the generator of random numbers (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", 2014).
+_GOLDEN, _FIRST, _SECOND = (np.uint64(n) for n in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+
+
+@dataclass(frozen=True)
+class LampInCells:
+    """A lamp among cells, with edges of length 1.
+
+    depth: float32 (x, y, z), optical thickness of each cell's edge. light: float32 (x, y, z), means of its unscattered
+    light. place: (3,), of the lamp. closed: uint8 (3, x, y, z), whether a surface parts a cell from the next along each
+    axis, or None. albedo: of the medium. cone: of a spot, in which the light travels, or None. corner: (3,), number of
+    the first cell in a larger grid, by which photons are the same wherever it is cut.
+    """
+
+    depth: np.ndarray
+    light: np.ndarray
+    place: np.ndarray
+    closed: np.ndarray | None
+    albedo: float
+    cone: SpotCone | None = None
+    corner: tuple[int, ...] = (0, 0, 0)
+
+
+def peak_light(
+    lamp: LampInCells,
+    peak: ForwardPeak,
+    kernels: Kernels | None = None,
+    cancel: CancelToken = NEVER,
+    photons: int = PHOTONS,
+) -> np.ndarray:
+    """Fluence and flux, float32 (4, x, y, z), of a lamp's light that has scattered within the peak alone.
+
+    photons: about as many. Those of a cell are the same whenever it is called, so that a small change of the light
+    changes little. Raises Cancelled.
+    """
+    sums = np.zeros((*lamp.depth.shape, SUMS), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scattered = np.nan_to_num(lamp.depth * lamp.light * np.float32(lamp.albedo), posinf=0.0).astype(np.float64)
+    power = float(np.maximum(scattered, 0.0, out=scattered).sum()) / photons
+    if peak.empty or not 0.0 < power < np.inf:
+        return np.zeros((4, *lamp.depth.shape), np.float32)
+    starts, numbers = _first_collisions(scattered / power, lamp.corner)
+    for first in range(0, len(starts), PHOTONS_PER_CALL):
+        cancel.check()
+        some = slice(first, first + PHOTONS_PER_CALL)
+        if kernels is None:
+            _follow(lamp, peak, starts[some], numbers[some], sums)
+        else:
+            _follow_compiled(kernels, lamp, peak, starts[some], numbers[some], sums)
+    light = _smoothed(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), lamp.closed is None)
+    light *= np.float32(power)
+    return light
+
+
+def _first_collisions(counts: np.ndarray, corner: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Cells int64 (N,) of photons that scatter first, by flat number, and numbers (N,) of the photons.
+
+    counts: (x, y, z), of photons that each cell is to have. corner: as of LampInCells. What is not whole is rounded up
+    in a share of the cells that is evenly spread over them.
+    """
+    x, y, z = (first + along for first, along in zip(corner, np.ogrid[tuple(map(slice, counts.shape))]))
+    whole = np.floor(counts + (x * SPREAD[0] + y * SPREAD[1] + z * SPREAD[2]) % 1.0).astype(np.int64).reshape(-1)
+    starts = np.repeat(np.arange(counts.size), whole)
+    index = np.arange(len(starts)) - np.repeat(np.cumsum(whole) - whole, whole)
+    # Twelve bits for each of a cell's coordinates, and 24 for the photon.
+    return starts, ((((x << 12) + y << 12) + z << 24).reshape(-1))[starts] + index
+
+
+def _follow_compiled(
+    kernels: Kernels, lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray
+) -> None:
+    """As `_follow`."""
+    data = PeakPhotons(
+        shape=np.array(lamp.depth.shape),
+        depth=np.ascontiguousarray(lamp.depth, np.float32),
+        closed=None if lamp.closed is None else np.ascontiguousarray(lamp.closed, np.uint8),
+        lamp=np.float64(lamp.place),
+        axis=np.zeros(3) if lamp.cone is None else np.float64(lamp.cone.axis),
+        cosine=-1.0 if lamp.cone is None else lamp.cone.cosine,
+        photons=len(starts),
+        starts=starts,
+        numbers=numbers,
+        collisions=MOST_COLLISIONS,
+        anisotropy=peak.anisotropy,
+        reduced=peak.reduced,
+        wide=peak.wide,
+        albedo=lamp.albedo,
+        sums=sums,
+    )
+    kernels.prepare("follow_peak", data)
+
+
+class _Random:
+    """Numbers in [0, 1) of photons, each with a sequence of its own."""
+
+    def __init__(self, numbers: np.ndarray):
+        self._states = _mixed((numbers + 1).astype(np.uint64) * _GOLDEN)
+
+    def draw(self, which: np.ndarray) -> np.ndarray:
+        """The next numbers of some photons."""
+        self._states[which] += _GOLDEN
+        return (_mixed(self._states[which]) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def _mixed(x: np.ndarray) -> np.ndarray:
+    x = (x ^ (x >> np.uint64(30))) * _FIRST
+    x = (x ^ (x >> np.uint64(27))) * _SECOND
+    return x ^ (x >> np.uint64(31))
+
+
+def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray) -> None:
+    """Add the flights of photons to sums (x, y, z, SUMS).
+
+    starts: int64 (N,), cells where they scatter first, by flat number. numbers: int64 (N,), of the photons.
+    """
+    shape, all_photons = lamp.depth.shape, np.arange(len(starts))
+    random = _Random(numbers)
+    cell = np.stack(np.unravel_index(starts, shape), axis=1)
+    place = cell + np.stack([random.draw(all_photons) for _ in range(3)], axis=1)
+    along = place - lamp.place
+    along /= np.maximum(np.sqrt((along**2).sum(axis=1)), 1e-30)[:, None]
+    if lamp.cone is not None:
+        # Of the cells that the lamp stands in the middle of, all parts count as lit.
+        along = lamp.cone.turned(along)
+    weight, left = np.ones(len(starts)), np.zeros(len(starts))
+    flat, depth = sums.reshape(-1, SUMS), lamp.depth.astype(np.float64)
+    alive, scatters = all_photons, all_photons
+    for _ in range(MOST_COLLISIONS * sum(shape)):
+        stay = _scatter(along, left, random, peak, scatters)
+        alive = np.setdiff1d(alive, scatters[~stay], assume_unique=True)
+        if not len(alive):
+            return
+        d, x, at = along[alive], place[alive], cell[alive]
+        rises, moves = d > 0.0, np.abs(d) > 1e-12
+        ways = np.where(moves, (at + rises - x) * (1.0 / np.where(moves, d, 1.0)), np.inf)
+        axis = ways.argmin(axis=1)
+        way = np.maximum(ways[np.arange(len(alive)), axis], 0.0)
+        rate = depth[tuple(at.T)]
+        collides = rate * way >= left[alive]
+        way[collides] = left[alive][collides] / rate[collides]
+        added = weight[alive] * way
+        values = np.concatenate([added[:, None], added[:, None] * d, (added**2)[:, None]], axis=1)
+        np.add.at(flat, np.ravel_multi_index(tuple(at.T), shape), values.astype(np.float32))
+        place[alive] += d * way[:, None]
+        scatters = alive[collides]
+        weight[scatters] *= lamp.albedo
+        on, turn = alive[~collides], axis[~collides]
+        left[on] -= (rate * way)[~collides]
+        up = along[on, turn] > 0.0
+        open_ = np.ones(len(on), bool)
+        if lamp.closed is not None:
+            # Of the cell on the lower side of the face; faces of the cube are left, whatever is said of them.
+            lower = cell[on].copy()
+            lower[np.arange(len(on)), turn] -= ~up
+            within = (lower >= 0).all(axis=1)
+            open_[within] = lamp.closed[(turn[within], *lower[within].T)] == 0
+        cell[on, turn] += np.where(up, 1, -1)
+        inside = open_ & ((cell[on] >= 0) & (cell[on] < shape)).all(axis=1)
+        alive = np.sort(np.concatenate([on[inside], scatters]))
+
+
+def _scatter(along: np.ndarray, left: np.ndarray, random: _Random, peak: ForwardPeak, which: np.ndarray) -> np.ndarray:
+    """Scatter some photons: turn them and draw the optical depths to their next collisions; whether by small angles."""
+    g, reduced = peak.anisotropy, peak.reduced
+    u, angle = random.draw(which), 2.0 * np.pi * random.draw(which)
+    root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u)
+    cosine = (1.0 + g * g - root * root) / (2.0 * g)
+    whole = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5
+    wide = peak.wide * (1.0 - reduced**2) / (1.0 + reduced**2 - 2.0 * reduced * cosine) ** 1.5
+    stay = random.draw(which) * whole >= wide
+    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
+    x, y, z = along[which].T
+    # A frame without a case to tell apart (Duff et al., "Building an Orthonormal Basis, Revisited", 2017).
+    sign = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    second = np.stack([b, sign + y * y * a, -y], axis=1)
+    turned = (sine * np.cos(angle))[:, None] * first + (sine * np.sin(angle))[:, None] * second
+    along[which] = turned + cosine[:, None] * along[which]
+    left[which] = -np.log(1.0 - random.draw(which))
+    return stay
+
+
+def _smoothed(sums: np.ndarray, open_: bool) -> np.ndarray:
+    """Fluence and flux (4, x, y, z) of sums (SUMS, x, y, z), smoothed where they are uncertain.
+
+    open_: whether there are no surfaces, through which light must not be smoothed.
+    """
+    light = sums[: SUMS - 1]
+    if not open_:
+        return light.copy()
+    mean, square = _blurred(sums[:1], 1)[0], _blurred(sums[SUMS - 1 :], 1)[0]
+    variance = square / np.maximum(mean**2, np.float32(1e-30))
+    found, uncertain = np.zeros_like(light), light
+    # What is uncertain in a cell is given to the cells around it, so that no light is lost or made.
+    for number, less in enumerate((1.0, LESS)):
+        share = np.clip(np.float32(CERTAIN * less) / np.maximum(variance, np.float32(1e-30)), 0.0, 1.0)
+        found += share * uncertain
+        uncertain = _blurred((1.0 - share) * uncertain, 2**number)
+    return found + uncertain
+
+
+def _blurred(values: np.ndarray, step: int) -> np.ndarray:
+    """Values (K, x, y, z) averaged with those of cells some steps away, with weights of 1, 2 and 1 along each axis."""
+    for axis in (1, 2, 3):
+        moved = np.moveaxis(np.pad(values, [(step * (a == axis),) * 2 for a in range(4)], mode="edge"), axis, 0)
+        count = len(moved) - 2 * step
+        sums = moved[:count] + moved[2 * step :]
+        sums += 2.0 * moved[step : step + count]
+        sums *= np.float32(0.25)
+        values = np.moveaxis(sums, 0, axis)
+    return values
