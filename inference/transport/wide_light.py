@@ -57,7 +57,7 @@ def scattered_wide(lobes: Sequence[Lobe], peak: ForwardPeak, along: np.ndarray, 
     for lobe in lobes:
         row = _row(lobe, peak)
         phases = np.stack([peak.table[row, _column(lobe, one, peak)] for one in along])
-        sums = np.tensordot((4.0 * np.pi * shares).astype(np.float32), phases, 1)
+        sums = sum(np.float32(4.0 * np.pi * share) * phase for share, phase in zip(shares, phases))
         found += phases * (lobe.amount * np.float32(peak.share / (1.0 - peak.anisotropy**2)) / sums)
     return found
 
@@ -76,12 +76,12 @@ def wide_light(
     """
     slopes, weights = directions(FACE)
     lengths = np.sqrt(1.0 + (slopes**2).sum(axis=1))
-    kinds, number = np.unique(lengths.round(12), return_inverse=True)
-    thickness = np.maximum(depth * kinds.astype(np.float32)[:, None, None, None], MIN_DEPTH)
+    different, kinds = np.unique(lengths.round(12), return_inverse=True)
+    thickness = np.maximum(depth * different.astype(np.float32)[:, None, None, None], MIN_DEPTH)
     lost = one_minus_exp(thickness)
     # Transmittance along each direction, and the mean of exp(-tau) within a cell.
-    passed = np.stack([np.float32(1.0) - lost[n] for n in number], axis=-1)
-    mean = np.stack([lost[n] / thickness[n] for n in number], axis=-1)
+    passed = np.stack([np.float32(1.0) - lost[kind] for kind in kinds], axis=-1)
+    mean = np.stack([lost[kind] / thickness[kind] for kind in kinds], axis=-1)
     packed = np.empty((*depth.shape, len(lobes), 5), np.float32)
     for number, lobe in enumerate(lobes):
         packed[..., number, 0] = lobe.amount * np.float32(albedo)
