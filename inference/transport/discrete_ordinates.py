@@ -47,6 +47,9 @@ WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
 # The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
 EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-3
+# Mean optical thickness of cells where light collides, from which on what scatters again is not smooth enough for cells
+# twice as large.
+THICK_CELL = 0.25
 # Tolerance and maximal iterations of the diffusion solver, which works on cells twice as large.
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
@@ -248,7 +251,8 @@ class DiscreteOrdinates:
         albedo varies. Raises Cancelled.
         """
         n = len(self.density)
-        if self.coarser is None:
+        thickness = (self.extinction**2).sum() / max(float(self.extinction.sum()), 1e-30) / n
+        if self.coarser is None or thickness > THICK_CELL:
             again = self._scattered_again(first, beams, cancel)
         else:
             # Smooth enough for cells twice as large.

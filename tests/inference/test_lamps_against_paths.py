@@ -15,7 +15,7 @@ from tests.support.volumes import box
 def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo, anisotropy):
     lamp, medium = np.array([0.28, -0.2, 0.1]), Medium(sigma, albedo, anisotropy)
     (_, expected), (_, noise) = traced_towards_z(lamp, medium, 40000)
-    assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.07, abs=3.0 * noise)
+    assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.1, abs=3.0 * noise)
 
 
 @pytest.mark.parametrize("radius", [0.05, 0.15])
