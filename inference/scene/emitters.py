@@ -75,7 +75,7 @@ class SphereEmitter:
 
     @property
     def power(self) -> float:
-        """That it gives, of a lamp of power 1: within the cone alone, if there is one."""
+        """What it gives of a lamp of power 1: within the cone alone, if there is one."""
         if self.cone is None:
             return self.share
         cosine = np.linspace(-1.0, 1.0, 2001)

@@ -40,13 +40,12 @@ def test_all_power_is_absorbed(anisotropy, albedo):
     assert absorbed == pytest.approx(alone, rel=0.02) and alone == pytest.approx(1.0, rel=0.06)
 
 
-def test_nothing_passes_a_wall():
-    """A wall through the cube, and the lamp on one side of it."""
+def test_a_wall_takes_light_from_behind_it():
+    """Light that scatters on the lamp's side; no shadow map tells the lamp's own beam of the wall."""
     wall = np.array([[-0.2, -2.0, -2.0], [-0.2, 2.0, -2.0], [-0.2, 2.0, 2.0], [-0.2, -2.0, 2.0]])
     triangles = wall[[[0, 1, 2], [0, 2, 3]]]
     density = np.ones((CELLS,) * 3, np.float32)
     open_, walled = (light_of(8.0, 0.857, 0.9, density, faces)[1][[0, 16]] for faces in (None, triangles))
-    # The lamp's own light is that of a beam, of which a shadow map would tell the wall.
     near, behind = walled[:, 22:].sum(), walled[:, :17].sum()
     assert 0.7 * open_[:, 22:].sum() < near < 1.05 * open_[:, 22:].sum()
     assert behind < 0.8 * open_[:, :17].sum()

@@ -47,14 +47,13 @@ def test_power_is_conserved(anisotropy):
 
 
 def test_a_beam_spreads_by_small_angles():
-    """Mean cosine of light that leaves thin smoke: a share of one collision, whose peak has the rest's mean cosine."""
+    """Its mean cosine in a row of cells that it is cast along: no less than that of one collision within the peak."""
     depth, light, peak = np.full((3, 3, 60), 1e-3), np.zeros((3, 3, 60)), forward_peak(0.857)
     light[1, 1, 0] = 1.0
     fluence, _, _, along = peak_light(lamp_of(depth, light, (1.5, 1.5, -1e6)), peak, KERNELS)
     nodes, weights = np.polynomial.legendre.leggauss(400)
     g, wide = 0.857, np.interp(nodes, np.linspace(-1.0, 1.0, 513), peak.table[-1]) * (1.0 - 0.857**2)
     narrow = weights * ((1.0 - g * g) / (4.0 * np.pi * (1.0 + g * g - 2.0 * g * nodes) ** 1.5) - wide)
-    # In the first cell, from an even distribution of places, which no smoothing has mixed with others'.
     assert along.sum() / fluence.sum() > (narrow * nodes).sum() / narrow.sum()
     assert 2.0 * np.pi * narrow.sum() == pytest.approx(1.0 - peak.share, rel=1e-3)
 
