@@ -106,7 +106,8 @@ def add_environment_light(
             both = estimate.radiance.reshape(2, count, -1).sum(axis=0)
             # Of varying albedos the mean over the volumes tells what share of the light is left.
             relative = environment_deviation(source.last_albedo.mean(axis=0))
-            tile.framebuffer.deviation += (relative @ both / 3.0).astype(np.float32)
+            deviation = np.einsum("c,cp->p", relative, both) / 3.0
+            tile.framebuffer.deviation += deviation.astype(np.float32)
             tile.framebuffer.single[:, source.indices] += estimate.radiance[:count].T
             if context.settings.multiple:
                 tile.framebuffer.multiple[:, source.indices] += estimate.radiance[count:].T

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from .spot_cone import SpotCone
 
 # Distance over the longest edge of a flat emitter from which its solid angle is a quadrature of two nodes along each
@@ -189,7 +190,7 @@ class QuadEmitter:
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
         away = points - self.position
-        square, rise, angle = (away**2).sum(axis=1), away @ self.normal, np.zeros(len(points))
+        square, rise, angle = (away**2).sum(axis=1), product(away, self.normal), np.zeros(len(points))
         for node, area in zip(*self.nodes):
             angle += area / np.maximum(((points - node) ** 2).sum(axis=1), 1e-60) ** 1.5
         angle *= np.maximum(rise, 0.0)
@@ -221,7 +222,7 @@ class QuadEmitter:
             for v in ends:
                 away = points - ((1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c))
                 length = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
-                total += _spread_factor(away @ self.normal / length, self.spread)
+                total += _spread_factor(product(away, self.normal) / length, self.spread)
         return total / 9.0
 
 

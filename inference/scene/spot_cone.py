@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.quadrature import legendre_nodes
+from ..numerics.small_matmul import product
 
 # Nodes of a cap of directions, in rings: their heights below its top over its height, and cosines of the turns on each;
 # and how far apart nodes count as lying, over the extent of the cap. The kernel holds these, too.
@@ -38,7 +39,7 @@ class SpotCone:
         directions: (N, 3), unit vectors from the middles of disks that face a point to that point. tangents: (N,),
         radii of the disks over their distances.
         """
-        level = np.clip(directions @ self.axis, -1.0, 1.0)
+        level = np.clip(product(directions, self.axis), -1.0, 1.0)
         tilt = np.sqrt(1.0 - level * level)
         cap = 1.0 / np.hypot(1.0, tangents)
         sine = tangents * cap
@@ -64,7 +65,7 @@ class SpotCone:
 
     def turned(self, directions: np.ndarray) -> np.ndarray:
         """The unit vectors (N, 3) within the cone that are nearest to others."""
-        level = (directions @ self.axis)[:, None]
+        level = product(directions, self.axis)[:, None]
         aside = directions - level * self.axis
         tilt = np.maximum(np.linalg.norm(aside, axis=1)[:, None], 1e-30)
         edge = self.cosine * self.axis + np.sqrt(1.0 - self.cosine**2) * (aside / tilt)
@@ -79,7 +80,7 @@ class SpotCone:
         """
         square = self.cosine**2
         away = origins - (centre - self.axis * (radius / max(np.sqrt(1.0 - square), SHARP)))
-        level, rise, along = away @ self.axis, directions @ self.axis, (away * directions).sum(axis=1)
+        level, rise, along = product(away, self.axis), product(directions, self.axis), (away * directions).sum(axis=1)
         # The ends solve: the square of the height above the apex is that of the cosine times the distance.
         a = rise * rise - square
         a = np.where(np.abs(a) < 1e-12, 1e-12, a)

@@ -129,12 +129,21 @@ LIGHTS = {
 @pytest.mark.parametrize("ground", [False, True])
 @pytest.mark.parametrize("lights", LIGHTS.values(), ids=LIGHTS)
 def test_renders_do_not_wake_the_threads_of_blas(lights, ground):
+    check_threads_of_blas(lights, ground, (64, 64))
+
+
+@pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
+def test_large_renders_do_not_wake_the_threads_of_blas(lights):
+    check_threads_of_blas(LIGHTS[lights], False, (480, 480))
+
+
+def check_threads_of_blas(lights, ground, resolution):
     """They would spin beside the render's own. The kernels' time is the process's, with one thread for tasks."""
     settings = Settings(threads=1)
     matrix = np.eye(4)
     matrix[2, 3] = 3.0
     surfaces = [Surface(FLOOR, "floor", reflectance=(0.6, 0.5, 0.4))] if ground else []
-    scene = [(cloud(), Medium(40.0, 0.9, 0.8))], lights, Camera(matrix, resolution=(64, 64)), settings
+    scene = [(cloud(), Medium(40.0, 0.9, 0.8))], lights, Camera(matrix, resolution=resolution), settings
     # The second time without what is loaded once.
     for _ in range(2):
         time.sleep(0.3)
