@@ -3,7 +3,7 @@
 
 import functools
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,8 @@ import numpy as np
 from .grids.bound_medium import scattering_channels
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
-from .image.environment_pass import add_environment_light, prepare_environment
+from .image.environment_correction import correct_environments
+from .image.environment_pass import EnvironmentSource, add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
@@ -183,13 +184,21 @@ def _tiles(
         marched = list(tasks.map(march, windows))
         view = [samples for _, samples in marched if samples is not None]
         sources = prepare_prediction(context, scene, channel_pass, view)
-        environments = prepare_environment(context, scene, channel_pass, view)
+        environments = _environments(context, scene, channel_pass, view)
         context.progress.message("multiple scattering")
         return tasks.map(lambda one: predict(*one), marched)
     sources = prepare_prediction(context, scene, channel_pass, ())
-    environments = prepare_environment(context, scene, channel_pass, ())
+    environments = _environments(context, scene, channel_pass, ())
     context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
+
+
+def _environments(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
+) -> list[EnvironmentSource]:
+    """What predicts the light of environments, corrected by light paths."""
+    sources = prepare_environment(context, scene, channel_pass, view)
+    return correct_environments(context, scene, channel_pass, sources)
 
 
 def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:

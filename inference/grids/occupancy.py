@@ -20,6 +20,7 @@ class Occupancy:
 
     def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
         self.cell, self.first, self._held = cell, first, filled
+        self._peaks = peaks
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
@@ -35,6 +36,16 @@ class Occupancy:
             grown, distance = _grown(grown, by), distance + by
             found[~grown] = distance
         return found
+
+    @functools.cached_property
+    def bounds(self) -> np.ndarray:
+        """float32 (cx, cy, cz), upper bounds of the interpolated density in the cells themselves."""
+        bounds = self._peaks
+        for axis in range(3):
+            # Interpolation reaches to the first voxel of the next cell.
+            bounds = np.moveaxis(bounds, axis, 0)
+            bounds = np.moveaxis(np.maximum(bounds, np.concatenate([bounds[1:], np.zeros_like(bounds[:1])])), 0, axis)
+        return np.ascontiguousarray(bounds, np.float32)
 
     def support(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of

@@ -142,7 +142,7 @@ def estimate_march(
     if left >= right or top >= bottom:
         return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far, _ = _ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
+    near, far, _ = ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
@@ -227,7 +227,7 @@ def _means_around_lamps(
 
     def intervals(origins: np.ndarray, directions: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         clip = [end / cosine for end in camera.clip]
-        return _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)[:2]
+        return ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)[:2]
 
     pixels = np.where(rays.share < 1.0, -1, columns), rows
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
@@ -276,7 +276,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
     origins, directions, *clip = pixel_rays(tile.camera, columns, rows)
     offsets = lookup_offsets(columns, rows, context.settings.seed)
-    near, far, warnings = _ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
+    near, far, warnings = ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
     report.warn(warnings)
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
@@ -298,7 +298,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     return replace(rays, batch=channel_pass.detailed(rays.batch))
 
 
-def _ray_intervals(
+def ray_intervals(
     plan: Plan,
     media: Sequence[BoundMedium],
     origins: np.ndarray,

@@ -31,7 +31,7 @@ class EnvironmentSource:
     members: numbers of the group's volumes. indices: colour channels that are rendered together. albedos: of these
     channels. last_albedo: float32 (V, C), as of `plan.last_albedo`, in each of the group's volumes. places: as for
     `DepthSamples.scattered`. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest
-    edge of the group's voxels.
+    edge of the group's voxels. correction: (C,), factor of the predicted light.
     """
 
     members: list[int]
@@ -42,6 +42,7 @@ class EnvironmentSource:
     varies: bool
     voxel: float
     predictor: EnvironmentPredictor
+    correction: np.ndarray
 
 
 def prepare_environment(
@@ -82,6 +83,7 @@ def prepare_environment(
             varies=group.volume.scattering is not None,
             voxel=min(scene.grids[v].voxel for v in members),
             predictor=predictor,
+            correction=np.ones(len(indices)),
         )
         sources.append(source)
     return sources
@@ -97,7 +99,7 @@ def add_environment_light(
             if not len(inside):
                 continue
             tile.report.count("network points wanted", len(inside))
-            estimate = _EnvironmentEstimate(context, samples, tile, source)
+            estimate = EnvironmentEstimate(context, samples, tile, source)
             if "shared_pixels" not in context.settings.leave_out:
                 estimate.evaluate(inside)
             else:
@@ -114,7 +116,7 @@ def add_environment_light(
             tile.framebuffer.uncertainty += estimate.error
 
 
-class _EnvironmentEstimate:
+class EnvironmentEstimate:
     """The network's estimate of the light of environments that one group scatters; an `Estimate`.
 
     radiance: float64 (2 C, P), single scattering of the C channels rendered together, then multiple scattering.
@@ -142,7 +144,7 @@ class _EnvironmentEstimate:
             radiance = source.predictor.predict(
                 samples.positions(done), directions, self.along[done], source.albedos.values, samples.jitter(done)
             )
-            weight = samples.scattered(done, source.members, source.last_albedo, source.places)
+            weight = samples.scattered(done, source.members, source.last_albedo, source.places) * source.correction
             pixel = self.pixel[done]
             for c, row in source.albedos.by_channel(radiance[1:], samples.positions(done), directions):
                 number, colour = indices.index(c), c if source.predictor.channels > 1 else 0

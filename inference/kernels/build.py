@@ -31,7 +31,18 @@ FLAGS = (
 # Kinds of x86-64 processors, in the order of dispatch.c.
 X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"}
 # Files that are compiled once for each kind of processor.
-VARYING = ("columns.c", "gather.c", "lamps.c", "march.c", "moments.c", "nearby.c", "photons.c", "pyramid.c", "sweeps.c")
+VARYING = (
+    "columns.c",
+    "gather.c",
+    "lamps.c",
+    "march.c",
+    "moments.c",
+    "nearby.c",
+    "paths.c",
+    "photons.c",
+    "pyramid.c",
+    "sweeps.c",
+)
 
 
 class BuildError(Exception):

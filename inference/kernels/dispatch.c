@@ -22,6 +22,7 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t sweep_radiance_##variant(const RadianceSweep *data);                           \
     int64_t sweep_moments_##variant(const MomentSweep *data);                              \
     int64_t follow_peak_##variant(const PeakPhotons *data);                                \
+    int64_t trace_paths_##variant(const LightPaths *data);                                 \
     int64_t conjugate_gradients_##variant(Diffusion *data);                                \
     int64_t mean_cells_##variant(const CellMeans *data);                                   \
     int64_t halve_##variant(const Halving *data);                                          \
@@ -122,6 +123,7 @@ PREPARE(sweep_ordinates, const OrdinateSweep)
 PREPARE(sweep_radiance, const RadianceSweep)
 PREPARE(sweep_moments, const MomentSweep)
 PREPARE(follow_peak, const PeakPhotons)
+PREPARE(trace_paths, const LightPaths)
 PREPARE(conjugate_gradients, Diffusion)
 PREPARE(mean_cells, const CellMeans)
 PREPARE(halve, const Halving)

@@ -151,6 +151,31 @@ class PeakPhotons(Shared):
     ]
 
 
+class LightPaths(Shared):
+    _fields_ = [
+        ("volumes", c_int64),
+        ("channels", c_int64),
+        ("media", c_void_p),
+        ("majorants", c_void_p),
+        ("anisotropies", c_void_p),
+        ("albedos", c_void_p),
+        ("rays", c_int64),
+        ("origins", c_void_p),
+        ("directions", c_void_p),
+        ("near_distance", c_void_p),
+        ("far_distance", c_void_p),
+        ("numbers", c_void_p),
+        ("paths", c_int64),
+        ("collisions", c_int64),
+        ("steps", c_int64),
+        ("negligible", c_double),
+        ("stop", c_void_p),
+        ("light", c_void_p),
+        ("leaving", c_void_p),
+        ("ends", c_void_p),
+    ]
+
+
 class Diffusion(Shared):
     _fields_ = [
         ("shape", c_int64 * 3),
@@ -344,6 +369,7 @@ FUNCTIONS = {
     "sweep_radiance": RadianceSweep,
     "sweep_moments": MomentSweep,
     "follow_peak": PeakPhotons,
+    "trace_paths": LightPaths,
     "conjugate_gradients": Diffusion,
     "mean_cells": CellMeans,
     "halve": Halving,

@@ -139,6 +139,26 @@ typedef struct {
     float *sums;                 /* (cells, 5), fluence, flux and squares, added to */
 } PeakPhotons;
 
+/* Light paths from camera rays: light_paths.trace_paths. */
+typedef struct {
+    int64_t volumes, channels;
+    const Medium *media;         /* (volumes), scattering of the channels where it varies */
+    const Occupancy *majorants;  /* (volumes), their peaks alone */
+    const double *anisotropies;  /* (volumes) */
+    const double *albedos;       /* (volumes, channels), 1 where they vary */
+    int64_t rays;
+    const double *origins, *directions;  /* (rays, 3) */
+    const double *near_distance, *far_distance;  /* (rays), between which paths collide first */
+    const int64_t *numbers;      /* (rays), which tell their random numbers */
+    int64_t paths;               /* of each ray */
+    int64_t collisions, steps;   /* of a path, at most */
+    double negligible;           /* share of the light at which paths end */
+    const volatile int32_t *stop;
+    float *light;                /* (rays, paths, channels), share of the light that is kept in collisions */
+    float *leaving;              /* (rays, paths, 6), place of the last collision and direction after it */
+    uint8_t *ends;               /* (rays, paths): 0 for no collision, 1 for paths that left, 2 for those given up */
+} LightPaths;
+
 /* Conjugate gradients: diffusion.solve. */
 typedef struct {
     int64_t shape[3];

@@ -4,21 +4,10 @@
 #include <math.h>
 
 #include "fields.h"
+#include "random.h"
 #include "variants.h"
 
 #define SUMS 5
-
-static uint64_t mixed(uint64_t x) {
-    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
-    x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
-    return x ^ (x >> 31);
-}
-
-/* A number in [0, 1). */
-static double draw(uint64_t *state) {
-    *state += 0x9E3779B97F4A7C15u;
-    return (double)(mixed(*state) >> 11) * 0x1p-53;
-}
 
 /* x^(3/2) */
 static double power_of_three_halves(double x) { return x * sqrt(x); }
@@ -31,12 +20,7 @@ static int scatter(const PeakPhotons *data, uint64_t *state, double *along) {
     double whole = (1.0 - g * g) / power_of_three_halves(1.0 + g * g - 2.0 * g * cosine);
     double wide = data->wide * (1.0 - reduced * reduced) / power_of_three_halves(1.0 + reduced * reduced - 2.0 * reduced * cosine);
     if (draw(state) * whole < wide) return 0;
-    double rest = 1.0 - cosine * cosine, sine = rest > 0.0 ? sqrt(rest) : 0.0;
-    double x = along[0], y = along[1], z = along[2], sign = z >= 0.0 ? 1.0 : -1.0;
-    double a = -1.0 / (sign + z), b = x * y * a, p = sine * cos(angle), q = sine * sin(angle);
-    along[0] = p * (1.0 + sign * x * x * a) + q * b + cosine * x;
-    along[1] = p * (sign * b) + q * (sign + y * y * a) + cosine * y;
-    along[2] = p * (-sign * x) - q * y + cosine * z;
+    turn(cosine, angle, along);
     return 1;
 }
 
@@ -88,7 +72,7 @@ static int fly(const PeakPhotons *data, double left, const double *along, double
 int64_t NAMED(follow_peak, VARIANT)(const PeakPhotons *data) {
     const int64_t *shape = data->shape;
     for (int64_t n = 0; n < data->photons; n++) {
-        uint64_t state = mixed(((uint64_t)data->numbers[n] + 1) * 0x9E3779B97F4A7C15u);
+        uint64_t state = seeded((uint64_t)data->numbers[n]);
         int64_t start = data->starts[n], cell[3] = {start / (shape[1] * shape[2]), start / shape[2] % shape[1], start % shape[2]};
         double place[3], along[3], square = 0.0, weight = 1.0;
         for (int k = 0; k < 3; k++) {

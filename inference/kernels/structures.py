@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 18
+INTERFACE = 19
 CHANNELS = 3
 PHASES = 8192
 

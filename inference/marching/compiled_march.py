@@ -169,7 +169,7 @@ class CompiledMarch:
             varying=self._varying,
             scattering=len(options.scattering),
             media=structures.array_of(
-                [_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
+                [describe_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
             ),
             group_starts=starts,
             group_members=members,
@@ -245,7 +245,13 @@ def _phase_table(medium: Medium) -> np.ndarray:
     return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
 
 
-def _medium(medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool) -> structures.Medium:
+def describe_medium(
+    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool
+) -> structures.Medium:
+    """A medium, with the emission and the scattering of some colour channels.
+
+    lamps: whether its phase function is tabulated, for the light of lamps.
+    """
     grid = medium.grid
     scattered = [describe_grid(grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
     emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..kernels.field_structures import PeakPhotons
 from ..kernels.library import Kernels
+from ..numerics.random_walk import PathRandom, turned
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.spot_cone import SpotCone
 from .forward_peak import ForwardPeak
@@ -29,8 +30,6 @@ SUMS = 5
 CERTAIN = 0.01
 # By how much smoothing once lessens the variance of light that is seen along a line of cells.
 LESS = 4.0
-# Of the generator of random numbers (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", 2014).
-_GOLDEN, _FIRST, _SECOND = (np.uint64(n) for n in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 
 
 @dataclass(frozen=True)
@@ -121,31 +120,13 @@ def _follow_compiled(
     kernels.prepare("follow_peak", data)
 
 
-class _Random:
-    """Numbers in [0, 1) of photons, each with a sequence of its own."""
-
-    def __init__(self, numbers: np.ndarray):
-        self._states = _mixed((numbers + 1).astype(np.uint64) * _GOLDEN)
-
-    def draw(self, which: np.ndarray) -> np.ndarray:
-        """The next numbers of some photons."""
-        self._states[which] += _GOLDEN
-        return (_mixed(self._states[which]) >> np.uint64(11)).astype(np.float64) * 2.0**-53
-
-
-def _mixed(x: np.ndarray) -> np.ndarray:
-    x = (x ^ (x >> np.uint64(30))) * _FIRST
-    x = (x ^ (x >> np.uint64(27))) * _SECOND
-    return x ^ (x >> np.uint64(31))
-
-
 def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray) -> None:
     """Add the flights of photons to sums (x, y, z, SUMS).
 
     starts: int64 (N,), cells where they scatter first, by flat number. numbers: int64 (N,), of the photons.
     """
     shape, all_photons = lamp.depth.shape, np.arange(len(starts))
-    random = _Random(numbers)
+    random = PathRandom(numbers)
     cell = np.stack(np.unravel_index(starts, shape), axis=1)
     place = cell + np.stack([random.draw(all_photons) for _ in range(3)], axis=1)
     along = place - lamp.place
@@ -190,7 +171,9 @@ def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: n
         alive = np.sort(np.concatenate([on[inside], scatters]))
 
 
-def _scatter(along: np.ndarray, left: np.ndarray, random: _Random, peak: ForwardPeak, which: np.ndarray) -> np.ndarray:
+def _scatter(
+    along: np.ndarray, left: np.ndarray, random: PathRandom, peak: ForwardPeak, which: np.ndarray
+) -> np.ndarray:
     """Scatter some photons: turn them and draw the optical depths to their next collisions; whether by small angles."""
     g, reduced = peak.anisotropy, peak.reduced
     u, angle = random.draw(which), 2.0 * np.pi * random.draw(which)
@@ -199,16 +182,7 @@ def _scatter(along: np.ndarray, left: np.ndarray, random: _Random, peak: Forward
     whole = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5
     wide = peak.wide * (1.0 - reduced**2) / (1.0 + reduced**2 - 2.0 * reduced * cosine) ** 1.5
     stay = random.draw(which) * whole >= wide
-    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
-    x, y, z = along[which].T
-    # A frame without a case to tell apart (Duff et al., "Building an Orthonormal Basis, Revisited", 2017).
-    sign = np.where(z >= 0.0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    second = np.stack([b, sign + y * y * a, -y], axis=1)
-    turned = (sine * np.cos(angle))[:, None] * first + (sine * np.sin(angle))[:, None] * second
-    along[which] = turned + cosine[:, None] * along[which]
+    along[which] = turned(along[which], cosine, angle)
     left[which] = -np.log(1.0 - random.draw(which))
     return stay
 

@@ -13,7 +13,7 @@ from ..output.layer_frame import rgba
 from ..runtime.background import in_background
 from .plan import Request, next_job, remaining_seconds
 
-ONCE = ("network loading", "fields", "shadows")
+ONCE = ("network loading", "fields", "shadows", "light paths")
 
 
 class ComparisonJob:

@@ -41,7 +41,7 @@ class Step:
 
 def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
-    coarse = replace(settings, depth_samples=1)
+    coarse = replace(settings, depth_samples=1, light_paths=False)
     rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
     every = description.lights
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]

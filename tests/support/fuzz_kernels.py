@@ -7,6 +7,7 @@ python -m tests.support.fuzz_kernels LIBRARY SECONDS [SEED]
 import ctypes
 import sys
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,6 +28,7 @@ from inference.grids.working_cube import Cube, level0_density
 from inference.kernels.field_structures import LatticePart
 from inference.kernels.library import Kernels
 from inference.marching.compiled_march import CompiledMarch
+from inference.marching.light_paths import PathTracer, ScatteringMedia
 from inference.marching.ray_steps import RayBatch
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.occluders.lamp_shadow_map import LampShadowMap
@@ -307,7 +309,22 @@ def scattering(kernels: Kernels, random: np.random.Generator) -> None:
     wide_light(spoiled(random, shape), 0.9, lobes, peak, kernels)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering)
+def paths(kernels: Kernels, random: np.random.Generator) -> None:
+    """Light paths through a scene of any kind, from anywhere."""
+    recipe = replace(random_recipe(random), lamps=(), suns=1, features=False, shadows=False)
+    scene = random_scene(int(random.integers(1 << 32)), recipe, 4, kernels)
+    for medium in scene.media:
+        medium.medium.anisotropy = float(random.uniform(-0.999, 0.999))
+    tracer = PathTracer(ScatteringMedia(scene.media, scene.channels), kernels)
+    for array in [*contents(scene), *(majorants.peaks for majorants in tracer.majorants)]:
+        if random.random() < 0.6:
+            spoil(random, array)
+    rays = spoiled_rays(random, scene.rays)
+    numbers = random.integers(-(1 << 62), 1 << 62, len(rays.near))
+    tracer.trace(rays, numbers, 3)
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

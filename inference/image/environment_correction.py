@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A factor of the light that the network predicts of environments, from light paths.
+
+Paths of environments vary little, since they need not meet a sun: a few thousand of them tell the mean of a picture to
+a per cent, though its pixels only within the network's error many times over. The network's light of a few camera rays
+is compared with paths from these rays, and what it errs by on their mean is taken back in the whole picture.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
+from ..marching.ray_steps import RayBatch
+from ..scene.camera import Camera
+from ..scene.camera_rays import camera_rays
+from ..scene.environment import pixel_numbers
+from ..transport.environment_light import ROWS
+from .camera_pass import march_tile, ray_intervals
+from .context import ChannelPass, PreparedScene, RenderContext, Tile
+from .environment_pass import EnvironmentEstimate, EnvironmentSource
+
+#: Rays whose light is compared, and pixels of the whole image for one more each, since noise shows as flicker in films.
+RAYS, PIXELS_PER_RAY, MOST_RAYS = 128, 4096, 1024
+#: Paths of an opaque ray, and of any at most.
+PATHS, MOST_PATHS = 110, 1024
+# Optical thickness of a voxel above which there are fewer paths, since each takes longer.
+THICK_VOXEL = 4.0
+# Of a camera of so many pixels along its longer edge, or as many more as it takes until enough of its rays meet the
+# bounds of a volume, for each ray that is compared; and opacity below which rays do not count.
+LEAST_EDGE, MOST_EDGE, MEETING, MIN_ALPHA = 32, 1024, 4, 0.02
+# Standard deviation of the network's error on the mean of a picture: what paths tell less certainly counts less.
+EXPECTED = 0.03
+# Rays that a thread follows at once.
+RAYS_PER_TASK = 16
+
+
+def correct_environments(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[EnvironmentSource]
+) -> list[EnvironmentSource]:
+    """Sources with the factors by which their light is corrected; as they are where paths cannot tell.
+
+    They cannot where surfaces are lit or hide light from the volumes; and numpy alone would take too long. As in the
+    network, the phase function is Henyey and Greenstein's. Raises Cancelled.
+    """
+    if not sources or not _followed(context, scene):
+        return list(sources)
+    with context.report.stage("light paths"):
+        found = _compare(context, scene, channel_pass, sources)
+    return [replace(source, correction=found) for source in sources]
+
+
+def _followed(context: RenderContext, scene: PreparedScene) -> bool:
+    """Whether paths are traced through a scene."""
+    settings, plan = context.settings, scene.plan
+    if context.kernels is None or not (settings.light_paths and settings.multiple):
+        return False
+    if plan.reflects or plan.sky or len(scene.occluders.triangles):
+        return False
+    return all(environment.weight is None for environment in plan.environments)
+
+
+def _compare(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[EnvironmentSource]
+) -> np.ndarray:
+    """Factors (C,) of the channels that are rendered together."""
+    channels = len(sources[0].indices)
+    width, height = scene.camera.resolution
+    count = min(RAYS + width * height // PIXELS_PER_RAY, MOST_RAYS)
+    meeting = _meeting_rays(context, scene, channel_pass, MEETING * count)
+    if meeting is None:
+        return np.ones(channels)
+    rays, predicted, opacity = _predicted(context, scene, channel_pass, sources, meeting, count)
+    paths = _paths(channel_pass, opacity)
+    if not paths:
+        return np.ones(channels)
+    tracer = PathTracer(
+        ScatteringMedia(channel_pass.media, sources[0].indices), context.kernels, context.tasks.stopping
+    )
+
+    def trace(first: int) -> tuple[np.ndarray, np.ndarray]:
+        some = slice(first, first + RAYS_PER_TASK)
+        ends = tracer.trace(rays.batch.take(some), rays.numbers[some], paths)
+        context.cancel.check()
+        arriving = _arriving(sources[0], ends.directions, channels) * ends.kept
+        # Light that scatters too often to be followed counts as predicted.
+        typical = (predicted[:, some] / opacity[some]).T[:, None]
+        light = np.where((ends.ends == GIVEN_UP)[..., None], typical, arriving)
+        met = (ends.ends != MISSED)[..., None]
+        count = np.maximum(met.sum(axis=1), 1)
+        mean = (light * met).sum(axis=1) / count
+        variance = (((light - mean[:, None]) ** 2) * met).sum(axis=1) / count**2
+        # Rays on which no path collides say nothing.
+        known = met.any(axis=1)
+        return np.where(known, mean, typical[:, 0]), np.where(known, variance, 0.0)
+
+    found = list(context.tasks.map(trace, range(0, len(opacity), RAYS_PER_TASK)))
+    if not found:
+        return np.ones(channels)
+    mean, variance = (np.concatenate(part) for part in zip(*found))
+    return _factor(predicted.sum(axis=1), opacity @ mean, opacity**2 @ variance)
+
+
+def _paths(channel_pass: ChannelPass, opacity: np.ndarray) -> int:
+    """How many paths start at each of R rays of some opacities (R,), about as many of which scatter in any scene."""
+    thickness = max(medium.voxel_thickness for medium in channel_pass.media)
+    wanted = PATHS * len(opacity) * min(1.0, THICK_VOXEL / max(thickness, 1e-9))
+    return int(min(np.round(wanted / max(opacity.sum(), 1e-9)), MOST_PATHS))
+
+
+def _factor(predicted: np.ndarray, traced: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """What predicted sums (C,) of light are to be multiplied by, from traced ones and the variances of these."""
+    with np.errstate(all="ignore"):
+        ratio, error = traced / predicted, variance / predicted**2
+        found = 1.0 + (ratio - 1.0) * EXPECTED**2 / (EXPECTED**2 + error)
+    return np.where(np.isfinite(found), found, 1.0)
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Rays of a coarse camera that may meet volumes.
+
+    camera: that they are of. pixels: int (R,), of its image. batch: between the bounds of the volumes.
+    """
+
+    camera: Camera
+    pixels: np.ndarray
+    batch: RayBatch
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """int64 (R,), that decide random numbers: near rays of other cameras have others."""
+        return self.pixels.astype(np.int64)
+
+    def take(self, some: np.ndarray | slice) -> "_Rays":
+        """Some of the rays."""
+        return _Rays(self.camera, self.pixels[some], self.batch.take(some))
+
+
+def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, count: int) -> _Rays | None:
+    """About so many rays, evenly spread over what the camera sees of the volumes' bounds in its whole image."""
+    longest, edge = max(scene.camera.resolution), LEAST_EDGE
+    while True:
+        size = np.maximum(np.round(np.array(scene.camera.resolution) * min(edge / longest, 1.0)), 1).astype(int)
+        camera = replace(scene.camera, resolution=tuple(size.tolist()), region=None)
+        origins, directions, *clip = camera_rays(camera)
+        near, far, _ = ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
+        meet = np.flatnonzero(near < far)
+        if len(meet) >= count or edge >= min(longest, MOST_EDGE):
+            break
+        edge *= 2
+        context.cancel.check()
+    if not len(meet):
+        return None
+    meet = _spread(meet, count)
+    return _Rays(camera, meet, RayBatch(origins[meet], directions[meet], near[meet], far[meet]))
+
+
+def _predicted(
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    sources: Sequence[EnvironmentSource],
+    rays: _Rays,
+    count: int,
+) -> tuple[_Rays, np.ndarray, np.ndarray]:
+    """At most so many of the rays, the light (C, R) that is predicted of them without surfaces, and opacities (R,)."""
+    width, height = rays.camera.resolution
+    shown = np.zeros(width * height, bool)
+    shown[rays.pixels] = True
+    tile = Tile.of(rays.camera, rays.camera.window, shown.reshape(height, width))
+    samples = march_tile(context, replace(scene, depth_buffer=None), channel_pass, tile)
+    light, opacity = np.zeros((len(sources[0].indices), width * height)), np.zeros(width * height)
+    if samples is None:
+        return rays.take(slice(0)), light[:, :0], opacity[:0]
+    samples = samples.nodes
+    pixel = samples.pixel[samples.ray]
+    np.add.at(opacity, pixel, samples.weight)
+    lit = np.flatnonzero(opacity[rays.pixels] > MIN_ALPHA)
+    rays = rays.take(_spread(lit, count))
+    wanted = np.isin(pixel, rays.pixels)
+    for source in sources:
+        estimate = EnvironmentEstimate(context, samples, tile, source)
+        estimate.evaluate(np.flatnonzero(wanted & (samples.share(source.members) > 0.0)))
+        light += estimate.radiance.reshape(2, len(light), -1).sum(axis=0)
+    return rays, light[:, rays.pixels], opacity[rays.pixels]
+
+
+def _spread(values: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of some values, evenly spread."""
+    count = min(most, len(values))
+    return values[np.arange(count) * len(values) // max(count, 1)]
+
+
+def _arriving(source: EnvironmentSource, directions: np.ndarray, channels: int) -> np.ndarray:
+    """Radiance (..., C) of the source's light from world directions (..., 3)."""
+    predictor = source.predictor
+    turned = predictor.cube.directions(directions.reshape(-1, 3))
+    image = predictor.skies.image.reshape(2 * ROWS * ROWS, -1)
+    found = image[pixel_numbers(turned, ROWS)]
+    if predictor.channels > 1:
+        found = found[:, source.indices]
+    return np.broadcast_to(found, (len(found), channels)).reshape(*directions.shape[:-1], channels)
