@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors of light from everywhere against traced paths, beside those of twelve parallel lights.
 
-    python -m benchmarks.fidelity.environments [--seeds 1000200 1600200 1500200] [--directions]
+    python -m benchmarks.fidelity.environments [--seeds 1000200 1600200 1500200] [--predicted] [--directions]
 
 Renders held-back procedural volumes in six environments, each of mean radiance 1, and compares them with paths traced
 through the same density (`training.tracer.exits`): the relative RMSE and bias of `inference.evaluation.error`, over the
@@ -12,6 +12,7 @@ import argparse
 import json
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +34,8 @@ ROWS, FIELD_OF_VIEW = 64, 36.0
 SIGMAS, ANISOTROPIES, ALBEDOS = (20.0, 150.0, 600.0), (0.0, 0.5, 0.857), (1.0, 0.9)
 #: Camera positions in units of the volume's cube; all look at its centre.
 VIEWS = {"level": (0.0, -2.2, 0.15), "from below": (0.7, -1.2, -1.7), "from above": (-0.9, 0.9, 1.8)}
+# Before the names of a system's columns: what is rendered, predicted alone, and parallel lights.
+SYSTEMS = "", "predicted_", "suns_"
 # Opacity above which a pixel shows the volume.
 MIN_ALPHA = 0.02
 
@@ -107,12 +110,14 @@ def measure(seed: int, arguments):
                             "albedo": albedo,
                             "environment": name,
                         }
-                        systems = {"": [environment]}
+                        systems = {"": ([environment], settings)}
+                        if arguments.predicted:
+                            systems["predicted_"] = [environment], replace(settings, light_paths=False)
                         if arguments.directions:
-                            systems["suns_"] = directional_lights(environment, DIRECTIONS)
-                        for prefix, lights in systems.items():
+                            systems["suns_"] = directional_lights(environment, DIRECTIONS), settings
+                        for prefix, (lights, chosen) in systems.items():
                             start = time.process_time()
-                            layer = render([(volume, Medium(sigma, albedo, g))], lights, camera, settings)
+                            layer = render([(volume, Medium(sigma, albedo, g))], lights, camera, chosen)
                             row[f"{prefix}seconds"] = time.process_time() - start
                             seen = layer.rgb[..., 0].ravel()[shown]
                             error, bias = compare(seen, halves[:, i, e][:, shown])
@@ -121,8 +126,9 @@ def measure(seed: int, arguments):
 
 
 def table(rows, key: str):
-    """Print mean errors of the rows by one of their columns."""
-    systems = [prefix for prefix in ("", "suns_") if f"{prefix}error" in rows[0]]
+    """Print mean errors of the rows by one of their columns, or of all."""
+    rows = [{"all": "", **row} for row in rows]
+    systems = [prefix for prefix in SYSTEMS if f"{prefix}error" in rows[0]]
     for value in dict.fromkeys(row[key] for row in rows):
         line = f"| {key} | {value} |"
         for prefix in systems:
@@ -144,6 +150,7 @@ def main(options=None):
     parser.add_argument("--size", type=int, default=48, help="pixels per edge")
     parser.add_argument("--paths", type=int, default=512, help="per pixel")
     parser.add_argument("--depth-samples", type=int, default=16)
+    parser.add_argument("--predicted", action="store_true", help="also without the correction by light paths")
     parser.add_argument("--directions", action="store_true", help="also twelve parallel lights")
     arguments = parser.parse_args(options)
     print(made_by(PROGRAM, options, ("mrpnn", "environment/mrpnn")))
@@ -152,8 +159,11 @@ def main(options=None):
         for row in measure(seed, arguments):
             rows.append(row)
             print(json.dumps({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
-    print("| | | RMSE | bias | largest | seconds |" + " RMSE | bias | largest | seconds |" * arguments.directions)
-    for key in ("environment", "g", "sigma", "albedo", "view", "seed"):
+    print(
+        "| | | RMSE | bias | largest | seconds |"
+        + " RMSE | bias | largest | seconds |" * (arguments.predicted + arguments.directions)
+    )
+    for key in ("all", "environment", "g", "sigma", "albedo", "view", "seed"):
         table(rows, key)
 
 

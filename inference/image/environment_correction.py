@@ -6,6 +6,7 @@ a per cent, though its pixels only within the network's error many times over. T
 is compared with paths from these rays, and what it errs by on their mean is taken back in the whole picture.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -22,9 +23,12 @@ from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .environment_pass import EnvironmentEstimate, EnvironmentSource
 
 #: Rays whose light is compared, and pixels of the whole image for one more each, since noise shows as flicker in films.
-RAYS, PIXELS_PER_RAY, MOST_RAYS = 128, 4096, 1024
-#: Paths of an opaque ray, and of any at most.
-PATHS, MOST_PATHS = 110, 1024
+RAYS, PIXELS_PER_RAY, MOST_RAYS = 128, 1024, 2048
+#: Paths of an opaque ray in a batch, and of any at most. There are as many batches as it takes until the standard
+#: error of the comparison, of RAYS rays, is so small, but no more than the last number.
+PATHS, MOST_PATHS, CERTAIN, MOST_BATCHES = 64, 1024, 0.01, 2
+# Between the numbers of rays' paths in one batch and in the next.
+APART = 1 << 32
 # Optical thickness of a voxel above which there are fewer paths, since each takes longer.
 THICK_VOXEL = 4.0
 # Of a camera of so many pixels along its longer edge, or as many more as it takes until enough of its rays meet the
@@ -78,28 +82,39 @@ def _compare(
     tracer = PathTracer(
         ScatteringMedia(channel_pass.media, sources[0].indices), context.kernels, context.tasks.stopping
     )
+    # Light that scatters too often to be followed, and that of rays on which no path collides, counts as predicted.
+    typical = predicted.T / opacity[:, None]
 
-    def trace(first: int) -> tuple[np.ndarray, np.ndarray]:
-        some = slice(first, first + RAYS_PER_TASK)
-        ends = tracer.trace(rays.batch.take(some), rays.numbers[some], paths)
+    def trace(batch: int, first: int) -> tuple[np.ndarray, np.ndarray]:
         context.cancel.check()
+        some = slice(first, first + RAYS_PER_TASK)
+        ends = tracer.trace(rays.batch.take(some), rays.numbers[some] + batch * APART, paths)
         arriving = _arriving(sources[0], ends.directions, channels) * ends.kept
-        # Light that scatters too often to be followed counts as predicted.
-        typical = (predicted[:, some] / opacity[some]).T[:, None]
-        light = np.where((ends.ends == GIVEN_UP)[..., None], typical, arriving)
+        light = np.where((ends.ends == GIVEN_UP)[..., None], typical[some, None], arriving)
         met = (ends.ends != MISSED)[..., None]
         count = np.maximum(met.sum(axis=1), 1)
         mean = (light * met).sum(axis=1) / count
         variance = (((light - mean[:, None]) ** 2) * met).sum(axis=1) / count**2
-        # Rays on which no path collides say nothing.
-        known = met.any(axis=1)
-        return np.where(known, mean, typical[:, 0]), np.where(known, variance, 0.0)
+        return np.where(met.any(axis=1), mean, typical[some]), variance
 
-    found = list(context.tasks.map(trace, range(0, len(opacity), RAYS_PER_TASK)))
-    if not found:
-        return np.ones(channels)
-    mean, variance = (np.concatenate(part) for part in zip(*found))
-    return _factor(predicted.sum(axis=1), opacity @ mean, opacity**2 @ variance)
+    def sums(batch: int) -> tuple[np.ndarray, np.ndarray]:
+        found = context.tasks.map(functools.partial(trace, batch), range(0, len(opacity), RAYS_PER_TASK))
+        mean, variance = (np.concatenate(part) for part in zip(*found))
+        return opacity @ mean, opacity**2 @ variance
+
+    whole = predicted.sum(axis=1)
+    traced, variance = sums(0)
+    wanted = _batches(whole, variance * len(opacity) / RAYS)
+    # The last one counts in part, so that the factors are continuous in the light.
+    shares = np.minimum(wanted - np.arange(np.ceil(wanted)), 1.0) / wanted
+    traced = shares[0] * traced + sum(share * sums(batch)[0] for batch, share in enumerate(shares[1:], 1))
+    return _factor(whole, traced, variance * (shares**2).sum())
+
+
+def _batches(predicted: np.ndarray, variance: np.ndarray) -> float:
+    """How many times as many paths it takes to be certain enough; arrays (C,) as for `_factor`."""
+    error = variance / np.maximum(predicted, 1e-30) ** 2
+    return float(np.clip(error.max() / CERTAIN**2, 1.0, MOST_BATCHES))
 
 
 def _paths(channel_pass: ChannelPass, opacity: np.ndarray) -> int:

@@ -112,6 +112,24 @@ FACTS = [
     ("docs/method.md", r"per sun, (\d+) cells along its longer side", "inference.occluders.shadow_map", ("CELLS",)),
     ("docs/method.md", r"behind an optical depth of (\d+)\.", "inference.features.mip_lattices", ("MAX_SHADOW_DEPTH",)),
     ("docs/method.md", r"of (\d+) radiances L_k", "inference.network.environment_features", ("CANDIDATES",)),
+    (
+        "docs/method.md",
+        r"From (\d+) camera rays .{0,90} for each (\d+) pixels up to (\d+),",
+        "inference.image.environment_correction",
+        ("RAYS", "PIXELS_PER_RAY", "MOST_RAYS"),
+    ),
+    (
+        "docs/method.md",
+        r"by ([\d.]+)² / \(([\d.]+)² \+ s²\).{0,80} An opaque ray has (\d+) paths, .{0,60} more than (\d+ %) uncertain",
+        "inference.image.environment_correction",
+        ("EXPECTED", "EXPECTED", "PATHS", "CERTAIN"),
+    ),
+    (
+        "docs/method.md",
+        r"scatters more than (\d+) times counts as predicted",
+        "inference.marching.light_paths",
+        ("COLLISIONS",),
+    ),
     ("docs/method.md", r"represented by (\d+) parallel lights", "inference.plan.lights", ("DIRECTIONS",)),
     (
         "docs/method.md",
