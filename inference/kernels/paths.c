@@ -146,7 +146,7 @@ static void scatter(double g, const double *numbers, double *along) {
     turn(cosine, 6.283185307179586 * numbers[1], along);
 }
 
-/* numbers: of the first scattering. */
+/* Follow a path to its end, which is returned; numbers: of the first scattering. */
 static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *numbers, float *kept, float *leaving) {
     Way way;
     for (int k = 0; k < 3; k++) way.place[k] = data->origins[3 * ray + k], way.along[k] = data->directions[3 * ray + k];
