@@ -79,9 +79,8 @@ def _compare(
     paths = _paths(channel_pass, opacity)
     if not paths:
         return np.ones(channels)
-    tracer = PathTracer(
-        ScatteringMedia(channel_pass.media, sources[0].indices), context.kernels, context.tasks.stopping
-    )
+    media = ScatteringMedia([medium for medium in channel_pass.media if medium.sigma_t > 0.0], sources[0].indices)
+    tracer = PathTracer(media, context.kernels, context.tasks.stopping)
     # Light that scatters too often to be followed, and that of rays on which no path collides, counts as predicted.
     typical = predicted.T / opacity[:, None]
 

@@ -57,8 +57,9 @@ def test_almost_one_colour_is_almost_that_colour(light):
     expected = draw(COLOUR, LIGHTS[light])
     found = draw(grid_of(COLOUR, 5e-5), LIGHTS[light])
     assert expected.multiple.max() > 0.0
-    close(found.single, expected.single, 1e-4)
-    # The environments' network bends more between the uniform albedos that enclose the colour.
+    # The environments' network bends more between the uniform albedos that enclose the colour, and light paths correct
+    # all that it predicts.
+    close(found.single, expected.single, 2e-3 if light == "environment" else 1e-4)
     close(found.rgb, expected.rgb, 2e-3 if light == "environment" else 1e-3)
 
 
