@@ -155,7 +155,7 @@ typedef struct {
     double negligible;           /* share of the light at which paths end */
     const volatile int32_t *stop;
     float *light;                /* (rays, paths, channels), share of the light that is kept in collisions */
-    float *leaving;              /* (rays, paths, 6), place of the last collision and direction after it */
+    float *leaving;              /* (rays, paths, 3), directions in which paths left their last collisions */
     uint8_t *ends;               /* (rays, paths): 0 for no collision, 1 for paths that left, 2 for those given up */
 } LightPaths;
 

@@ -155,14 +155,13 @@ static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *num
     if (volume < 0) return MISSED;
     for (int64_t n = 0; n < data->collisions; n++) {
         double most = attenuate(data, volume, hit, kept);
-        for (int k = 0; k < 3; k++) leaving[k] = (float)way.place[k];
         if (!(most > data->negligible)) {
             for (int64_t c = 0; c < data->channels; c++) kept[c] = 0.0f;
             return LEFT;
         }
         if (n > 0) numbers[0] = draw(&steps->state), numbers[1] = draw(&steps->state);
         scatter(data->anisotropies[volume], numbers, way.along);
-        for (int k = 0; k < 3; k++) leaving[3 + k] = (float)way.along[k];
+        for (int k = 0; k < 3; k++) leaving[k] = (float)way.along[k];
         volume = collide(data, &way, 0.0, INFINITY, steps, hit);
         if (volume < 0) return steps->left > 0 ? LEFT : GIVEN_UP;
     }
@@ -179,8 +178,8 @@ int64_t NAMED(trace_paths, VARIANT)(const LightPaths *data) {
             Steps steps = {seeded(number * (uint64_t)data->paths + (uint64_t)n), data->steps};
             double numbers[2] = {shift[0] + (double)n * SPREAD_X, shift[1] + (double)n * SPREAD_Y};
             for (int k = 0; k < 2; k++) numbers[k] -= floor(numbers[k]);
-            float *leaving = data->leaving + 6 * path;
-            for (int k = 0; k < 6; k++) leaving[k] = 0.0f;
+            float *leaving = data->leaving + 3 * path;
+            for (int k = 0; k < 3; k++) leaving[k] = 0.0f;
             data->ends[path] = (uint8_t)follow(data, ray, &steps, numbers, data->light + data->channels * path, leaving);
         }
         if (data->stop && *data->stop) return ray;

@@ -96,12 +96,11 @@ class Majorants:
 class PathEnds:
     """Where P paths of each of R rays ended.
 
-    kept: float32 (R, P, C), share of the light that collisions have kept. places, directions: float32 (R, P, 3), of
-    the last collision, and in which the path left it. ends: uint8 (R, P), MISSED, LEFT or GIVEN_UP.
+    kept: float32 (R, P, C), share of the light that collisions have kept. directions: float32 (R, P, 3), in which the
+    paths left their last collisions. ends: uint8 (R, P), MISSED, LEFT or GIVEN_UP.
     """
 
     kept: np.ndarray
-    places: np.ndarray
     directions: np.ndarray
     ends: np.ndarray
 
@@ -123,14 +122,14 @@ class PathTracer:
         numbers: int64 (R,), which decide the paths of each ray. paths: of each ray.
         """
         shape = len(numbers), paths
-        kept, leaving = np.zeros((*shape, len(self.media.channels)), np.float32), np.zeros((*shape, 6), np.float32)
+        kept, leaving = np.zeros((*shape, len(self.media.channels)), np.float32), np.zeros((*shape, 3), np.float32)
         ends = np.zeros(shape, np.uint8)
         if self.kernels is not None:
             self._trace_compiled(self.kernels, rays, numbers, (kept, leaving, ends))
         else:
             walk = _Walk(self.media, self.majorants, numbers, paths)
-            walk.follow(rays, kept.reshape(ends.size, -1), leaving.reshape(ends.size, 6), ends.reshape(-1))
-        return PathEnds(kept, leaving[..., :3], leaving[..., 3:], ends)
+            walk.follow(rays, kept.reshape(ends.size, -1), leaving.reshape(ends.size, 3), ends.reshape(-1))
+        return PathEnds(kept, leaving, ends)
 
     def _trace_compiled(
         self, kernels: Kernels, rays: RayBatch, numbers: np.ndarray, found: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -194,7 +193,6 @@ class _Walk:
         for number in range(COLLISIONS):
             share = albedos[self.volume[some]] * self._varying(some)
             kept[some] = (kept[some] * share).astype(np.float32)
-            leaving[some, :3] = self.places[some]
             bright = kept[some].max(axis=1) > NEGLIGIBLE
             kept[some[~bright]], ends[some[~bright]] = 0.0, LEFT
             some = some[bright]
@@ -202,7 +200,7 @@ class _Walk:
                 return
             drawn = self.first[some] if number == 0 else self._two(some)
             self.along[some] = scattered(self.along[some], anisotropies[self.volume[some]], drawn)
-            leaving[some, 3:] = self.along[some]
+            leaving[some] = self.along[some]
             self._collide(some, np.zeros(len(some)), np.full(len(some), np.inf))
             gone = self.volume[some] < 0
             ends[some[gone & (self.left[some] > 0)]] = LEFT

@@ -57,7 +57,6 @@ def test_compiled_paths_are_their_twins(recipe, anisotropy):
         same = np.abs(found.directions - expected.directions).max(axis=2) < 1e-4
         assert same.mean() > 0.99 and (found.ends == expected.ends).mean() > 0.99
         np.testing.assert_allclose(found.kept[same], expected.kept[same], rtol=1e-4, atol=1e-6)
-        np.testing.assert_allclose(found.places[same], expected.places[same], atol=1e-4)
 
 
 @pytest.mark.parametrize("recipe", ["dense", "sparse", "overlapping", "thin"])
@@ -117,8 +116,6 @@ def test_nothing_is_lost_without_absorption():
     ends = PathTracer(media, KERNELS).trace(rays, np.arange(36), 50)
     np.testing.assert_array_equal(ends.kept[ends.ends != MISSED], 1.0)
     np.testing.assert_allclose(np.linalg.norm(ends.directions[ends.ends == LEFT], axis=1), 1.0, atol=1e-5)
-    # The last collision is in the ball, of voxels of 1/48.
-    assert np.linalg.norm(ends.places[ends.ends == LEFT], axis=1).max() < 0.4 + 2.0 / 48
 
 
 def test_paths_that_scatter_too_often_are_given_up():
