@@ -40,7 +40,7 @@ COMMANDS = (
     "benchmarks.cost.frame --light area --ground",
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
-    "benchmarks.cost.environments --rounds 2",
+    "benchmarks.cost.environments --rounds 3",
     "benchmarks.cost.lamps --rounds 5 --sizes 64x64",
     "benchmarks.cost.lamps --rounds 3 --sizes 1920x1080 --only 'a point light' 'a spot light' 'an area light'"
     " 'a point light inside'",
@@ -51,6 +51,7 @@ COMMANDS = (
     "benchmarks.cycles.baked_speed",
     "benchmarks.cycles.baked_speed --size 512",
     "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
+    "benchmarks.fidelity.environments --predicted --seeds 1003000 1600200",
     "benchmarks.fidelity.baked_directions",
     *(f"benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light {kind}" for kind in LIGHTS),
     "benchmarks.cycles.baked_picture --samples 2 --most 64",
