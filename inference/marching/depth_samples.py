@@ -139,11 +139,15 @@ class DepthSamples:
         # The sampled ray of each sample.
         self.sampled = np.repeat(np.arange(len(starts)), counts)
 
-    @functools.cached_property
+    @property
     def nodes(self) -> "DepthSamples":
         """The samples without detail."""
-        if self.detail is None:
-            return self
+        # Cached, a reference to itself would keep the samples in memory until Python looks for cycles.
+        return self if self.detail is None else self._nodes
+
+    @functools.cached_property
+    def _nodes(self) -> "DepthSamples":
+        assert self.detail is not None
         sampled = np.arange(len(self.starts))
         kept = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
         detail = self.detail[self.ray[kept]]

@@ -1,13 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whole renders against closed forms and symmetries."""
 
+import gc
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference import Camera, Cancelled, Medium, SceneError, Settings, Sun, Volume, predict_multiple, render
+from inference import (
+    Camera,
+    Cancelled,
+    Environment,
+    Medium,
+    PointLight,
+    SceneError,
+    Settings,
+    Sun,
+    Volume,
+    predict_multiple,
+    render,
+)
 from inference.network.predictor import MAX_FLUENCE
 from inference.plan import plan
 from inference.scene.optimizations import ALL
@@ -292,3 +306,29 @@ def test_a_volume_cut_by_the_clip_start_gives_a_warning():
     assert [warning.startswith("cloud: begins before") for warning in cut.report.warnings] == [True]
     whole = render(*scene, view, Settings(1))
     assert not whole.report.warnings and cut.alpha.max() < whole.alpha.max()
+
+
+@pytest.mark.parametrize(
+    "light",
+    [SUN, PointLight((0.0, 0.1, 0.0), 50.0, 0.02), Environment(np.ones((4, 8, 3)))],
+    ids=["sun", "lamp", "World"],
+)
+def test_what_a_render_held_is_freed_with_it(light):
+    """Without Python's search for cycles, of which any would keep arrays of many tiles in memory."""
+
+    def held():
+        names = (f"{type(value).__module__}.{type(value).__name__}" for value in gc.get_objects())
+        return Counter(name for name in names if name.startswith("inference."))
+
+    def draw():
+        render([(cloud(), Medium(40.0, 0.9, 0.8))], [light], camera(resolution=(64, 64)))
+
+    draw()
+    gc.collect()
+    gc.disable()
+    try:
+        before = held()
+        draw()
+        assert not held() - before
+    finally:
+        gc.enable()

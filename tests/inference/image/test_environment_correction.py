@@ -85,7 +85,7 @@ def test_a_region_is_a_part_of_the_whole_picture():
 
 def test_the_number_of_threads_does_not_matter():
     one, two = (rendered(settings=Settings(threads=threads)) for threads in (1, 2))
-    np.testing.assert_array_equal(one, two)
+    np.testing.assert_allclose(one, two, rtol=1e-5, atol=1e-6)
 
 
 def test_the_light_of_suns_stays_as_it_is():
@@ -119,7 +119,7 @@ def floor(side: float) -> Surface:
 )
 def test_nothing_is_corrected_where_paths_cannot_be_followed(options):
     without = {**options, "settings": Settings(**{**vars(options.get("settings", WITHOUT)), "light_paths": False})}
-    np.testing.assert_array_equal(rendered(**options), rendered(**without))
+    np.testing.assert_allclose(rendered(**options), rendered(**without), rtol=1e-5, atol=1e-6)
 
 
 def test_cameras_that_see_little_or_nothing_of_a_volume():
