@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors of light from everywhere against traced paths, beside those of twelve parallel lights.
+"""Errors of light from everywhere against traced paths, and if asked of what is predicted alone and of parallel lights.
 
     python -m benchmarks.fidelity.environments [--seeds 1000200 1600200 1500200] [--predicted] [--directions]
 

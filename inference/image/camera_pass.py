@@ -11,6 +11,7 @@ from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
+from ..numerics.random_walk import PLASTIC
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
 from ..plan.plan import Plan, last_albedo
@@ -35,8 +36,7 @@ def lookup_offsets(columns: np.ndarray, rows: np.ndarray, seed: int) -> np.ndarr
     Neighbouring pixels get offsets far apart, so that the remaining error has no low frequencies. Depends only on the
     pixel's place in the whole image.
     """
-    # Powers of the reciprocal of the plastic number.
-    offsets = np.random.default_rng(seed).random() + columns * 0.7548776662466927 + rows * 0.5698402909980532
+    offsets = np.random.default_rng(seed).random() + columns * PLASTIC[0] + rows * PLASTIC[1]
     return offsets - np.floor(offsets)
 
 

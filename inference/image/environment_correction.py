@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A factor of the light that the network predicts of environments, from light paths.
 
-Paths of environments vary little, since they need not meet a sun: a few thousand of them tell the mean of a picture to
-a per cent, though its pixels only within the network's error many times over. The network's light of a few camera rays
-is compared with paths from these rays, and what it errs by on their mean is taken back in the whole picture.
+Paths of environments vary little, since they need not meet a sun: some ten thousand tell the mean of a picture to one
+or two per cent, though its pixels far less well than the network. The network's light of a few camera rays is compared
+with paths from these rays, and what it errs by on their mean is taken back in the whole picture.
 """
 
 import functools
@@ -87,8 +87,8 @@ def _compare(
     def trace(batch: int, first: int) -> tuple[np.ndarray, np.ndarray]:
         context.cancel.check()
         some = slice(first, first + RAYS_PER_TASK)
-        ends = tracer.trace(rays.batch.take(some), rays.numbers[some] + batch * APART, paths)
-        arriving = _arriving(sources[0], ends.directions, channels) * ends.kept
+        ends = tracer.trace(rays.batch.take(some), rays.pixels[some] + batch * APART, paths)
+        arriving = _arriving(sources[0], ends.directions) * ends.kept
         light = np.where((ends.ends == GIVEN_UP)[..., None], typical[some, None], arriving)
         met = (ends.ends != MISSED)[..., None]
         count = np.maximum(met.sum(axis=1), 1)
@@ -135,17 +135,13 @@ def _factor(predicted: np.ndarray, traced: np.ndarray, variance: np.ndarray) -> 
 class _Rays:
     """Rays of a coarse camera that may meet volumes.
 
-    camera: that they are of. pixels: int (R,), of its image. batch: between the bounds of the volumes.
+    camera: that they are of. pixels: int64 (R,), of its image, which decide the paths of each ray. batch: between the
+    bounds of the volumes.
     """
 
     camera: Camera
     pixels: np.ndarray
     batch: RayBatch
-
-    @property
-    def numbers(self) -> np.ndarray:
-        """int64 (R,), that decide random numbers: near rays of other cameras have others."""
-        return self.pixels.astype(np.int64)
 
     def take(self, some: np.ndarray | slice) -> "_Rays":
         """Some of the rays."""
@@ -207,9 +203,9 @@ def _spread(values: np.ndarray, most: int) -> np.ndarray:
     return values[np.arange(count) * len(values) // max(count, 1)]
 
 
-def _arriving(source: EnvironmentSource, directions: np.ndarray, channels: int) -> np.ndarray:
+def _arriving(source: EnvironmentSource, directions: np.ndarray) -> np.ndarray:
     """Radiance (..., C) of the source's light from world directions (..., 3)."""
-    predictor = source.predictor
+    predictor, channels = source.predictor, len(source.indices)
     turned = predictor.cube.directions(directions.reshape(-1, 3))
     image = predictor.skies.image.reshape(2 * ROWS * ROWS, -1)
     found = image[pixel_numbers(turned, ROWS)]

@@ -136,16 +136,6 @@ static double attenuate(const LightPaths *data, int64_t volume, const int64_t *h
     return most;
 }
 
-/* Turn a path by Henyey and Greenstein's phase function; numbers: two in [0, 1). */
-static void scatter(double g, const double *numbers, double *along) {
-    double cosine = 1.0 - 2.0 * numbers[0];
-    if (fabs(g) > 1e-4) {
-        double root = (1.0 - g * g) / (1.0 - g + 2.0 * g * numbers[0]);
-        cosine = (1.0 + g * g - root * root) / (2.0 * g);
-    }
-    turn(cosine, 6.283185307179586 * numbers[1], along);
-}
-
 /* Follow a path to its end, which is returned; numbers: of the first scattering. */
 static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *numbers, float *kept, float *leaving) {
     Way way;
@@ -160,7 +150,7 @@ static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *num
             return LEFT;
         }
         if (n > 0) numbers[0] = draw(&steps->state), numbers[1] = draw(&steps->state);
-        scatter(data->anisotropies[volume], numbers, way.along);
+        turn(scattering_cosine(data->anisotropies[volume], numbers[0]), 6.283185307179586 * numbers[1], way.along);
         for (int k = 0; k < 3; k++) leaving[k] = (float)way.along[k];
         volume = collide(data, &way, 0.0, INFINITY, steps, hit);
         if (volume < 0) return steps->left > 0 ? LEFT : GIVEN_UP;

@@ -16,7 +16,7 @@ static double power_of_three_halves(double x) { return x * sqrt(x); }
 static int scatter(const PeakPhotons *data, uint64_t *state, double *along) {
     double g = data->anisotropy, reduced = data->reduced;
     double u = draw(state), angle = 6.283185307179586 * draw(state);
-    double root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u), cosine = (1.0 + g * g - root * root) / (2.0 * g);
+    double cosine = scattering_cosine(g, u);
     double whole = (1.0 - g * g) / power_of_three_halves(1.0 + g * g - 2.0 * g * cosine);
     double wide = data->wide * (1.0 - reduced * reduced) / power_of_three_halves(1.0 + reduced * reduced - 2.0 * reduced * cosine);
     if (draw(state) * whole < wide) return 0;

@@ -24,6 +24,13 @@ static inline uint64_t draw_bits(uint64_t *state) {
 /* A number in [0, 1). */
 static inline double draw(uint64_t *state) { return (double)(draw_bits(state) >> 11) * 0x1p-53; }
 
+/* Cosine of an angle of Henyey and Greenstein's phase function; u: in [0, 1). */
+static inline double scattering_cosine(double g, double u) {
+    if (!(fabs(g) > 1e-4)) return 1.0 - 2.0 * u;
+    double root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u);
+    return (1.0 + g * g - root * root) / (2.0 * g);
+}
+
 /* Turn a unit vector by an angle of a cosine, about itself by another angle (Duff et al., "Building an Orthonormal Basis,
 Revisited", 2017). */
 static inline void turn(double cosine, double angle, double *along) {

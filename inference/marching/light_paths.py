@@ -18,7 +18,7 @@ from ..grids.dense_grid import DenseGrid
 from ..kernels import structures
 from ..kernels.field_structures import LightPaths
 from ..kernels.library import Kernels
-from ..numerics.random_walk import PathRandom, scattered
+from ..numerics.random_walk import PLASTIC, PathRandom, scattering_cosine, turned
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import Cancelled
 from ..scene.sparse_grid import EDGE, SparseGrid
@@ -33,9 +33,6 @@ COLLISIONS, STEPS = 500, 20_000
 NEGLIGIBLE = 1e-4
 # Optical thickness of cells in which the density is bounded, and how many of the occupancy's are joined at most.
 THICK, MOST_JOINED = 8.0, 16
-# Of a sequence of low discrepancy (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), which the
-# first directions of a ray's paths follow.
-SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 # By what part of a voxel a path steps past the face of a cell.
 PAST = 1e-5
 
@@ -174,8 +171,8 @@ class _Walk:
         self.ray, path = np.divmod(np.arange(len(numbers) * paths), paths)
         self.random = PathRandom(numbers[self.ray] * paths + path)
         of_rays, rays = PathRandom(-1 - numbers), np.arange(len(numbers))
-        shift = np.stack([of_rays.draw(rays) for _ in SPREAD], axis=1)
-        first = shift[self.ray] + path[:, None] * SPREAD
+        shift = np.stack([of_rays.draw(rays) for _ in PLASTIC], axis=1)
+        first = shift[self.ray] + path[:, None] * PLASTIC
         # In which directions, of the phase function, the paths scatter first.
         self.first = first - np.floor(first)
         self.places, self.along = np.zeros((2, len(path), 3))
@@ -199,7 +196,8 @@ class _Walk:
             if not len(some):
                 return
             drawn = self.first[some] if number == 0 else self._two(some)
-            self.along[some] = scattered(self.along[some], anisotropies[self.volume[some]], drawn)
+            cosine = scattering_cosine(anisotropies[self.volume[some]], drawn[:, 0])
+            self.along[some] = turned(self.along[some], cosine, 2.0 * np.pi * drawn[:, 1])
             leaving[some] = self.along[some]
             self._collide(some, np.zeros(len(some)), np.full(len(some), np.inf))
             gone = self.volume[some] < 0

@@ -3,6 +3,9 @@
 
 import numpy as np
 
+#: Powers of the reciprocal of the plastic number: multiples of them, less their whole parts, are spread evenly over a
+#: square (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 # Of the generator (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", 2014).
 _GOLDEN, _FIRST, _SECOND = (np.uint64(n) for n in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 
@@ -46,14 +49,9 @@ def turned(along: np.ndarray, cosine: np.ndarray, angle: np.ndarray) -> np.ndarr
     return aside + cosine[:, None] * along
 
 
-def scattered(along: np.ndarray, anisotropy: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Unit vectors (N, 3) after scattering by Henyey and Greenstein's phase function of mean cosines (N,).
-
-    numbers: (N, 2) in [0, 1).
-    """
-    g, (u, v) = anisotropy, numbers.T
-    peaked = np.abs(g) > 1e-4
-    safe = np.where(peaked, g, 0.5)
-    root = (1.0 - safe * safe) / (1.0 - safe + 2.0 * safe * u)
-    cosine = np.where(peaked, (1.0 + safe * safe - root * root) / (2.0 * safe), 1.0 - 2.0 * u)
-    return turned(along, cosine, 2.0 * np.pi * v)
+def scattering_cosine(anisotropy: np.ndarray | float, u: np.ndarray) -> np.ndarray:
+    """Cosines (N,) of angles of Henyey and Greenstein's phase function of mean cosines (N,); u: (N,) in [0, 1)."""
+    peaked = np.abs(anisotropy) > 1e-4
+    g = np.where(peaked, anisotropy, 0.5)
+    root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u)
+    return np.where(peaked, (1.0 + g * g - root * root) / (2.0 * g), 1.0 - 2.0 * u)

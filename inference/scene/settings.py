@@ -26,7 +26,7 @@ class Settings:
     provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
     compiled: whether compiled kernels do the work that they can do, rather than numpy, which takes many times as long;
         the environment variable MRPNN_COMPILED=0 overrules it.
-    light_paths: whether the light of environments is corrected by a few thousand light paths, as far as these can be
+    light_paths: whether the light of environments is corrected by some ten thousand light paths, where these can be
         followed.
     directional: whether baked light is right from other directions than the camera's too.
     leave_out: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.

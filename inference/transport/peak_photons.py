@@ -13,7 +13,7 @@ import numpy as np
 
 from ..kernels.field_structures import PeakPhotons
 from ..kernels.library import Kernels
-from ..numerics.random_walk import PathRandom, turned
+from ..numerics.random_walk import PathRandom, scattering_cosine, turned
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.spot_cone import SpotCone
 from .forward_peak import ForwardPeak
@@ -177,8 +177,7 @@ def _scatter(
     """Scatter some photons: turn them and draw the optical depths to their next collisions; whether by small angles."""
     g, reduced = peak.anisotropy, peak.reduced
     u, angle = random.draw(which), 2.0 * np.pi * random.draw(which)
-    root = (1.0 - g * g) / (1.0 - g + 2.0 * g * u)
-    cosine = (1.0 + g * g - root * root) / (2.0 * g)
+    cosine = scattering_cosine(g, u)
     whole = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5
     wide = peak.wide * (1.0 - reduced**2) / (1.0 + reduced**2 - 2.0 * reduced * cosine) ** 1.5
     stay = random.draw(which) * whole >= wide
