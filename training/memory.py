@@ -17,7 +17,7 @@ import numpy as np
 
 from inference.grids.working_cube import fit_cube
 from training.data.seeded_volume import seeded_volume
-from training.data.targets import SUNS, sun_depths
+from training.data.targets import SUNS
 from training.evaluate import load_weights, predictions
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 from training.train import RADIANCE_EPS, load
@@ -40,7 +40,7 @@ def trace_again(file: pathlib.Path, paths: int = PATHS):
         suns = data["sun"][::count].astype(float)
         columns = [data[key][points] for key in ("position", "omega", "sigma_hat", "anisotropy")]
     position, omega, sigma_hat, anisotropy = (column.astype(float) for column in columns)
-    scene = Scene(density, suns, sun_depths(density, suns))
+    scene = Scene(density, suns)
     vertices = Vertices(position, omega, sigma_hat / edge, anisotropy, np.ones((len(points), 1)))
     halves = [trace_points(scene, vertices, Sampling(paths // 2, 2 * (seed + SEED_OFFSET) + half)) for half in range(2)]
     rows = (np.arange(SUNS)[:, None] * count + points).ravel()

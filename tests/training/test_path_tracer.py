@@ -11,7 +11,6 @@ from scipy.ndimage import map_coordinates
 
 from benchmarks.fidelity.views import REFERENCES, independent_density
 from inference import Medium
-from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.scene.phase_function import henyey_greenstein
 from training.tracer.density_grid import prepare
 from training.tracer.henyey_greenstein import scatter
@@ -212,23 +211,6 @@ def _points(density, sigma, count, seed):
     return x, omega
 
 
-@pytest.mark.parametrize("g", [0.0, pytest.param(0.857, marks=pytest.mark.slow)])
-def test_a_field_of_sun_depths_agrees_with_ratio_tracking(g):
-    density = smooth_cloud(48)
-    suns = sphere_lattice(4)
-    field = np.stack([sun_optical_depth(density, sun * 48) for sun in suns])
-    x, omega = _points(density, 40.0, 3000, 1)
-    vertices = Vertices(x, omega, 40.0, g, [1.0, 0.7])
-    with_field = trace_points(Scene(density, suns, field), vertices, Sampling(30, 2)).astype(np.float64)
-    tracked = trace_points(Scene(density, suns), vertices, Sampling(30, 3)).astype(np.float64)
-    # at the same points: compare them one by one
-    difference = (with_field - tracked).mean(axis=1)
-    error = difference.std(axis=0, ddof=1) / np.sqrt(len(x))
-    mean = tracked.mean(axis=(0, 1))
-    assert np.all(error < 0.02 * mean)
-    assert np.all(np.abs(difference.mean(axis=0)) < 4 * error + 0.01 * mean)
-
-
 def test_the_result_does_not_depend_on_the_number_of_threads():
     density = smooth_cloud(20)
     suns = sphere_lattice(2)
@@ -327,8 +309,6 @@ def test_arguments_that_do_not_fit_are_refused():
         Vertices([[0, 0, 0.6]], [[0, 0, 1]], 1.0, 0.0, [1.0])
     with pytest.raises(ValueError, match="2 positions but 1 directions"):
         Vertices([[0, 0, 0], [0, 0, 0.1]], [[0, 0, 1]], 1.0, 0.0, [1.0])
-    with pytest.raises(ValueError, match="sun_depths"):
-        Scene(density, [[0, 0, 1]], np.zeros((2, 4, 4, 4)))
     with pytest.raises(ValueError, match="none of them zero"):
         Scene(density, [[0, 0, 0]])
     camera = PinholeCamera((2, 0, 0), (0, 0, 0), (0, 0, 1), 40, 4)

@@ -36,7 +36,6 @@ from inference.features.mip_lattices import density_pyramid, padded_levels, unit
 from inference.features.stencil import frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.kernels.library import load_kernels
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
@@ -138,7 +137,7 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
     media = np.stack([draw_sigma(random, MEDIA), draw_anisotropy(random, MEDIA)], axis=1)
     at = draw_points(random, density, suns, media, points, seed)
     sigma, anisotropy = media[at.medium].T
-    scene = Scene(density, suns, sun_depths(density, suns))
+    scene = Scene(density, suns)
     vertices = Vertices(at.positions, at.omega, sigma, anisotropy, at.albedos)
     # Two independent halves, so that errors can be measured without the targets' own noise.
     halves = [trace_points(scene, vertices, Sampling(paths // 2, 2 * seed + half)) for half in range(2)]
@@ -170,11 +169,6 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
             }
         )
     return {key: np.concatenate([r[key] for r in rows]) for key in rows[0]}
-
-
-def sun_depths(density: np.ndarray, suns: np.ndarray) -> np.ndarray:
-    """Optical depths float32 (S, N, N, N) through a density (N, N, N) to suns (S, 3), for extinction 1 per edge."""
-    return np.stack([sun_optical_depth(density, sun * len(density), 1.0) for sun in suns])
 
 
 def describe_light(volume, cube, pyramid, suns, media, points: ScatteringPoints):

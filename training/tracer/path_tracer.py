@@ -12,7 +12,7 @@ import numpy as np
 
 from inference import Medium
 
-from .density_grid import interpolate, prepare, stochastic_cell
+from .density_grid import prepare
 from .henyey_greenstein import phase_hg, scatter
 from .random_numbers import draw, seed_state, two_uniforms
 from .scene import MAX_COLLISIONS, PinholeCamera, Sampling, Scene, Vertices, per_point, unit_vectors
@@ -31,22 +31,10 @@ __all__ = [
 
 #: Rays tried for one scattering point before it is given up.
 MAX_TRIES = 2000
-#: Optical depth per cell above which a lattice of sun depths of that grid's resolution is too coarse.
-MAX_CELL_DEPTH = np.float32(5.0)
 
 _F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 #: Throughput below which a path plays Russian roulette, and below which it is 0.
 _ROULETTE, _NEGLIGIBLE = np.float32(0.05), np.float32(1e-12)
-#: Optical depth behind which a sun is not seen.
-_OPAQUE = np.float32(30.0)
-
-
-class _Suns(NamedTuple):
-    """directions: float32 (S, 3); depths: float32 (M, M, M, S), or (0, 0, 0, 0) for ratio tracking."""
-
-    directions: np.ndarray
-    depths: np.ndarray
-
 
 class _Path(NamedTuple):
     """Of a path: albedos (A,), throughput (A,), the suns' light at a vertex (S,) and the radiance so far (S, A)."""
@@ -63,39 +51,11 @@ def _sun_light(ray, medium, suns, light, state):
 
     The ray's origin is the vertex, its direction that of the light path before it.
     """
-    directions, depths = suns.directions, suns.depths
-    padded, _, sigma, g = medium
-    if depths.shape[0] == 0 or sigma > MAX_CELL_DEPTH:
-        for s in range(directions.shape[0]):
-            towards = Ray(ray.x, ray.y, ray.z, directions[s, 0], directions[s, 1], directions[s, 2])
-            transmittance, state = ratio_track(towards, medium, state)
-            cosine = ray.dx * directions[s, 0] + ray.dy * directions[s, 1] + ray.dz * directions[s, 2]
-            light[s] = transmittance * phase_hg(cosine, g)
-        return state
-    # The suns' optical depths at one of the eight cells around, chosen with its trilinear weight: its expectation is
-    # the interpolated transmittance, which is much closer at sharp shadow edges than exp(-interpolated depth), always
-    # too dark since exp is convex.
-    cells = padded.shape[0] - 2
-    m = depths.shape[0]
-    scale = np.float32(m) / np.float32(cells)
-    i, j, k, state = stochastic_cell(ray.x, ray.y, ray.z, scale, state)
-    i, j, k = min(max(i - 1, 0), m - 1), min(max(j - 1, 0), m - 1), min(max(k - 1, 0), m - 1)
-    # From that cell's centre to the vertex, in density cells.
-    sx = ray.x - (np.float32(i) + _HALF) / scale
-    sy = ray.y - (np.float32(j) + _HALF) / scale
-    sz = ray.z - (np.float32(k) + _HALF) / scale
-    between = interpolate(ray.x - _HALF * sx, ray.y - _HALF * sy, ray.z - _HALF * sz, padded)
-    # Depths are for extinction 1 per cube edge; sigma is per cell.
-    sigma_cube = sigma * np.float32(cells)
-    for s in range(directions.shape[0]):
-        # Along the sun's direction the derivative of the depth is the density itself.
-        nearer = sx * directions[s, 0] + sy * directions[s, 1] + sz * directions[s, 2]
-        tau = max(sigma_cube * depths[i, j, k, s] - sigma * between * nearer, _F0)
-        if tau < _OPAQUE:
-            cosine = ray.dx * directions[s, 0] + ray.dy * directions[s, 1] + ray.dz * directions[s, 2]
-            light[s] = np.exp(-tau) * phase_hg(cosine, g)
-        else:
-            light[s] = _F0
+    for s in range(suns.shape[0]):
+        towards = Ray(ray.x, ray.y, ray.z, suns[s, 0], suns[s, 1], suns[s, 2])
+        transmittance, state = ratio_track(towards, medium, state)
+        cosine = ray.dx * suns[s, 0] + ray.dy * suns[s, 1] + ray.dz * suns[s, 2]
+        light[s] = transmittance * phase_hg(cosine, medium.g)
     return state
 
 
@@ -147,7 +107,7 @@ class _CellVertices(NamedTuple):
 @numba.njit(cache=True, fastmath=True)
 def _trace_vertex(ray, medium, suns, albedos, sampling, state):
     """Mean radiance (S, A) of paths from a vertex at the ray's origin, seen along its direction."""
-    mean = np.zeros((suns.directions.shape[0], albedos.shape[0]), np.float32)
+    mean = np.zeros((suns.shape[0], albedos.shape[0]), np.float32)
     path = _Path(albedos, np.empty_like(albedos), np.empty(mean.shape[0], np.float32), np.empty_like(mean))
     for _ in range(sampling.paths):
         path.radiance[:] = _F0
@@ -165,7 +125,7 @@ def _points_kernel(grid, suns, vertices, sampling):
     """Mean radiance float32 (P, S, A) of the paths that start at each vertex."""
     padded, majorant = grid
     positions, directions, sigma, g, albedos = vertices
-    out = np.zeros((len(sigma), suns.directions.shape[0], albedos.shape[1]), np.float32)
+    out = np.zeros((len(sigma), suns.shape[0], albedos.shape[1]), np.float32)
     for p in numba.prange(len(sigma)):
         if sigma[p] > _F0:
             x, w = positions[p], directions[p]
@@ -292,7 +252,7 @@ def trace_points(scene: Scene, vertices: Vertices, sampling: Sampling) -> np.nda
     cells = np.float32(scene.grid.cells)
     return _points_kernel(
         scene.grid,
-        _Suns(scene.suns, scene.sun_depths),
+        scene.suns,
         _CellVertices(
             (vertices.positions + np.float32(0.5)) * cells,
             vertices.directions,
@@ -342,7 +302,7 @@ def trace_pixels(scene: Scene, camera: PinholeCamera, medium: Medium, sampling: 
             np.float32(medium.anisotropy),
             np.ascontiguousarray(medium.albedo, dtype=np.float32),
         ),
-        _Suns(scene.suns, scene.sun_depths),
+        scene.suns,
         _View((np.asarray(camera.position, np.float64) + 0.5) * grid.cells, rays.reshape(-1, 3)),
         Sampling(*map(int, sampling)),
     )

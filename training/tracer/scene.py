@@ -27,28 +27,15 @@ class Sampling(NamedTuple):
 class Scene:
     """A density lit by distant suns of irradiance 1."""
 
-    def __init__(self, density, suns, sun_depths=None):
+    def __init__(self, density, suns):
         """
         density: (N, N, N), or what `density_grid.prepare` made of it (prepare once for many scenes).
         suns: (S, 3) or (3,), directions towards the suns.
-        sun_depths: (S, M, M, M), optical depth towards each sun for extinction 1, at the centres of M^3 cells of the
-            cube; None for unbiased ratio tracking, several times slower. The lattice's resolution is its only error:
-            under 1 % of the mean up to an optical depth of 1 per density cell, 1 to 3 % at 2.5. Ratio tracking takes
-            over above `path_tracer.MAX_CELL_DEPTH`.
 
         Raises ValueError on shapes that do not fit, and on densities that are negative or not finite.
         """
         self.grid = prepare(density)
         self.suns = unit_vectors(suns, "suns")
-        if sun_depths is None:
-            self.sun_depths = np.empty((0, 0, 0, 0), np.float32)
-        else:
-            # Suns last: a lookup reads all suns of one cell.
-            depths = np.ascontiguousarray(np.moveaxis(np.asarray(sun_depths, np.float32), 0, -1))
-            cubic = depths.ndim == 4 and len(set(depths.shape[:3])) == 1 and depths.size > 0
-            if not cubic or depths.shape[3] != len(self.suns):
-                raise ValueError(f"sun_depths must be ({len(self.suns)}, M, M, M)")
-            self.sun_depths = depths
 
 
 class Vertices:
