@@ -36,6 +36,7 @@ _F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.flo
 #: Throughput below which a path plays Russian roulette, and below which it is 0.
 _ROULETTE, _NEGLIGIBLE = np.float32(0.05), np.float32(1e-12)
 
+
 class _Path(NamedTuple):
     """Of a path: albedos (A,), throughput (A,), the suns' light at a vertex (S,) and the radiance so far (S, A)."""
 
