@@ -15,7 +15,7 @@ from .random_numbers import draw, three_uniforms
 #: Edge of a block of the majorant grid, in cells.
 BLOCK = 8
 
-_HALF, _ONE = np.float32(0.5), np.float32(1.0)
+_HALF = np.float32(0.5)
 
 
 class DensityGrid(NamedTuple):
@@ -73,22 +73,11 @@ def interpolate(x, y, z, padded):
 
 
 @numba.njit(cache=True, fastmath=True)
-def stochastic_cell(x, y, z, scale, state):
-    """One of the eight cells around a position, chosen with its trilinear weight.
-
-    `scale` converts the position to the cells of the grid, whose cell (i, j, k) is returned as (i + 1, j + 1, k + 1):
-    its index where one layer of padding surrounds the grid. Returns (i, j, k, state).
-    """
-    state, bits = draw(state)
-    a, b, c = three_uniforms(bits)
-    return int(x * scale + _HALF + a), int(y * scale + _HALF + b), int(z * scale + _HALF + c), state
-
-
-@numba.njit(cache=True, fastmath=True)
 def stochastic_density(x, y, z, padded, state):
     """Density at one of the eight cells around a position, chosen with its trilinear weight; and the next state.
 
     Its expectation is the trilinear density and tracking is linear in the density: one read instead of eight, unbiased.
     """
-    i, j, k, state = stochastic_cell(x, y, z, _ONE, state)
-    return padded[i, j, k], state
+    state, bits = draw(state)
+    a, b, c = three_uniforms(bits)
+    return padded[int(x + _HALF + a), int(y + _HALF + b), int(z + _HALF + c)], state
