@@ -2,13 +2,13 @@
 """How far each system's image is from path-traced references: the paper's Tables 1 and 2 on our scenes.
 
     python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference]
-        [--views independent procedural real]
+        [--views independent retraced procedural real]
 
-Views: the independent references in benchmarks/data, whose path tracer shares no code with the project; held-back
-procedural volumes; and real volumes, which bpy reads. The references of the last two come from the project's own path
-tracer and are traced once (build/references). Every reference is two independent halves, so that its noise does not
-count as error. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a picture for each
-view: reference, systems, signed errors.
+Views: the independent references in benchmarks/data, whose path tracer shares no code with the project; the same views
+retraced; held-back procedural volumes; and real volumes, which bpy reads. The references of the last three come from
+the project's own path tracer and are traced once (build/references). Every reference is two independent halves, so that
+its noise does not count as error. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a
+picture for each view: reference, systems, signed errors.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from ..support.provenance import made_by
 from . import tables
 from .measurements import applies, measure, published_network, write_csv
 from .real_volumes import real_views
-from .views import independent_views, procedural_views
+from .views import independent_views, procedural_views, retraced_views
 
 PROGRAM = "benchmarks.fidelity"
 #: In the order of the tables.
@@ -38,18 +38,20 @@ def main(options=None):
     parser.add_argument("--out", type=pathlib.Path, required=True)
     present = [system for system in SYSTEMS if system in available_models()]
     parser.add_argument("--models", nargs="+", default=present, choices=available_models(), metavar="NAME")
-    sources = ["independent", "procedural", "real"]
-    parser.add_argument("--views", nargs="+", default=sources[:2], choices=sources)
+    sources = ["independent", "retraced", "procedural", "real"]
+    parser.add_argument("--views", nargs="+", default=["independent", "procedural"], choices=sources)
     parser.add_argument("--match", default="", metavar="TEXT", help="only views whose name contains this")
     parser.add_argument("--depth-samples", type=int, default=128)
     parser.add_argument("--size", type=int, default=64, help="pixels per edge of procedural and real views")
-    parser.add_argument("--samples", type=int, default=1024, help="paths per pixel in each half of their references")
+    parser.add_argument("--samples", type=int, default=1024, help="paths per pixel in each half of traced references")
     parser.add_argument("--cells", type=int, default=128, help="cells per edge of procedural volumes")
     parser.add_argument("--paths", type=int, default=PATHS, help="paths per depth sample of the system `reference`")
     parser.add_argument("--references", type=pathlib.Path, default=pathlib.Path("build/references"))
     arguments = parser.parse_args(options)
     register_system("reference", functools.partial(PathTracer, arguments.paths))
     views = independent_views() if "independent" in arguments.views else []
+    if "retraced" in arguments.views:
+        views += retraced_views(arguments.samples, arguments.references)
     if "procedural" in arguments.views:
         views += procedural_views(arguments.size, arguments.samples, arguments.cells, arguments.references)
     if "real" in arguments.views:

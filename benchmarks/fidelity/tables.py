@@ -2,7 +2,7 @@
 """The measurements as Markdown: a summary, the independent references, and the paper's Tables 1 and 2."""
 
 from .real_volumes import FILES
-from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, SIGMA_HAT
+from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, RETRACED, SIGMA_HAT
 
 #: Of RPNN, and of both tables' rows where nothing is varied.
 USUAL_G = ANISOTROPIES[0]
@@ -84,23 +84,26 @@ def summary(measured: Measured) -> str:
     return table(head, rows)
 
 
-def independent_tables(measured: Measured, published: dict) -> str:
-    """Relative RMSE and bias on the independent references, beside the published network's."""
-    views = [view for view in published if any(m.view == view for m in measured.all)]
+def view_tables(measured: Measured, views: list[str], published: dict) -> str:
+    """Errors and biases of each view and on the mean, beside the published network's where it was measured on them."""
     parts = []
     for title, key, write, number in (
         ("Relative RMSE (95 %)", "rmse", interval, "{:.3f}".format),
         ("Bias", "bias", lambda m: percent(m.bias), percent),
         ("Paper's metric", "paper", lambda m: f"{m.paper:.2f}", "{:.2f}".format),
     ):
-        rows = [[view, *measured.cells(view, write), number(published[view][key])] for view in views]
-        means = []
+        rows, means = [[view, *measured.cells(view, write)] for view in views], []
         for system in measured.systems:
             values = [getattr(measured.by_key[v, system], key) for v in views if (v, system) in measured.by_key]
             known = "" if len(values) == len(views) else f" ({len(values)} views)"
             means.append(number(_mean(values)) + known if values else "n/a")
-        rows.append(["**mean**", *means, number(_mean(published[view][key] for view in views))])
-        parts.append(f"{title}\n\n" + table(["view", *measured.systems, "published"], rows))
+        rows.append(["**mean**", *means])
+        if published:
+            others = [published[view][key] for view in views]
+            for row, value in zip(rows, [*others, _mean(others)], strict=True):
+                row.append(number(value))
+        head = ["view", *measured.systems, *(["published"] if published else [])]
+        parts.append(f"{title}\n\n" + table(head, rows))
     return "\n".join(parts)
 
 
@@ -209,8 +212,13 @@ def document(measurements, published: dict, source: str) -> str:
         "## Summary\n",
         summary(measured),
     ]
-    if any(m.view in published for m in measurements):
-        parts += ["## Independent references\n", independent_tables(measured, published)]
+    views = unique(m.view for m in measurements)
+    independent = [view for view in published if view in views]
+    if independent:
+        parts += ["## Independent references\n", view_tables(measured, independent, published)]
+    retraced = [view for view in views if view.endswith(RETRACED)]
+    if retraced:
+        parts += ["## The same views traced anew\n", view_tables(measured, retraced, {})]
     parts += [
         f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
         "The boost against RPNN is the ratio of seconds per frame at equal samples, as in the paper. That against the "

@@ -7,7 +7,7 @@ Cube units: the volume fills [-1/2, 1/2]^3, the camera looks at the origin, the 
 import functools
 import pathlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,8 @@ ALBEDOS = (GREY, (0.96, 0.98, 1.0), (0.8, 0.9, 1.0))
 ANISOTROPIES = (0.857, 0.5, 0.0)
 SIGMA_HAT = 100.0
 FOV = 40.0
+#: Ends the names of independent views whose references are traced anew.
+RETRACED = "-retraced"
 POSITION = (1.1, -0.95, 0.45)
 
 
@@ -142,6 +144,18 @@ def _independent_view(path: pathlib.Path) -> View:
 def independent_views() -> list:
     """Those of benchmarks/data/references, whose path tracer shares no code with the project."""
     return [_independent_view(path) for path in sorted((REFERENCES / "views").glob("*.npz"))]
+
+
+def retraced_views(samples: int, folder: pathlib.Path) -> list:
+    """`independent_views` with less noisy references, which the project's own path tracer makes and keeps in `folder`.
+
+    samples: paths per pixel in each half.
+    """
+    reference = functools.partial(traced_halves, folder=folder)
+    return [
+        replace(view, name=view.name + RETRACED, spec=replace(view.spec, samples=samples), reference=reference)
+        for view in independent_views()
+    ]
 
 
 @functools.lru_cache(1)

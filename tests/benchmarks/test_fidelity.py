@@ -13,6 +13,7 @@ from benchmarks.fidelity import real_volumes, tables, views
 from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
 from benchmarks.support import pages
+from inference.evaluation.error import relative_bias
 from inference.network import weights_file
 from training.data.volumes import HELD_BACK
 from training.export import export, save
@@ -67,6 +68,18 @@ def test_references_are_traced_once(tmp_path):
     # Another medium is another reference.
     other = dataclasses.replace(view, spec=dataclasses.replace(view.spec, anisotropy=0.5))
     assert not np.array_equal(other.halves(), halves) and len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_retraced_references_agree_with_independent_ones(tmp_path):
+    """Two path tracers that share no code, on thin smoke, where few paths suffice."""
+    [view] = [v for v in views.retraced_views(32, tmp_path) if v.name.startswith("smoke-20")]
+    [independent] = [v for v in views.independent_views() if v.name + views.RETRACED == view.name]
+    ours, theirs = view.halves().mean(axis=0), independent.halves()
+    mask = theirs[..., 3].mean(axis=0) > views.MASK_ALPHA
+    np.testing.assert_allclose(ours[mask, 3].mean(), theirs[:, mask, 3].mean(), rtol=5e-3)
+    bias = relative_bias(ours[..., :3], *theirs[..., :3], mask)
+    assert bias.low - 0.01 < 0.0 < bias.high + 0.01
 
 
 @pytest.mark.slow
