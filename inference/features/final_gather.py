@@ -21,7 +21,7 @@ import numpy as np
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..kernels.field_structures import LightGather
 from ..kernels.library import Kernels
-from ..transport.discrete_ordinates import reduced_anisotropy
+from ..scene.phase_function import reduced_anisotropy
 
 #: Level of the density pyramid that rays read.
 LEVEL = 1

@@ -18,7 +18,7 @@ number of colours costs one evaluation.
 import numpy as np
 
 from ..numerics.small_matmul import product
-from ..transport.discrete_ordinates import reduced_anisotropy
+from ..scene.phase_function import reduced_anisotropy
 from ..transport.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 
 #: Scale of extinction at which the mean direction of what is open is taken.

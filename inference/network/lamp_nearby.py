@@ -49,8 +49,7 @@ from ..kernels.field_structures import NearbyLight
 from ..kernels.library import Kernels
 from ..numerics.small_matmul import lengths, product
 from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
-from ..scene.phase_function import henyey_greenstein
-from ..transport.discrete_ordinates import reduced_anisotropy
+from ..scene.phase_function import henyey_greenstein, reduced_anisotropy
 from ..transport.forward_peak import MIN_FORWARD
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds

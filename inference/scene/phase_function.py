@@ -27,6 +27,11 @@ def henyey_greenstein(cosine: Cosine, anisotropy: float) -> Cosine:
     return (1.0 - g * g) / (4.0 * np.pi * square * np.sqrt(square))
 
 
+def reduced_anisotropy(anisotropy: Any) -> Any:
+    """G', the mean cosine of Henyey and Greenstein's phase function without its forward peak (Wiscombe 1977)."""
+    return anisotropy / (1.0 + anisotropy)
+
+
 @dataclass(frozen=True)
 class PhaseFunction:
     """A mixture of phase functions.

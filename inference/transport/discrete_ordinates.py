@@ -20,28 +20,24 @@ environment does, and phi and F then hold unscattered light too. The solution is
 feature for the network, which otherwise knows a point's surroundings in outline only.
 """
 
-import functools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
 from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
-from ..kernels.field_structures import OrdinateSweep
 from ..kernels.library import Kernels
-from ..numerics.exponential import one_minus_exp
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.phase_function import henyey_greenstein
+from ..scene.phase_function import henyey_greenstein, reduced_anisotropy
 from .diffusion import THIN, couple, solve
+from .ordinate_sweeps import OrdinateSweeps
+from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
 
 #: Level of the density pyramid that has these cells, and its cells along an edge of the cube.
 LEVEL, CELLS = 2, 64
-# Solid angles of the directions to the neighbours across a face, an edge and a corner, over 4 pi.
-WEIGHTS = 1.0 / 21.0, 4.0 / 105.0, 9.0 / 280.0
 # Cells along an edge from which on the light is first solved on cells twice as large. At most so many sweeps without
 # and after that; they end when less than the fraction CONVERGED of the scattered light changes.
 MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
@@ -54,41 +50,13 @@ THICK_CELL = 0.25
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
 CELL_DIFFUSION = 0.2
-# Lower bound of the optical thickness of a cell.
-MIN_DEPTH = np.float32(1e-6)
-# Fluence and flux: no axis has as many directions on one side.
-SUMS = 4
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
 BEAMS_PER_BLOCK = 1024
-# Optical thickness of a cell below which a series takes the place of differences.
-THIN_CELL = np.float32(0.03)
 
-
-def _directions(axis: int) -> np.ndarray:
-    """Steps int (D, 3) that rise along an axis and are 0 along those before it, nearest neighbours first."""
-    steps = np.array(list(np.ndindex(3, 3, 3))) - 1
-    steps = steps[(steps[:, axis] == 1) & (steps[:, :axis] == 0).all(axis=1)]
-    return steps[np.argsort(np.abs(steps).sum(axis=1), kind="stable")]
-
-
-# Phase function of the beam along the steps of an axis, and along their opposites.
-Phases = tuple[np.ndarray, np.ndarray]
 # Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
 Beam = Callable[["DiscreteOrdinates", CancelToken], tuple[np.ndarray, np.ndarray]]
-
-# With their opposites, all 26 directions.
-STEPS = [_directions(axis) for axis in range(3)]
-
-
-def _ordinates() -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (26, 3) towards the light of all steps, in the order of sweeps, and their shares (26,) of 4 pi."""
-    steps = np.concatenate([sign * steps for steps in STEPS for sign in (1, -1)])
-    return -steps / np.sqrt((steps**2).sum(axis=1))[:, None], _solid_angles(steps)
-
-
-def reduced_anisotropy(anisotropy: Any) -> Any:
-    """G', the mean cosine of the phase function without its forward peak."""
-    return anisotropy / (1.0 + anisotropy)
+# What follows light along the steps of one side.
+Follower = Callable[[], object]
 
 
 class DiscreteOrdinates:
@@ -137,35 +105,18 @@ class DiscreteOrdinates:
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
-        self.links: list[dict[int, np.ndarray]] | None = None
         coarse_boundaries = None
         if triangles is not None and len(triangles):
             boundaries = CellBoundaries(triangles, n)
             if not boundaries.empty:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
-                self.links = [_open_links(boundaries, axis) for axis in range(3)]
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
         if self.varies:
             self.equation[0][...] += (sigma_hat * (2.0 / n) ** 2) * self._means((1.0 - albedo) * density)
         elif not self.conservative:
             self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
-        self.leaving, self.within = self._source_shares()
-
-    def _source_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Share of the source function in the radiance that leaves a cell, and in its mean within it.
-
-        float32 (3, x, y, z), for each kind of neighbour: across a face, an edge or a corner. These are 1 - exp(-tau)
-        and 1 - (1 - exp(-tau)) / tau.
-        """
-        n = len(self.density)
-        extinction = self.extinction
-        if self.boundaries is not None:
-            extinction = np.where(self.boundaries.inside, np.float32(n * 1e3), extinction)
-        lengths = np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n)
-        tau = np.maximum(extinction * lengths[:, None, None, None], MIN_DEPTH)
-        lost = one_minus_exp(tau)
-        # The difference from 1 loses all digits in thin cells.
-        return lost, np.where(tau < THIN_CELL, tau * (0.5 - tau * (1.0 / 6.0 - tau / 24.0)), 1.0 - lost / tau)
+        scattering = float(1.0 if self.varies else self.albedo), self.anisotropy
+        self.sweeps = OrdinateSweeps(self.extinction, scattering, self.boundaries, kernels)
 
     def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
@@ -175,73 +126,35 @@ class DiscreteOrdinates:
         """
         n = len(self.density)
         tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
+        field, swept = self._fields()
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
-        beam = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.within[0])
-        phases = [self._phases(steps, sun) for steps in STEPS]
+        field[4] = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.sweeps.within[0])
+        phases = [self._phase(sign * STEPS[axis], sun) for axis, sign in SIDES]
         # The quadrature of the phase function need not be exactly 1.
-        total = (
-            4.0
-            * np.pi
-            * sum((_solid_angles(steps) * phase).sum() for steps, pair in zip(STEPS, phases) for phase in pair)
-        )
-        field = np.zeros((5, n, n, n), np.float32)
-        field[4] = beam
+        angles = [solid_angles(STEPS[axis]) for axis, _ in SIDES]
+        total = 4.0 * np.pi * sum((angle * phase).sum() for angle, phase in zip(angles, phases))
         source = self._source(field)
-        swept, sweeps = np.empty((4, n, n, n), np.float32), SWEEPS
-        follow = [
-            self._follower(axis, sign, phase / total, source, swept)
-            for axis, pair in enumerate(phases)
-            for sign, phase in zip((1, -1), pair)
-        ]
+        follow = self.sweeps.followers(source, swept, phases=[phase / total for phase in phases])
         if self.coarser is not None:
             coarse_visibility = self._means(visibility) if isinstance(visibility, np.ndarray) else visibility
-            coarse = self.coarser.light(sun, coarse_visibility, cancel)
-            field[:4] = [self._finer(values) for values in coarse]
-            sweeps = FINE_SWEEPS
-        for number in range(sweeps):
-            if self.boundaries is not None:
-                field *= ~self.boundaries.inside
-            self._scatter(field, source)
-            swept.fill(0.0)
-            for one in follow:
-                cancel.check()
-                one()
-            change = self.albedo * self.extinction * (swept[0] - field[0])
-            if self.boundaries is not None:
-                change *= ~self.boundaries.inside
-            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
-                break
-            field[:4] = swept
-            self._correct(field, change, cancel)
-        return swept
+            field[:4] = [self._finer(values) for values in self.coarser.light(sun, coarse_visibility, cancel)]
+        return self._converge(field, source, swept, follow, cancel)
 
     def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
 
         beam: of the lamp, on any number of cells. Raises Cancelled.
         """
-        n = len(self.density)
         light, towards = beam(self, cancel)
-        field, sweeps = np.zeros((5, n, n, n), np.float32), SWEEPS
+        field, swept = self._fields()
         beams, source = self._beams(light.astype(np.float32), towards.astype(np.float32)), self._source(field)
         if self.varies:
             beams *= self.albedo
-        swept = np.empty((4, n, n, n), np.float32)
-        follow = self._lamp_followers(source, beams, [swept] * 6)
+        follow = self.sweeps.followers(source, swept, beams=beams)
         if self.coarser is not None:
             field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
-            sweeps = FINE_SWEEPS
-        for number in range(sweeps):
-            self._sweep_lamp(field, source, swept, follow, cancel)
-            change = self.albedo * self.extinction * (swept[0] - field[0])
-            if self.boundaries is not None:
-                change *= ~self.boundaries.inside
-            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
-                break
-            field[:4] = swept
-            self._correct(field, change, cancel)
-        return swept
+        return self._converge(field, source, swept, follow, cancel)
 
     def moments(self, first: np.ndarray, beams: np.ndarray | None = None, cancel: CancelToken = NEVER) -> np.ndarray:
         """What becomes of light that scatters: radiance times each of `spherical_harmonics` of where it goes.
@@ -263,24 +176,20 @@ class DiscreteOrdinates:
         field, radiance = np.zeros((5, n, n, n), np.float32), np.empty((len(ORDINATES), n, n, n), np.float32)
         np.add(first, again, out=field[:4])
         self._limit_flux(field)
-        follow = self._lamp_followers(field, beams, np.split(radiance, INFLOW_ENDS))
-        self._sweep_lamp(field, field, radiance, follow, cancel)
+        self._sweep(field, field, radiance, self.sweeps.followers(field, radiance, beams=beams), cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
         return product_of_columns(weights.astype(np.float32), radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
 
     def _scattered_again(self, first: np.ndarray, beams: np.ndarray | None, cancel: CancelToken) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of what `moments` finds."""
-        n = len(self.density)
-        again, swept = np.zeros((4, n, n, n), np.float32), np.empty((4, n, n, n), np.float32)
-        field = np.zeros((5, n, n, n), np.float32)
-        follow = self._lamp_followers(field, beams, [swept] * 6)
+        field, swept = self._fields()
+        again = np.zeros_like(swept)
+        follow = self.sweeps.followers(field, swept, beams=beams)
         for number in range(EXACT_SWEEPS):
             np.add(first, again, out=field[:4])
             self._limit_flux(field)
-            self._sweep_lamp(field, field, swept, follow, cancel)
-            change = self.albedo * self.extinction * (swept[0] - again[0])
-            if self.boundaries is not None:
-                change *= ~self.boundaries.inside
+            self._sweep(field, field, swept, follow, cancel)
+            change = self._newly_scattered(swept, again)
             again[:] = swept
             most = EXACTLY_CONVERGED * (self.extinction * (swept[0] + first[0])).sum()
             if number == EXACT_SWEEPS - 1 or np.abs(change).sum() <= most:
@@ -288,36 +197,59 @@ class DiscreteOrdinates:
             self._correct(again, change, cancel)
         return again
 
-    def _lamp_followers(
-        self, source: np.ndarray, beams: np.ndarray | None, swept: Sequence[np.ndarray]
-    ) -> list[Callable[[], object]]:
-        """What follows light along all directions; source and beams: as for `_follower`, swept: for each axis and sign.
+    def _fields(self) -> tuple[np.ndarray, np.ndarray]:
+        """Float32 (5, x, y, z) of zeros, for fluence, flux and a beam, and (4, x, y, z) to be filled by sweeps."""
+        n = len(self.density)
+        return np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32)
 
-        Beams are those of each direction, so that no light is lost whatever the quadrature of the phase function.
-        """
-        sides = [(axis, sign) for axis in range(3) for sign in (1, -1)]
-        parts = [None] * len(sides) if beams is None else np.split(beams, INFLOW_ENDS)
-        return [
-            self._follower(axis, sign, np.ones(len(STEPS[axis])), source, one, beams=some)
-            for (axis, sign), some, one in zip(sides, parts, swept)
-        ]
-
-    def _sweep_lamp(
+    def _converge(
         self,
         field: np.ndarray,
         source: np.ndarray,
         swept: np.ndarray,
-        follow: Sequence[Callable[[], object]],
+        follow: Sequence[Follower],
+        cancel: CancelToken,
+        limit: bool = True,
+    ) -> np.ndarray:
+        """Sweep, and correct by diffusion, until little changes; returns `swept`, fluence and flux (4, x, y, z).
+
+        field: (5, x, y, z), with a first guess; source: of `_source`; follow: of `OrdinateSweeps.followers`, which fill
+        `swept`; limit: as for `_correct`.
+        """
+        sweeps = SWEEPS if self.coarser is None else FINE_SWEEPS
+        for number in range(sweeps):
+            self._sweep(field, source, swept, follow, cancel)
+            change = self._newly_scattered(swept, field)
+            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+                break
+            field[:4] = swept
+            self._correct(field, change, cancel, limit)
+        return swept
+
+    def _sweep(
+        self,
+        field: np.ndarray,
+        source: np.ndarray,
+        swept: np.ndarray,
+        follow: Sequence[Follower],
         cancel: CancelToken,
     ) -> None:
-        """Fill what the followers add to with the light of a field (5, x, y, z), and of the beams."""
+        """Fill `swept` with the light that a field (5, x, y, z) scatters, and that of beams; arguments: `_converge`."""
         if self.boundaries is not None:
             field *= ~self.boundaries.inside
-        self._scatter(field, source)
+        if self.varies:
+            np.multiply(field, self.albedo, out=source)
         swept.fill(0.0)
         for one in follow:
             cancel.check()
             one()
+
+    def _newly_scattered(self, swept: np.ndarray, field: np.ndarray) -> np.ndarray:
+        """What scatters (x, y, z), per volume, of the fluence that sweeps have added to a field's."""
+        change = self.albedo * self.extinction * (swept[0] - field[0])
+        if self.boundaries is not None:
+            change *= ~self.boundaries.inside
+        return change
 
     def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
         """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).
@@ -345,33 +277,15 @@ class DiscreteOrdinates:
 
         radiance: (26,), that arrives from ORDINATES. Linear in it. Raises Cancelled.
         """
-        n = len(self.density)
-        field, swept, sweeps = np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32), SWEEPS
-        entering = iter(np.split(np.asarray(radiance, np.float32), INFLOW_ENDS))
+        field, swept = self._fields()
         source = self._source(field)
-        follow = [
-            self._follower(axis, sign, np.zeros(len(steps)), source, swept, np.ascontiguousarray(next(entering)))
-            for axis, steps in enumerate(STEPS)
-            for sign in (1, -1)
-        ]
+        follow = self.sweeps.followers(source, swept, entering=np.asarray(radiance, np.float32))
         if self.coarser is not None:
             field[:4] = [self._finer(values) for values in self.coarser.environment(radiance, cancel)]
-            sweeps = FINE_SWEEPS
         elif self.conservative:
             # Exact for even light, which no albedo of 1 changes.
             field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
-        for number in range(sweeps):
-            self._scatter(field, source)
-            swept.fill(0.0)
-            for one in follow:
-                cancel.check()
-                one()
-            change = self.albedo * self.extinction * (swept[0] - field[0])
-            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
-                break
-            field[:4] = swept
-            self._correct(field, change, cancel, limit=False)
-        return swept
+        return self._converge(field, source, swept, follow, cancel, limit=False)
 
     def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
         """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
@@ -382,15 +296,9 @@ class DiscreteOrdinates:
         """What sweeps read in place of a field (5, x, y, z): itself, unless the albedo varies."""
         return np.empty_like(field) if self.varies else field
 
-    def _scatter(self, field: np.ndarray, source: np.ndarray) -> None:
-        """Fill the source of sweeps with what of a field scatters, if the albedo varies."""
-        if self.varies:
-            np.multiply(field, self.albedo, out=source)
-
-    def _phases(self, steps: np.ndarray, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Henyey-Greenstein phase function of the beam along steps and along their opposites, (D,) each."""
-        cosine = -(steps @ sun) / np.sqrt((steps**2).sum(axis=1))
-        return henyey_greenstein(cosine, self.anisotropy), henyey_greenstein(-cosine, self.anisotropy)
+    def _phase(self, steps: np.ndarray, sun: np.ndarray) -> np.ndarray:
+        """Henyey-Greenstein phase function (D,) of a sun's beam along steps (D, 3)."""
+        return henyey_greenstein(-(steps @ sun) / np.sqrt((steps**2).sum(axis=1)), self.anisotropy)
 
     def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken, limit: bool = True) -> None:
         """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet.
@@ -422,135 +330,6 @@ class DiscreteOrdinates:
         means = np.empty([n // 2 for n in values.shape], np.float32)
         halve(np.ascontiguousarray(values, np.float32), means, self.kernels)
         return means
-
-    def _follower(
-        self,
-        axis: int,
-        sign: int,
-        phase: np.ndarray,
-        field: np.ndarray,
-        swept: np.ndarray,
-        entering: np.ndarray | None = None,
-        beams: np.ndarray | None = None,
-    ) -> Callable[[], object]:
-        """What adds the light along the steps of an axis, or their opposites, to fluence and flux (4, x, y, z).
-
-        phase: (D,), of the beam. field: (5, x, y, z), whose sources emit the light: phi, F and the beam. entering:
-        float32 (D,), radiance at the faces of the cube, or None. beams: float32 (D, x, y, z), of each step, in place of
-        the field's; with them, swept may be the mean radiance along each step in each cell, (D, x, y, z).
-        """
-        steps = sign * STEPS[axis]
-        links = None if self.links is None else self.links[axis][sign]
-        emit, gather = self._weights(steps, phase)
-        if self.kernels is None:
-            return lambda: self._follow_steps(axis, steps, (emit, gather), (field, beams), swept, links, entering)
-        n = len(self.density)
-        data = OrdinateSweep(
-            cells=n,
-            axis=axis,
-            sign=sign,
-            directions=len(steps),
-            steps=np.ascontiguousarray(np.delete(steps, axis, 1), np.int64),
-            kinds=np.abs(steps).sum(axis=1) - 1,
-            emit=emit,
-            gather=gather if len(swept) == SUMS else None,
-            field=field,
-            beams=beams,
-            leaving=self.leaving,
-            within=self.within,
-            links=links,
-            entering=entering,
-            sums=swept,
-            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 12 * n, np.float32),
-        )
-        return functools.partial(self.kernels.prepare, "sweep_ordinates", data)
-
-    def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of a field in the sources of steps, float32 (D, 5), and of their light in its sums, (D, 4)."""
-        unit = np.concatenate([np.ones((len(steps), 1)), steps / np.sqrt(np.abs(steps).sum(axis=1))[:, None]], axis=1)
-        albedo = np.float32(1.0) if self.varies else self.albedo
-        scattered = albedo * unit * [1.0, *[3.0 * self.anisotropy] * 3] / (4.0 * np.pi)
-        phase = albedo * phase
-        gather = 4.0 * np.pi * _solid_angles(steps)[:, None] * unit
-        return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
-
-    def _follow_steps(
-        self,
-        axis: int,
-        steps: np.ndarray,
-        weights: tuple[np.ndarray, np.ndarray],
-        light: tuple[np.ndarray, np.ndarray | None],
-        swept: np.ndarray,
-        links: np.ndarray | None,
-        entering: np.ndarray | None,
-    ) -> None:
-        """Add fluence and flux of light along steps (D, 3), all of which lead to one side along an axis, to `swept`.
-
-        weights: from `_weights`. light: field and beams; these, swept and entering: as for `_follower`.
-        """
-        n, kinds = len(self.density), np.abs(steps).sum(axis=1) - 1
-        (emit, gather), (field, beams) = weights, light
-        across = [place for place in range(3) if place != axis]
-        field, swept, leaving, within = (
-            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
-        )
-        if beams is not None:
-            beams = np.moveaxis(beams, 1 + axis, 0)
-        # Light that leaves the previous slice, with a border of what enters.
-        passing = np.zeros((len(steps), n + 2, n + 2), np.float32)
-        if entering is not None:
-            passing[:] = entering[:, None, None]
-        for k in range(n)[:: steps[0, axis]]:
-            arriving = np.stack(
-                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(passing, steps[:, across])]
-            )
-            if links is not None:
-                arriving *= links[k]
-            # Within a cell radiance tends towards the source function: I = I_0 + (S - I_0) (1 - exp(-tau)).
-            parts = field[k] if beams is None else [*field[k][:4], beams[k]]
-            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, parts))
-            rise = source - arriving
-            passing[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
-            mean = arriving + rise * within[k][kinds]
-            if swept.shape[1] == SUMS:
-                swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
-            else:
-                swept[k] = mean
-
-
-def _solid_angles(steps: np.ndarray) -> np.ndarray:
-    """Solid angles (D,) of steps, over 4 pi."""
-    return np.array(WEIGHTS)[np.abs(steps).sum(axis=1) - 1]
-
-
-#: Unit vectors (26, 3) towards the light of the directions that are solved for, and their shares (26,) of the sphere.
-ORDINATES, ORDINATE_WEIGHTS = _ordinates()
-# Where the directions of each axis and sign end among them.
-INFLOW_ENDS = np.cumsum([len(steps) for steps in STEPS for _ in range(2)])[:-1]
-
-
-def _open_links(boundaries: CellBoundaries, axis: int) -> dict[int, np.ndarray]:
-    """Whether light passes from the cells that steps along an axis come from, by sign of the steps.
-
-    float32 (slices, D, b, c): 0 where a surface cuts the link, else 1.
-    """
-    clear = boundaries.facing == 0.0
-    found = {}
-    for sign in (1, -1):
-        links = []
-        for step in sign * STEPS[axis]:
-            # The link goes along one axis after the other, backwards. What np.roll carries in at a face comes without
-            # light.
-            place, link = np.zeros(3, int), np.ones(clear.shape[1:], bool)
-            for a in np.flatnonzero(step):
-                if step[a] > 0:
-                    place[a] -= 1
-                link &= np.roll(clear[a], tuple(-place), axis=(0, 1, 2))
-                if step[a] < 0:
-                    place[a] += 1
-            links.append(np.moveaxis(link, axis, 0))
-        found[sign] = np.ascontiguousarray(np.stack(links, axis=1), np.float32)
-    return found
 
 
 def _interpolated(values: np.ndarray) -> np.ndarray:

@@ -17,7 +17,8 @@ from ..kernels.library import Kernels
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
-from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
+from .discrete_ordinates import DiscreteOrdinates
+from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.small_matmul import product
-from ..scene.phase_function import henyey_greenstein
-from .discrete_ordinates import reduced_anisotropy
+from ..scene.phase_function import henyey_greenstein, reduced_anisotropy
 
 #: Square of the anisotropy below which there is no peak; nor is there where light scatters backwards.
 MIN_FORWARD = 1e-3

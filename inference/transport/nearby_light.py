@@ -13,9 +13,10 @@ import numpy as np
 from ..grids.held_cells import box_of
 from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
-from .discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES, DiscreteOrdinates
+from .discrete_ordinates import DiscreteOrdinates
 from .forward_peak import forward_peak
 from .lamp_beam import CubeCells, LampInCube
+from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .peak_photons import LampInCells, peak_light
 from .wide_light import MOMENTS, Lobe, scattered_wide, wide_light
 

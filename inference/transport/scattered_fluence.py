@@ -10,7 +10,8 @@ import numpy as np
 from ..grids.working_cube import Cube
 from ..numerics.interpolation import lerp_into
 from ..occluders.cell_boundaries import CellBoundaries
-from .discrete_ordinates import CELLS, reduced_anisotropy
+from ..scene.phase_function import reduced_anisotropy
+from .discrete_ordinates import CELLS
 
 #: Added to the fluence before taking its logarithm.
 MIN_FLUENCE = 1e-6

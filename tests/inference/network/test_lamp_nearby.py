@@ -8,8 +8,7 @@ import pytest
 
 from inference.kernels.library import Kernels, load_kernels
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way, straight_light
-from inference.scene.phase_function import henyey_greenstein
-from inference.transport.discrete_ordinates import reduced_anisotropy
+from inference.scene.phase_function import henyey_greenstein, reduced_anisotropy
 from inference.transport.scattered_fluence import FluenceLattice
 
 KERNELS = load_kernels()

@@ -18,7 +18,7 @@ from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
 from inference.transport.blurred_environment import blurred
-from inference.transport.discrete_ordinates import CELLS, ORDINATE_WEIGHTS, DiscreteOrdinates
+from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.environment_light import (
     ALBEDOS,
     DIRECTION_WEIGHTS,
@@ -29,6 +29,7 @@ from inference.transport.environment_light import (
     ordinate_radiance,
 )
 from inference.transport.open_depths import OpenDepths, direction_depths
+from inference.transport.ordinates import ORDINATE_WEIGHTS
 
 
 def sky(rows=16, seed=0):

@@ -7,8 +7,10 @@ import pytest
 from inference import Volume
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import MAX_FLUENCE
+from inference.scene.phase_function import reduced_anisotropy
 from inference.transport import scattered_fluence
-from inference.transport.discrete_ordinates import CELLS, STEPS, DiscreteOrdinates, _solid_angles, reduced_anisotropy
+from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
+from inference.transport.ordinates import STEPS, solid_angles
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -32,7 +34,7 @@ def test_directions_and_weights_integrate_polynomials_over_the_sphere():
     """Lebedev's rule of 26 points is exact to degree 7."""
     steps = np.concatenate([sign * s for s in STEPS for sign in (1, -1)])
     assert len(np.unique(steps, axis=0)) == 26
-    u, weights = steps / np.linalg.norm(steps, axis=1, keepdims=True), _solid_angles(steps)
+    u, weights = steps / np.linalg.norm(steps, axis=1, keepdims=True), solid_angles(steps)
     for powers, expected in (
         ((0, 0, 0), 1),
         ((2, 0, 0), 1 / 3),
@@ -51,7 +53,7 @@ def test_thin_fog_is_single_scattering():
     density, sigma = np.ones((CELLS,) * 3, np.float32), 1e-3
     fluence = DiscreteOrdinates(density, sigma, 0.0).light(SLANT)[0]
     steps = np.concatenate(STEPS)
-    expected = sigma * 2.0 * _solid_angles(steps) @ (0.5 * np.linalg.norm(steps, axis=1))
+    expected = sigma * 2.0 * solid_angles(steps) @ (0.5 * np.linalg.norm(steps, axis=1))
     half = CELLS // 2
     assert fluence[half - 1 : half + 1, half - 1 : half + 1, half - 1 : half + 1].mean() == pytest.approx(
         expected, rel=0.01

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from inference.kernels.library import Kernels, load_kernels
-from inference.transport.discrete_ordinates import ORDINATE_WEIGHTS, ORDINATES
 from inference.transport.forward_peak import forward_peak
+from inference.transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.wide_light import FACE, Lobe, scattered_wide, wide_light
 
