@@ -11,16 +11,11 @@ from .marching.lamp_in_media import LampInMedia, place_lamp
 from .marching.lamp_march import lamp_features_at
 from .marching.ray_march import ray_features_at
 from .network.network import load_network
-from .network.predictor import (
-    POINTS_PER_TASK,
-    Bounds,
-    LampLight,
-    PreparedLampPredictor,
-    PreparedPredictor,
-    VolumePredictor,
-)
+from .network.predictor import POINTS_PER_TASK, Bounds, VolumePredictor
+from .network.prepared_predictors import LampLight, PreparedLampPredictor, PreparedPredictor
 from .plan.lights import LAMP_MODELS
-from .plan.plan import distinct_albedos, in_range
+from .plan.plan import distinct_albedos
+from .plan.precision import in_range
 from .scene.description import Medium, Sun, Volume
 from .scene.errors import SceneError
 from .scene.lamps import LAMPS, Lamp

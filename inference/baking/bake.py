@@ -8,7 +8,8 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..plan.lights import Light
-from ..plan.plan import Channels, in_range, last_albedo, make_plan
+from ..plan.plan import Channels, last_albedo, make_plan
+from ..plan.precision import in_range
 from ..render import load_compiled, prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken

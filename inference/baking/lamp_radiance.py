@@ -11,7 +11,7 @@ from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
-from ..network.predictor import LampLight
+from ..network.prepared_predictors import LampLight
 from ..plan.plan import Channels
 from .point_radiance import rays_outwards, spans
 

@@ -14,7 +14,8 @@ from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..marching.ray_steps import RayBatch
 from ..network.albedos import Albedos
-from ..network.predictor import POINTS_PER_TASK, PreparedPredictor
+from ..network.predictor import POINTS_PER_TASK
+from ..network.prepared_predictors import PreparedPredictor
 from ..plan.plan import Channels
 from ..scene.description import Sun
 from ..transport.scattered_fluence import ScatteredFluence

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..marching.depth_samples import DepthSamples
 from ..network.albedos import Albedos
-from ..network.predictor import EnvironmentPredictor
+from ..network.prepared_predictors import EnvironmentPredictor
 from ..plan.plan import last_albedo
 from .adaptive_interpolation import Guide
 from .context import ChannelPass, PreparedScene, RenderContext, Tile

@@ -13,7 +13,7 @@ from ..marching.lamp_in_media import LampInMedia
 from ..marching.lamp_march import LampMarch
 from ..marching.mean_lamp_depth import MeanLampDepth
 from ..marching.ray_steps import RayBatch
-from ..network.predictor import LampLight
+from ..network.prepared_predictors import LampLight
 from ..plan.plan import Channels
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, pixel_size

@@ -11,14 +11,8 @@ import numpy as np
 from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..network.albedos import Albedos
-from ..network.predictor import (
-    POINTS_PER_TASK,
-    Bounds,
-    LampLight,
-    PreparedLampPredictor,
-    PreparedPredictor,
-    VolumePredictor,
-)
+from ..network.predictor import POINTS_PER_TASK, Bounds, VolumePredictor
+from ..network.prepared_predictors import LampLight, PreparedLampPredictor, PreparedPredictor
 from ..network.uncertainty import UncertaintyNetwork
 from ..plan.plan import Channels, last_albedo
 from ..runtime.report import Report

@@ -15,7 +15,6 @@ from ..scene.errors import SceneError
 from ..scene.lamps import Lamp
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
-from ..scene.sparse_grid import SparseGrid
 from .joined_lamps import joined_lamps
 from .lights import (
     LAMP_MODELS,
@@ -43,24 +42,17 @@ from .memory import (
     ray_bytes,
 )
 from .overlap import overlapping
+from .precision import in_range
 from .resolution import BAND
 
 # Suns within this angle of each other, in radians, count as parallel.
 PARALLEL_ANGLE = 1e-6
-# A grid whose largest density lies outside is rescaled, and its extinction inversely.
-DENSITY_RANGE = (2.0**-20, 2.0**20)
-# Albedos whose voxels differ by less are uniform.
-SAME_ALBEDO = 1e-6
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
 TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
 # Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
 # their depth samples are held meanwhile.
 VIEW_PIXELS = 1 << 16
-# Optical thickness of the working cube below which nothing is visible, and above which the picture no longer changes.
-MIN_SIGMA_HAT, MAX_SIGMA_HAT = 1e-20, 1e12
-# Voxels are indexed with 32-bit integers.
-MAX_VOXELS = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -198,83 +190,6 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
         else:
             merged.append(replace(sun))
     return merged
-
-
-def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
-    """The volume and medium rescaled into the range of single precision, for the same picture.
-
-    Raises SceneError for a grid with more voxels than 32 bits can count.
-    """
-    density = volume.density
-    # Dense grids are padded by three voxels on each axis.
-    if isinstance(density, SparseGrid):
-        voxels = float(density.values.size)
-    else:
-        voxels = float(np.prod([n + 3.0 for n in density.shape]))
-    if voxels > MAX_VOXELS:
-        raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
-    sigma_t, peak = medium.sigma_t, float(density.max())
-    volume, medium = _bound_albedo(volume, medium)
-    density = volume.density
-    if peak == 0.0:
-        return volume, medium
-    if not DENSITY_RANGE[0] < peak < DENSITY_RANGE[1]:
-        exponent = int(np.frexp(peak)[1])
-        sigma_t, peak = np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
-        density = _scaled(density, -exponent)
-        scattering = volume.scattering and tuple(_scaled(grid, -exponent) for grid in volume.scattering)
-        volume = replace(volume, density=density, scattering=scattering)
-    size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
-    sigma_t = np.minimum(sigma_t, MAX_SIGMA_HAT / (peak * size))
-    sigma_t = np.where(sigma_t * peak * size < MIN_SIGMA_HAT, 0.0, sigma_t)
-    return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
-
-
-def _scaled(grid: np.ndarray | SparseGrid, exponent: int) -> np.ndarray | SparseGrid:
-    """Values times a power of two."""
-    if isinstance(grid, SparseGrid):
-        return grid.with_values(np.ldexp(grid.values, exponent))
-    return np.ldexp(grid, exponent)
-
-
-def _bound_albedo(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
-    """A medium whose albedo varies as a Volume that holds its scattering, and a Medium of the mean albedo.
-
-    Others unchanged. Raises SceneError where albedo and density have different voxels.
-    """
-    if not medium.varies:
-        return volume, medium
-    density, scattering, mean, constant = volume.density, [], [], True
-    total = _sum(density)
-    filled = _voxels(density) > 0.0
-    for albedo in medium.albedo:
-        if isinstance(density, SparseGrid):
-            matches = isinstance(albedo, SparseGrid) and albedo.table is density.table
-        else:
-            matches = isinstance(albedo, np.ndarray) and albedo.shape == density.shape
-        if not matches:
-            raise SceneError(f"{volume.name}: an albedo that varies must have the density's voxels")
-        inside = _voxels(albedo)[filled]
-        low, high = (float(inside.min()), float(inside.max())) if len(inside) else (0.0, 0.0)
-        if isinstance(density, SparseGrid):
-            scattering.append(density.with_values(density.values * albedo.values))
-        else:
-            scattering.append(density * albedo)
-        constant &= high - low <= SAME_ALBEDO
-        mean.append(min(_sum(scattering[-1]) / total, 1.0) if high - low > SAME_ALBEDO else high)
-    if constant:
-        # One colour costs what a colour costs.
-        return volume, replace(medium, albedo=np.array(mean if len(mean) == 3 else mean * 3))
-    bound = replace(medium, albedo=np.array(mean if len(mean) == 3 else mean * 3))
-    return replace(volume, scattering=tuple(scattering)), bound
-
-
-def _voxels(grid: np.ndarray | SparseGrid) -> np.ndarray:
-    return grid.values if isinstance(grid, SparseGrid) else grid
-
-
-def _sum(grid: np.ndarray | SparseGrid) -> float:
-    return float(_voxels(grid).sum(dtype=np.float64))
 
 
 def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> list[OpenSky]:
