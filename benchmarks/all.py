@@ -60,7 +60,8 @@ COMMANDS = (
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
     "benchmarks.cycles.baked_light",
     "benchmarks.cycles.baked_eevee",
-    f"benchmarks.fidelity --out build/fidelity --views independent {SYSTEMS}",
+    f"benchmarks.fidelity --out build/fidelity --docs --views independent {SYSTEMS}",
+    f"benchmarks.fidelity --out build/retraced --docs --views retraced --samples 4096 {SYSTEMS}",
     "benchmarks.fidelity.calibration --docs",
     "training.data.targets --out data/uncertainty --volumes 2000-2023 --points 192 --paths 1024",
     "benchmarks.fidelity.calibration --docs",
@@ -72,9 +73,10 @@ COMMANDS = (
     "benchmarks.stability",
     "benchmarks.stability.soak",
     "benchmarks.cycles.scenes",
-    "benchmarks.fidelity --out build/real --views real --models mrpnn --size 32 --samples 256 --depth-samples 32",
-    "benchmarks.fidelity --out build/held --views procedural --match g0.857-albedo1 --models mrpnn mrpnn-paper rpnn"
-    " --size 48 --samples 512",
+    "benchmarks.fidelity --out build/real --docs --views real --models mrpnn --size 32 --samples 256"
+    " --depth-samples 32",
+    "benchmarks.fidelity --out build/held --docs --views procedural --match g0.857-albedo1"
+    " --models mrpnn mrpnn-paper rpnn --size 48 --samples 512",
     "benchmarks.fidelity.calibration --docs",
     "training.data.targets --out data/test --volumes 1000000-1000039 --points 256 --paths 1024",
     "training.evaluate --held data/test --checkpoint inference/weights/mrpnn.onnx",

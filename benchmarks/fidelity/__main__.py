@@ -2,24 +2,28 @@
 """How far each system's image is from path-traced references: the paper's Tables 1 and 2 on our scenes.
 
     python -m benchmarks.fidelity --out build/fidelity [--models mrpnn rpnn reference]
-        [--views independent retraced procedural real]
+        [--views independent retraced procedural real] [--docs]
 
 Views: the independent references in benchmarks/data, whose path tracer shares no code with the project; the same views
 retraced; held-back procedural volumes; and real volumes, which bpy reads. The references of the last three come from
 the project's own path tracer and are traced once (build/references). Every reference is two independent halves, so that
 its noise does not count as error. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a
-picture for each view: reference, systems, signed errors.
+picture for each view: reference, systems, signed errors. --docs writes the tables into docs/fidelity.md and, of
+independent views, figures and two pictures beside it.
 """
 
 import argparse
 import functools
 import pathlib
+import shutil
 import sys
 
 from inference import available_models
 from inference.network.network import register_system
 from training.reference import PATHS, PathTracer
 
+from ..support.data import ROOT
+from ..support.pages import replace, with_table
 from ..support.provenance import made_by
 from . import tables
 from .measurements import applies, measure, published_network, write_csv
@@ -27,8 +31,23 @@ from .real_volumes import real_views
 from .views import independent_views, procedural_views, retraced_views
 
 PROGRAM = "benchmarks.fidelity"
+#: Pictures in docs, by the view that they show.
+PICTURES = {"cumulus-100-side-g0.857": "fidelity-side.png", "cumulus-100-back-g0": "fidelity-back.png"}
 #: In the order of the tables.
 SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
+
+
+def write_docs(out: pathlib.Path, measured, source: str) -> None:
+    """Put the tables into docs/fidelity.md, and of independent views figures and pictures beside it."""
+    docs = ROOT / "docs"
+    page, found = (docs / "fidelity.md").read_text(), tables.sections(measured, published_network())
+    for views, text in found.items():
+        page = with_table(page, f"{views} views", text, source)
+    replace(docs / "fidelity.md", page)
+    if "independent" in found:
+        shutil.copyfile(out / "fidelity.csv", docs / "fidelity.csv")
+        for view, name in PICTURES.items():
+            shutil.copyfile(out / f"{view}.png", docs / "images" / name)
 
 
 def main(options=None):
@@ -46,6 +65,7 @@ def main(options=None):
     parser.add_argument("--samples", type=int, default=1024, help="paths per pixel in each half of traced references")
     parser.add_argument("--cells", type=int, default=128, help="cells per edge of procedural volumes")
     parser.add_argument("--paths", type=int, default=PATHS, help="paths per depth sample of the system `reference`")
+    parser.add_argument("--docs", action="store_true", help="write the tables into docs")
     parser.add_argument("--references", type=pathlib.Path, default=pathlib.Path("build/references"))
     arguments = parser.parse_args(options)
     register_system("reference", functools.partial(PathTracer, arguments.paths))
@@ -82,6 +102,8 @@ def main(options=None):
         facts = f"{source} {arguments.depth_samples} depth samples."
         text = tables.document(measured, published_network(), facts)
         (arguments.out / "fidelity.md").write_text(text)
+    if arguments.docs:
+        write_docs(arguments.out, measured, source)
 
 
 if __name__ == "__main__":

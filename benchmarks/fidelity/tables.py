@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The measurements as Markdown: a summary, the independent references, and the paper's Tables 1 and 2."""
+"""The measurements as Markdown, by kind of view: a summary, and the paper's Tables 1 and 2."""
 
 from .real_volumes import FILES
-from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, RETRACED, SIGMA_HAT
+from .views import ALBEDOS, ANISOTROPIES, GREY, LIGHTS, RETRACED, SIGMA_HAT, VOLUMES
 
 #: Of RPNN, and of both tables' rows where nothing is varied.
 USUAL_G = ANISOTROPIES[0]
@@ -109,10 +109,9 @@ def view_tables(measured: Measured, views: list[str], published: dict) -> str:
 
 def real_tables(measured: Measured) -> str:
     """Real volumes: relative RMSE and bias of each system by volume and density, and their means."""
-    every = [m for m in measured.all if m.volume in FILES]
     parts = []
-    for system in unique(m.system for m in every):
-        mine = [m for m in every if m.system == system]
+    for system in measured.systems:
+        mine = [m for m in measured.all if m.system == system]
         kinds = unique((m.light, m.anisotropy) for m in mine)
         rows = []
         for volume, sigma_hat in unique((m.volume, m.sigma_hat) for m in mine):
@@ -136,7 +135,7 @@ def table1(measured: Measured) -> str:
     rows = [
         (m.volume, m.light, m.view)
         for m in measured.all
-        if m.albedo == GREY and m.anisotropy == USUAL_G and m.sigma_hat == SIGMA_HAT and m.volume not in FILES
+        if m.albedo == GREY and m.anisotropy == USUAL_G and m.sigma_hat == SIGMA_HAT
     ]
     rows = [
         (v, light, view)
@@ -144,8 +143,16 @@ def table1(measured: Measured) -> str:
         for light in LIGHTS
         for view in unique(r[2] for r in rows if r[:2] == (v, light))
     ]
-    errors = [[v, light, *measured.cells(view, lambda m: f"{interval(m)} · {m.paper:.2f}")] for v, light, view in rows]
-    costs = []
+    errors = [
+        [v, light, *measured.cells(view, lambda m: f"{interval(m)} · {m.paper:.2f} · {percent(m.bias)}")]
+        for v, light, view in rows
+    ]
+    means, costs = [], []
+    for system in measured.systems:
+        own = [measured.by_key[view, system] for _, _, view in rows if (view, system) in measured.by_key]
+        figures = f"{_mean(m.rmse for m in own):.3f} · {_mean(m.paper for m in own):.2f}" if own else "n/a"
+        means.append(f"{figures} · {percent(_mean(m.bias for m in own))}" if own else figures)
+    errors.append(["**mean**", "", *means])
     for v, light, view in rows:
         rpnn = measured.by_key.get((view, "rpnn"))
         costs.append(
@@ -166,7 +173,7 @@ def table1(measured: Measured) -> str:
         )
     head = ["volume", "light", *measured.systems]
     return (
-        "Error: relative RMSE (95 %) · the paper's metric\n\n"
+        "Error: relative RMSE (95 %) · the paper's metric · bias\n\n"
         + table(head, errors)
         + "\nSeconds per frame · convergence boost against RPNN · against the path tracer\n\n"
         + table(head, costs)
@@ -178,7 +185,7 @@ def table2(measured: Measured) -> str:
     rows = []
     settings = [("ς = " + ", ".join(f"{value:g}" for value in albedo), albedo, USUAL_G) for albedo in ALBEDOS]
     settings += [(f"G = {g:g}", GREY, g) for g in ANISOTROPIES]
-    for volume in unique(m.volume for m in measured.all if m.volume not in FILES):
+    for volume in unique(m.volume for m in measured.all):
         lines = []
         for label, albedo, g in settings:
             views = {
@@ -199,36 +206,45 @@ def table2(measured: Measured) -> str:
     return table(head, rows) if rows else ""
 
 
+def _views(measurement) -> str:
+    """Which of the program's views it is of."""
+    if measurement.volume in FILES:
+        return "real"
+    if measurement.view.endswith(RETRACED):
+        return "retraced"
+    return "procedural" if measurement.volume in VOLUMES else "independent"
+
+
+def sections(measurements, published: dict) -> dict[str, str]:
+    """Tables by the views that they are of, in Markdown; published: {view: {rmse, bias, paper}}."""
+    found = {}
+    for views in unique(_views(m) for m in measurements):
+        measured = Measured([m for m in measurements if _views(m) == views])
+        parts = [real_tables(measured) if views == "real" else summary(measured)]
+        if views in ("independent", "retraced"):
+            names = unique(m.view for m in measured.all)
+            parts.append(view_tables(measured, names, published if views == "independent" else {}))
+        if views in ("independent", "procedural"):
+            parts.append(f"Volumes and lights, G = {USUAL_G:g}, albedo 1.\n\n{table1(measured)}")
+            second = table2(measured)
+            if second:
+                parts.append(f"Albedo and anisotropy varied: relative RMSE · the paper's metric.\n\n{second}")
+        found[views] = "\n".join(parts)
+    return found
+
+
 def document(measurements, published: dict, source: str) -> str:
-    """All tables as one Markdown text; published: {view: {rmse, bias, paper}}; source: what made the figures."""
-    measured = Measured(measurements)
+    """All tables as one Markdown text; source: what made the figures."""
     parts = [
         "# Fidelity\n",
         f"{source}\n",
         "Relative RMSE by split references with bootstrap 95 % intervals; the paper's "
         "metric is RMSE × 100 of tone-mapped luma. 0: less than the references can resolve. n/a: the system does not "
         "know that albedo or anisotropy, or was not measured. The error of `reference`, the path tracer at the "
-        "depth samples, is its noise.\n",
-        "## Summary\n",
-        summary(measured),
+        "depth samples, is its noise. The boost against RPNN is the ratio of seconds per frame at equal samples, as in "
+        "the paper; that against the path tracer is the time in which its noise would be as large as the system's "
+        "whole error, over the system's seconds.\n",
     ]
-    views = unique(m.view for m in measurements)
-    independent = [view for view in published if view in views]
-    if independent:
-        parts += ["## Independent references\n", view_tables(measured, independent, published)]
-    retraced = [view for view in views if view.endswith(RETRACED)]
-    if retraced:
-        parts += ["## The same views traced anew\n", view_tables(measured, retraced, {})]
-    parts += [
-        f"## Table 1: volumes and lights, G = {USUAL_G:g}, albedo 1\n",
-        "The boost against RPNN is the ratio of seconds per frame at equal samples, as in the paper. That against the "
-        "path tracer is the time in which its noise would be as large as the system's whole error, over the "
-        "system's seconds.\n",
-        table1(measured),
-    ]
-    if any(m.volume in FILES for m in measurements):
-        parts += ["## Real volumes: relative RMSE and bias, albedo 1\n", real_tables(measured)]
-    second = table2(measured)
-    if second:
-        parts += ["## Table 2: albedo and anisotropy\n", "Relative RMSE · the paper's metric.\n", second]
+    for views, text in sections(measurements, published).items():
+        parts += [f"## Views: {views}\n", text]
     return "\n".join(parts)
