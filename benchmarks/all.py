@@ -5,8 +5,9 @@
 
 What is done for the present code and weights, by this version of Python, is skipped, so that a run that was stopped
 continues; a command that fails is told and the rest go on. What commands print is kept in build/all. Run it once more
-with Blender 5.2's module and `--only cycles` for that version's rows. --list says which tables in docs are of other
-weights or older code, and runs nothing.
+with Blender 5.2's module and `--only cycles` for that version's rows. A table that a command prints goes between the
+marks <!-- the command --> and <!-- end --> of a page of docs, where there are such. --list says which tables in docs
+are of other weights or older code, and runs nothing.
 """
 
 import argparse
@@ -21,29 +22,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .support.extension import ROOT
-from .support.pages import replace
+from .support.pages import replace, with_table
+from .support.provenance import made_by
 
 #: What decides a figure; pages are not among it.
 CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
-LIGHTS = "sky", "parallel", "lamp"
 #: In the order in which they run: what is short, and then what takes hours.
 COMMANDS = (
     "benchmarks.demo --figures docs/readme.csv",
     "benchmarks.cost.imported_smoke --figures docs/readme.csv",
-    "benchmarks.cost.frame",
-    "benchmarks.cost.frame --threads 1",
-    "benchmarks.cost.frame --size 3840 2160",
-    "benchmarks.cost.frame --light area",
-    "benchmarks.cost.frame --ground",
-    "benchmarks.cost.frame --light area --ground",
+    "benchmarks.cost.frame --table",
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
     "benchmarks.cost.environments --rounds 3",
-    "benchmarks.cost.lamps --rounds 5 --sizes 64x64",
-    "benchmarks.cost.lamps --rounds 3 --sizes 1920x1080 --only 'a point light' 'a spot light' 'an area light'"
-    " 'a point light inside'",
+    "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
+    " 'thirty lamps of a street' 'thirty-six panels of a ceiling'",
+    "benchmarks.cost.lamps --rounds 3 --sizes 64x64 256x256 1920x1080 --only 'a point light' 'a spot light'"
+    " 'an area light' 'a point light inside'",
     "benchmarks.cost.sparse",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
@@ -53,7 +50,7 @@ COMMANDS = (
     "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
     "benchmarks.fidelity.environments --predicted --seeds 1003000 1600200",
     "benchmarks.fidelity.baked_directions",
-    *(f"benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light {kind}" for kind in LIGHTS),
+    "benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light sky parallel lamp",
     "benchmarks.cycles.baked_picture --samples 2 --most 64",
     "benchmarks.cycles.baked_ways",
     "benchmarks.cycles.baked_film",
@@ -141,14 +138,29 @@ def run(commands: Sequence[str], folder: Path) -> int:
             print(f"done before: {command}", flush=True)
             continue
         print(f"running: {command}", flush=True)
-        with open(folder / f"{re.sub('[^a-z0-9_]+', '-', command)[:80]}.log", "w") as log:
+        with open(folder / f"{re.sub('[^a-z0-9_]+', '-', command)[:80]}.log", "w+") as log:
             status = subprocess.call([sys.executable, "-m", *shlex.split(command)], cwd=ROOT, stdout=log, stderr=log)
+            log.seek(0)
+            printed = log.read()
         if status == 0:
+            enter(command, printed, ROOT / "docs")
             replace(file, json.dumps(done | {command: state}, indent=1) + "\n")
         else:
             print(f"failed with status {status}; see {log.name}", flush=True)
             failed += 1
     return failed
+
+
+def enter(command: str, printed: str, docs: Path) -> None:
+    """Put a table that a command has printed, with the sentence on what made it, between its marks in the docs."""
+    lines = printed.splitlines()
+    table = "\n".join(line for line in lines if line.startswith("|"))
+    program, *arguments = shlex.split(command)
+    told = [line for line in lines if line.startswith("Weights ") and f"python -m {program}" in line]
+    for page in docs.glob("*.md"):
+        text = page.read_text()
+        if table and f"<!-- {command} -->" in text:
+            replace(page, with_table(text, command, table, told[-1] if told else made_by(program, arguments)))
 
 
 def _git(*arguments: str) -> str:

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Processor seconds of a production frame and of the next one, stage by stage, beside this machine's own arithmetic.
 
-    python -m benchmarks.cost.frame [--size 1920 1080] [--light sun | sky | area] [--ground]
+    python -m benchmarks.cost.frame [--table] [--size 1920 1080] [--light sun | sky | area] [--ground]
         [--coverage 0.43] [--numpy]
 
 Renders a procedural cloud that covers a given share of the picture, in one sun, in sun and coloured sky or by an area
 light, above black ground or alone, and then the frame after it, of a camera that has turned by a degree, with what the
 first one left in its cache. Prints seconds by the clock and of the processor, memory, and both as shares of a
-single-precision matrix product measured in the same run.
+single-precision matrix product measured in the same run. --table prints rows of several such runs instead.
 """
 
 import argparse
 import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -31,6 +33,16 @@ MEDIUM = Medium(100.0, 1.0, 0.857)
 TOWARDS = np.array([1.0, 0.4, 0.8])
 # Of the images of skies.
 ROWS = 128
+#: Rows of the table: what is said of a frame, and the options that make it.
+TABLE = {
+    "1920 × 1080": (),
+    "1920 × 1080, one thread": ("--threads", "1"),
+    "3840 × 2160": ("--size", "3840", "2160"),
+    "1920 × 1080, by an area light": ("--light", "area"),
+    "1920 × 1080, above ground": ("--ground",),
+    "1920 × 1080, by an area light above ground": ("--light", "area", "--ground"),
+}
+HEAD = "| | clock | processor | fields and shadows | march | network | MiB more |\n|---|---|---|---|---|---|---|"
 
 
 def camera_covering(volume, medium: Medium, size: tuple[int, int], coverage: float) -> Camera:
@@ -87,6 +99,25 @@ def ground_below(volume) -> Surface:
     return Surface(corners[[[0, 1, 2], [0, 2, 3]]], "ground")
 
 
+def print_table() -> None:
+    """Print a row for each frame of TABLE, each in a process of its own, whose memory is measured."""
+    print(HEAD)
+    for name, options in TABLE.items():
+        command = [sys.executable, "-m", PROGRAM, *options]
+        said = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+        for line in said:
+            if line.startswith("|"):
+                print(f"| {name}, {line[2:]}", flush=True)
+
+
+def row(name: str, seconds: float, processor: float, report: Report, before: int | None) -> str:
+    """A frame as a row of the table, before whose name the scene's belongs; before: bytes that the process held."""
+    used = report.cpu_seconds
+    stages = used["fields"] + used["shadows"], used["march"], used["network"]
+    memory = "" if before is None else f"{(report.peak_memory - before) / 2**20:.0f}"
+    return " | ".join([f"| {name}", f"{seconds:.1f}", f"{processor:.1f}", *map("{:.1f}".format, stages), memory]) + " |"
+
+
 def describe(name: str, seconds: float, processor: float, report: Report, rate: float) -> None:
     """Print one frame."""
     print(f"{name}: {seconds:.2f} s, {processor:.2f} processor seconds, {processor * rate / 1e9:.0f} Gflop of sgemm")
@@ -107,7 +138,12 @@ def main():
     parser.add_argument("--coverage", type=float, default=0.43)
     parser.add_argument("--numpy", action="store_true", help="without compiled kernels")
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--table", action="store_true", help="a table of several frames; other options do not count")
     arguments = parser.parse_args()
+    if arguments.table:
+        print_table()
+        print(made_by(PROGRAM))
+        return
     volume = cloud()
     above = Sun(np.abs(SUN.direction), SUN.irradiance)
     lights = {"sun": [above if arguments.ground else SUN], "sky": [SUN, *skies()[1:]], "area": [panel(volume, above)]}
@@ -124,9 +160,9 @@ def main():
     for name, view in (("first frame", camera), ("next frame", turned(camera))):
         start, processor = time.perf_counter(), time.process_time()
         layer = render([(volume, MEDIUM)], lights[arguments.light], view, settings, cache=cache, surfaces=surfaces)
-        describe(
-            name, time.perf_counter() - start, time.process_time() - processor, layer.report, rate / os.cpu_count()
-        )
+        seconds = time.perf_counter() - start, time.process_time() - processor
+        describe(name, *seconds, layer.report, rate / os.cpu_count())
+        print(row(name, *seconds, layer.report, before))
     print(f"covered: {(layer.alpha > 0.02).mean():.0%} of the picture, kernels: {layer.report.kernels}")
     if before is not None:
         print(f"memory: {(layer.report.peak_memory - before) / 2**20:.0f} MiB more than before")

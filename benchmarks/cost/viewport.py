@@ -4,9 +4,9 @@
     python -m benchmarks.cost.viewport [--size 480 270] [--voxels 128] [--depth-samples 8]
 
 A procedural cloud in Blender lit by one sun. Each row is a change and the pictures that follow, with the render cache
-of the rows before. "Wall" is wall-clock seconds; "processor" is processor seconds of all threads, which a busy machine
+of the rows before. "Clock" is wall-clock seconds; "processor" is processor seconds of all threads, which a busy machine
 affects less; "share" is the processor seconds to the first picture over those of a whole render of the same view
-without a cache, in the same run. Reading the scene, for which Blender waits, is told separately.
+without a cache, in the same run; "read" is what Blender waits for, the reading of the scene, by the clock.
 """
 
 import argparse
@@ -72,7 +72,7 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     turned = replace(camera, fov=0.9 * camera.fov)
     rows.append(("view turned", *pictures(addon, description, turned, settings, prepared)))
     more = replace(settings, depth_samples=2 * depth_samples)
-    rows.append(("samples doubled", *pictures(addon, description, turned, more, prepared)))
+    rows.append(("depth samples doubled", *pictures(addon, description, turned, more, prepared)))
     sun.rotation_euler.x += 0.3
     description, again = read()
     rows.append(("sun turned", *pictures(addon, description, turned, settings, prepared)))
@@ -85,21 +85,16 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     whole = since(start)
 
     print(f"{size[0]} x {size[1]} pixels, {voxels}^3 voxels, {depth_samples} depth samples, {os.cpu_count()} cores")
-    print(f"{'':16}{'first picture':>24}{'':>8}{'last picture':>24}")
-    print(f"{'':16}{'wall':>12}{'processor':>12}{'share':>8}{'wall':>12}{'processor':>12}")
+    print("| change | read | first picture, clock | processor | share | last picture, clock | processor |")
+    print("|---|---|---|---|---|---|---|")
+    waited = {"opened": opened, "sun turned": again, "density changed": shaded}
     for name, first, last in rows:
+        read = f"{waited[name][0]:.2f} s" if name in waited else ""
         print(
-            f"{name:16}{first[0]:>10.2f} s{first[1]:>10.2f} s{first[1] / whole[1]:>8.1%}"
-            f"{last[0]:>10.2f} s{last[1]:>10.2f} s"
+            f"| {name} | {read} | {first[0]:.2f} s | {first[1]:.2f} s | {first[1] / whole[1]:.0%} "
+            f"| {last[0]:.2f} s | {last[1]:.2f} s |"
         )
-    print(f"{'whole render':16}{whole[0]:>10.2f} s{whole[1]:>10.2f} s")
-    print(
-        "reading the scene, wall and processor: "
-        + ", ".join(
-            f"{name} {wall:.2f} s {processor:.2f} s"
-            for name, (wall, processor) in (("first", opened), ("sun turned", again), ("density changed", shaded))
-        )
-    )
+    print(f"| whole render, no cache | | | | | {whole[0]:.2f} s | {whole[1]:.2f} s |")
 
 
 def main():

@@ -19,9 +19,10 @@ import numpy as np
 from inference.evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
-from ..support.provenance import commit, weights_checksum
+from ..support.provenance import made_by
 from .baked_light import stage
 
+PROGRAM = "benchmarks.cycles.baked_speed"
 VIEW = "cumulus-100-side-g0.857"
 BOUNCES = 1024
 # Samples per pixel, whether denoised, and step rate of volumes: with baked light, and with bounces. Fewer samples in
@@ -61,7 +62,7 @@ def main(name: str, size: int) -> None:
     halves = view.halves()
     mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
     a, b = halves[..., :3] * mask[..., None]
-    print(f"{name}, {size} x {size} pixels; weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
+    print(f"{name}, {size} x {size} pixels", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(view, Path(folder))
         same = enlarge(scene, view, size)
@@ -78,16 +79,14 @@ def main(name: str, size: int) -> None:
                 1 if bounces else REPEATS,
             )
             error, bias = relative_rmse(image, a, b, mask).value, relative_bias(image, a, b, mask).value
-            kind = "denoised" if denoised else "plain"
-            print(
-                f"{what}, {samples} samples, {kind}, step rate {rate:g}: error {error:.3f}, bias {bias:+.3f}, "
-                f"{seconds:.1f} s",
-                flush=True,
-            )
+            kind = ", denoised" if denoised else ""
+            figures = f"{error:.3f} | {100 * bias:+.1f} % | {seconds:.1f}"
+            print(f"| {what}{kind} | {samples} | {rate:g} | {figures} |", flush=True)
             return error, seconds
 
         _, bake = timed(lambda: bpy.ops.mrpnn.bake_light(folder=folder, directional=False, everything=True), REPEATS)
-        print(f"bake: {bake:.1f} s", flush=True)
+        print("| | samples | step rate | error | bias | processor seconds |\n|---|---|---|---|---|---|")
+        print(f"| bake, without other directions | | | | | {bake:.1f} |", flush=True)
         large = size >= LARGE
         baked = {row: show("baked light", row, 0) for row in (BAKED_LARGE if large else BAKED)}
         bpy.ops.mrpnn.bake_light_remove()
@@ -135,3 +134,4 @@ if __name__ == "__main__":
     parser.add_argument("--size", type=int, default=96)
     options = parser.parse_args()
     main(options.view, options.size)
+    print(made_by(PROGRAM))

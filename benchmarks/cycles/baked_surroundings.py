@@ -16,6 +16,9 @@ import numpy as np
 
 from inference.evaluation.error import relative_bias, relative_rmse
 
+from ..support.provenance import made_by
+
+PROGRAM = "benchmarks.cycles.baked_surroundings"
 BOUNCES, SAMPLES = 256, 64
 # Radiance, over the mean, from which a pixel counts as showing something.
 DARK = 0.02
@@ -143,7 +146,17 @@ def measure(build, options, folder: Path) -> str:
     mean = (a + b).mean(axis=-1) / 2
     shown = mean > DARK * mean.mean()
     rmse, bias = relative_rmse(baked, a, b, shown), relative_bias(baked, a, b, shown)
-    return f"{build.__name__}: error {rmse.value:.3f} ({rmse.low:.3f} to {rmse.high:.3f}), bias {bias.value:+.3f}"
+    error = f"{rmse.value:.3f} ({rmse.low:.3f} to {rmse.high:.3f})"
+    return f"| {SCENES[build]} | {error} | {100 * bias.value:+.1f} % |"
+
+
+#: Surroundings, and how the table calls them.
+SCENES = {
+    mirror: "in a mirror",
+    glass: "through a pane of glass",
+    floor: "light and shadow on a white floor",
+    ground: "over bright ground (albedo 0.8)",
+}
 
 
 def main() -> None:
@@ -160,11 +173,13 @@ def main() -> None:
     from ..support.extension import extension
 
     extension()
-    for build in (mirror, glass, floor, ground):
+    print("| | error | bias |\n|---|---|---|")
+    for build in SCENES:
         if build.__name__ not in options.scenes:
             continue
         with tempfile.TemporaryDirectory() as folder:
             print(measure(build, options, Path(folder)), flush=True)
+    print(made_by(PROGRAM))
 
 
 if __name__ == "__main__":

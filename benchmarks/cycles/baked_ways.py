@@ -14,8 +14,10 @@ from pathlib import Path
 from inference.evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, independent_views
+from ..support.provenance import made_by
 from .baked_light import stage
 
+PROGRAM = "benchmarks.cycles.baked_ways"
 VIEW, SAMPLES = "cumulus-100-side-g0.857", 16
 
 
@@ -31,6 +33,7 @@ def main(name: str = VIEW) -> None:
     halves = view.halves()
     mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
     a, b = halves[..., :3] * mask[..., None]
+    print("| | error | bias | processor seconds |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(view, Path(folder))
         bpy.ops.mrpnn.bake_light(folder=folder, directional=False)
@@ -43,7 +46,8 @@ def main(name: str = VIEW) -> None:
             image = scenes.rendered(scene, Path(folder))[..., :3] * mask[..., None]
             seconds = time.process_time() - start
             error, bias = relative_rmse(image, a, b, mask).value, relative_bias(image, a, b, mask).value
-            print(f"{way}, {SAMPLES} samples: error {error:.3f}, bias {bias:+.3f}, {seconds:.1f} s", flush=True)
+            print(f"| {way} | {error:.3f} | {100 * bias:+.1f} % | {seconds:.1f} |", flush=True)
+    print(made_by(PROGRAM))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light without the noise of a renderer: against independent references, and beside the baked camera.
 
-    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64] [--turn 40] [--light sun]
+    python -m benchmarks.fidelity.baked_directions [VIEW ...] [--size 64] [--turn 40] [--light sun | sky parallel lamp]
 
 Prints a row per view: the error and bias of layers and of the baked light where it was baked, against the view's
 reference, and of the baked light from a camera turned by so many degrees about the volume, against a layer rendered
@@ -23,10 +23,11 @@ from inference.plan.directional_lights import directional_lights
 from inference.plan.lights import DIRECTIONS
 from inference.scene.optimizations import ALL
 
-from ..support.provenance import commit, weights_checksum
+from ..support.provenance import made_by
 from .environments import environments
 from .views import MASK_ALPHA, View, independent_views, look_at
 
+PROGRAM = "benchmarks.fidelity.baked_directions"
 ORBIT = 40.0
 EXACT = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
 SKY = "gradient over dark ground"
@@ -34,6 +35,15 @@ SKY = "gradient over dark ground"
 LAMP_DISTANCE = 1.0
 # Steps along a ray, in edges of the cube, and transmittance at which it ends.
 STEP, OPAQUE = 1.0 / 192.0, 1e-3
+
+
+#: What is said of a row's light.
+LIGHTS = {
+    "sun": "",
+    "sky": ", in a sky's light",
+    "parallel": ", by twelve parallel lights in the sky's place, against the layer of the sky",
+    "lamp": ", by a point light",
+}
 
 
 def turned(view: View, degrees: float) -> np.ndarray:
@@ -81,7 +91,7 @@ def lights(view: View, kind: str) -> tuple[list, list]:
 
 
 def measure(view: View, size: int, degrees: float, kind: str) -> str:
-    """One row of the table; degrees: by which the camera beside is turned. kind: see `lights`."""
+    """One row of the table; degrees: by which the camera beside is turned. kind: one of LIGHTS."""
     shining, rendered = lights(view, kind)
     camera = view.camera(view.spec.size if kind == "sun" else size)
     start = time.process_time()
@@ -104,7 +114,7 @@ def measure(view: View, size: int, degrees: float, kind: str) -> str:
         figures = [against(layer, view, camera, lit)]
     beside = Camera(look_at(turned(view, degrees), view.up), resolution=(size, size), fov=camera.fov)
     figures.append(against(render(view.volumes(), rendered, beside, EXACT), view, beside, lit))
-    return f"| {view.name} | {' | '.join(figures)} | {seconds[1]:.1f} | {seconds[0]:.1f} |"
+    return f"| {view.name}{LIGHTS[kind]} | {' | '.join(figures)} | {seconds[1]:.1f} | {seconds[0]:.1f} |"
 
 
 def against(layer, view: View, camera: Camera, lit: LitVolume) -> str:
@@ -119,12 +129,18 @@ def main() -> None:
     parser.add_argument("views", nargs="*")
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--turn", type=float, default=ORBIT, metavar="DEGREES")
-    parser.add_argument("--light", choices=("sun", "sky", "lamp", "parallel"), default="sun")
+    parser.add_argument("--light", nargs="+", choices=LIGHTS, default=["sun"])
     options = parser.parse_args()
-    print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
+    if "sun" in options.light and len(options.light) > 1:
+        parser.error("the sun's table has other columns: measure it alone")
+    figures = ["layer", "baked light"] if options.light == ["sun"] else ["baked view"]
+    head = ["view", *figures, "beside", "bake, processor seconds", "without other directions"]
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for view in independent_views():
         if not options.views or view.name in options.views:
-            print(measure(view, options.size, options.turn, options.light), flush=True)
+            for kind in options.light:
+                print(measure(view, options.size, options.turn, kind), flush=True)
+    print(made_by(PROGRAM))
 
 
 if __name__ == "__main__":

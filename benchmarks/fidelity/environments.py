@@ -34,8 +34,10 @@ ROWS, FIELD_OF_VIEW = 64, 36.0
 SIGMAS, ANISOTROPIES, ALBEDOS = (20.0, 150.0, 600.0), (0.0, 0.5, 0.857), (1.0, 0.9)
 #: Camera positions in units of the volume's cube; all look at its centre.
 VIEWS = {"level": (0.0, -2.2, 0.15), "from below": (0.7, -1.2, -1.7), "from above": (-0.9, 0.9, 1.8)}
-# Before the names of a system's columns: what is rendered, predicted alone, and parallel lights.
-SYSTEMS = "", "predicted_", "suns_"
+# What stands before the names of a system's columns: what is rendered, predicted alone, and parallel lights.
+SYSTEMS = {"": "", "predicted_": "predicted alone: ", "suns_": "twelve parallel lights: "}
+# Names of columns that stand for something else in the table.
+KEYS = {"g": "G", "sigma": "optical thickness"}
 # Opacity above which a pixel shows the volume.
 MIN_ALPHA = 0.02
 
@@ -125,12 +127,20 @@ def measure(seed: int, arguments):
                         yield row
 
 
-def table(rows, key: str):
-    """Print mean errors of the rows by one of their columns, or of all."""
-    rows = [{"all": "", **row} for row in rows]
+def print_table(rows) -> None:
+    """Print mean errors and seconds of all rows, and by each of their columns that varies."""
     systems = [prefix for prefix in SYSTEMS if f"{prefix}error" in rows[0]]
+    head = "".join(f" {SYSTEMS[prefix]}RMSE | bias | largest | seconds |" for prefix in systems)
+    print(f"| pictures |{head}\n|{'---|' * (1 + 4 * len(systems))}")
+    rows = [{"all": len(rows), **row} for row in rows]
+    for key in ("all", "environment", "g", "sigma", "albedo", "view", "seed"):
+        print_rows(rows, key, systems)
+
+
+def print_rows(rows, key: str, systems) -> None:
+    """Print mean errors of the rows by one of their columns."""
     for value in dict.fromkeys(row[key] for row in rows):
-        line = f"| {key} | {value} |"
+        line = f"| {'' if key == 'environment' else KEYS.get(key, key) + ' '}{value} |"
         for prefix in systems:
             error, bias, seconds = (
                 np.array([row[f"{prefix}{column}"] for row in rows if row[key] == value])
@@ -159,12 +169,7 @@ def main(options=None):
         for row in measure(seed, arguments):
             rows.append(row)
             print(json.dumps({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
-    print(
-        "| | | RMSE | bias | largest | seconds |"
-        + " RMSE | bias | largest | seconds |" * (arguments.predicted + arguments.directions)
-    )
-    for key in ("all", "environment", "g", "sigma", "albedo", "view", "seed"):
-        table(rows, key)
+    print_table(rows)
 
 
 if __name__ == "__main__":

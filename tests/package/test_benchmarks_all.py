@@ -2,8 +2,9 @@
 """One command makes every table of the documentation, and continues where it was stopped."""
 
 import json
+import re
 
-from benchmarks.all import COMMANDS, run, shipped, stamps
+from benchmarks.all import COMMANDS, enter, run, shipped, stamps
 from tests.support.paths import ROOT
 
 
@@ -22,6 +23,28 @@ def test_every_command_is_a_program_of_the_repository():
     for command in COMMANDS:
         path = ROOT.joinpath(*command.split()[0].split("."))
         assert (path / "__main__.py").exists() or "__main__" in path.with_suffix(".py").read_text(), command
+
+
+def test_tables_between_a_commands_marks_are_made_by_that_command():
+    marks = [mark for page in (ROOT / "docs").glob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
+    named = {mark for mark in marks if mark.startswith(("benchmarks.", "training."))}
+    assert named and named <= set(COMMANDS)
+
+
+def test_a_printed_table_goes_between_its_commands_marks(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("Before.\n\n<!-- a.b --size 3 -->\nold\n<!-- end -->\n\n<!-- a.b -->\nkept\n<!-- end -->\n")
+    printed = "noise\n| x | y |\n|---|---|\n| 1 | 2 |\nWeights `m` 0123, commit 4567, `python -m a.b --size 3`.\n"
+    enter("a.b --size 3", printed, tmp_path)
+    assert page.read_text() == (
+        "Before.\n\n<!-- a.b --size 3 -->\n| x | y |\n|---|---|\n| 1 | 2 |\n\n"
+        "Weights `m` 0123, commit 4567, `python -m a.b --size 3`.\n<!-- end -->\n\n<!-- a.b -->\nkept\n<!-- end -->\n"
+    )
+    # What prints no table leaves the page alone, and a program that does not say so is named.
+    enter("a.b", "nothing", tmp_path)
+    assert "kept" in page.read_text()
+    enter("a.b", "| z |", tmp_path)
+    assert page.read_text().count("`python -m a.b`.\n<!-- end -->") == 1 and "kept" not in page.read_text()
 
 
 def test_what_is_done_for_this_code_and_these_weights_is_skipped(tmp_path, capsys):
