@@ -38,9 +38,13 @@ from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
 
 #: Level of the density pyramid that has these cells, and its cells along an edge of the cube.
 LEVEL, CELLS = 2, 64
-# Cells along an edge from which on the light is first solved on cells twice as large. At most so many sweeps without
-# and after that; they end when less than the fraction CONVERGED of the scattered light changes.
-MULTILEVEL_CELLS, SWEEPS, FINE_SWEEPS, CONVERGED = 64, 8, 2, 0.002
+# Cells along an edge from which on the light is first solved on cells twice as large.
+MULTILEVEL_CELLS = 64
+# At most so many sweeps, and so many after larger cells; they end when less than a fraction of the scattered light
+# changes. Too few leave dense media too dark, each by a different factor. Of environments, whose network knows no
+# better, few are made.
+SWEEPS, FINE_SWEEPS, CONVERGED = 8, 8, 5e-4
+ENVIRONMENT_FINE_SWEEPS, ENVIRONMENT_CONVERGED = 2, 0.002
 # The same where the light is the answer and no feature: in dense media little changes in each of many sweeps.
 EXACT_SWEEPS, EXACTLY_CONVERGED = 40, 1e-3
 # Mean optical thickness of cells where light collides, from which on what scatters again is not smooth enough for cells
@@ -209,21 +213,24 @@ class DiscreteOrdinates:
         swept: np.ndarray,
         follow: Sequence[Follower],
         cancel: CancelToken,
-        limit: bool = True,
+        environment: bool = False,
     ) -> np.ndarray:
         """Sweep, and correct by diffusion, until little changes; returns `swept`, fluence and flux (4, x, y, z).
 
         field: (5, x, y, z), with a first guess; source: of `_source`; follow: of `OrdinateSweeps.followers`, which fill
-        `swept`; limit: as for `_correct`.
+        `swept`; environment: whether the light is an environment's, in which the result has to be linear.
         """
-        sweeps = SWEEPS if self.coarser is None else FINE_SWEEPS
+        fine, converged = FINE_SWEEPS, CONVERGED
+        if environment:
+            fine, converged = ENVIRONMENT_FINE_SWEEPS, ENVIRONMENT_CONVERGED
+        sweeps = SWEEPS if self.coarser is None else fine
         for number in range(sweeps):
             self._sweep(field, source, swept, follow, cancel)
             change = self._newly_scattered(swept, field)
-            if number == sweeps - 1 or np.abs(change).sum() <= CONVERGED * (self.extinction * swept[0]).sum():
+            if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
                 break
             field[:4] = swept
-            self._correct(field, change, cancel, limit)
+            self._correct(field, change, cancel, limit=not environment)
         return swept
 
     def _sweep(
@@ -285,7 +292,7 @@ class DiscreteOrdinates:
         elif self.conservative:
             # Exact for even light, which no albedo of 1 changes.
             field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
-        return self._converge(field, source, swept, follow, cancel, limit=False)
+        return self._converge(field, source, swept, follow, cancel, environment=True)
 
     def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
         """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
