@@ -24,13 +24,13 @@ from .layer import Layer
 # so many of them along the picture's shorter edge, and no larger than the last.
 LEAST_ACROSS, LARGEST_STRIDE = 16, 16
 # Standard deviation of the sum of a ray's errors, over the sum of their standard deviations.
-JOINED = 0.57
+JOINED = 0.55
 # Deviations within which half and 95 % of pixels' errors lie: more near and more far than of a normal distribution.
-HALF_OF_PIXELS, MOST_OF_PIXELS = 1.09, 3.75
+HALF_OF_PIXELS, MOST_OF_PIXELS = 0.95, 3.69
 # A picture's error over the expected one: lowest and highest of the middle 50 % and 95 % of pictures.
-HALF_OF_PICTURES, MOST_OF_PICTURES = (0.77, 1.30), (0.46, 2.16)
+HALF_OF_PICTURES, MOST_OF_PICTURES = (0.87, 1.15), (0.66, 1.51)
 # Within which 95 % of pictures' biases lie, over the expected error.
-BIAS = 0.93
+BIAS = 0.68
 # Relative errors of light from everywhere by albedo, at held-back points (docs/weights.md), of light that volumes emit
 # and scatter, and of networks without another for their error (docs/fidelity.md).
 ENVIRONMENT = ((0.0, 0.6, 0.9, 0.98, 1.0), (0.3, 0.199, 0.111, 0.080, 0.068))
