@@ -13,6 +13,7 @@ from .marching.ray_march import ray_features_at
 from .network.network import load_network
 from .network.predictor import POINTS_PER_TASK, Bounds, VolumePredictor
 from .network.prepared_predictors import LampLight, PreparedLampPredictor, PreparedPredictor
+from .network.ray_points import RayPoints
 from .plan.lights import LAMP_MODELS
 from .plan.plan import distinct_albedos
 from .plan.precision import in_range
@@ -63,7 +64,8 @@ def predict_multiple(
         for start in range(0, len(positions), POINTS_PER_TASK):
             span = slice(start, start + POINTS_PER_TASK)
             features = features_at(positions[span], directions[span])
-            radiance = prepared.predict(positions[span], directions[span], albedos.values, ray_features=features)
+            points = RayPoints(positions[span], directions[span], ray_features=features)
+            radiance = prepared.predict(points, albedos.values)
             for c, row in albedos.by_channel(radiance, positions[span], directions[span]):
                 result[span, c] = row * colour[c]
     return result

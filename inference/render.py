@@ -16,8 +16,9 @@ from .image.environment_pass import EnvironmentSource, add_environment_light, pr
 from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
-from .image.multiple_scattering import add_multiple_scattering, prepare_prediction, solve_transport
+from .image.multiple_scattering import add_multiple_scattering
 from .image.predicted_error import error_is_known, expected_error
+from .image.prediction_sources import prepare_prediction, solve_transport
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate

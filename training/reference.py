@@ -13,6 +13,7 @@ import numpy as np
 
 from inference.network.conditions import Conditions
 from inference.network.network import register_system
+from inference.network.ray_points import RayPoints
 from inference.runtime.cancellation import NEVER
 from inference.runtime.tasks import SERIAL
 from inference.scene import SceneError
@@ -85,15 +86,15 @@ class PreparedTracer:
     sun: np.ndarray
     lattice_cells = 0
 
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None) -> np.ndarray:
+    def predict(self, points: RayPoints, albedos) -> np.ndarray:
         """Noisy radiance float32 (A, N), the same for the same points and jitter; ray features are not needed."""
         volume = self.volume
-        places = np.clip(positions @ volume.linear.T + volume.offset, -0.5, 0.5)
+        places = np.clip(points.positions @ volume.linear.T + volume.offset, -0.5, 0.5)
         with _tracing:
             radiance = trace_points(
                 Scene(volume.grid, self.sun),
-                Vertices(places, omega @ volume.linear.T, self.sigma, volume.anisotropy, albedos),
-                Sampling(volume.paths, _seed(positions, jitter)),
+                Vertices(places, points.directions @ volume.linear.T, self.sigma, volume.anisotropy, albedos),
+                Sampling(volume.paths, _seed(points.positions, points.jitter)),
             )
         return radiance[:, 0].T
 

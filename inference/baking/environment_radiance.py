@@ -9,6 +9,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_march import MarchOptions
+from ..network.ray_points import RayPoints
 from ..plan.plan import Channels
 from ..scene.environment import Environment
 from .point_radiance import rays_outwards, spans
@@ -64,7 +65,7 @@ class EnvironmentRadiance:
         along = np.stack([self._depths(positions, towards) for towards in (directions, -directions)], axis=1)
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
-            return span, predictor.predict(positions[span], directions[span], along[span], albedos.values)
+            return span, predictor.predict(RayPoints(positions[span], directions[span]), along[span], albedos.values)
 
         with context.report.stage("network"), context.progress.stage("network"):
             for span, values in context.tasks.map(task, spans(len(positions))):

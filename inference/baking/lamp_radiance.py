@@ -12,6 +12,7 @@ from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..network.prepared_predictors import LampLight
+from ..network.ray_points import RayPoints
 from ..plan.plan import Channels
 from .point_radiance import rays_outwards, spans
 
@@ -62,8 +63,8 @@ class LampRadiance:
             of_lamp = features.mean(slice(None), 0, cluster, lamp.shares(positions))
 
             def task(span: slice, predictor=predictor, asked=albedos.values, of_lamp=of_lamp):
-                values = predictor.predict(positions[span], directions[span], asked, ray_features=of_lamp[span])
-                return span, values
+                points = RayPoints(positions[span], directions[span], ray_features=of_lamp[span])
+                return span, predictor.predict(points, asked)
 
             with context.report.stage("network"), context.progress.stage("network"):
                 for span, values in context.tasks.map(task, spans(len(positions))):

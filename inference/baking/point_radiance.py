@@ -16,6 +16,7 @@ from ..marching.ray_steps import RayBatch
 from ..network.albedos import Albedos
 from ..network.predictor import POINTS_PER_TASK
 from ..network.prepared_predictors import PreparedPredictor
+from ..network.ray_points import RayPoints
 from ..plan.plan import Channels
 from ..scene.description import Sun
 from ..transport.scattered_fluence import ScatteredFluence
@@ -131,7 +132,8 @@ class PointRadiance:
 
         def task(span: slice) -> tuple[slice, np.ndarray]:
             some = None if features is None else features[span]
-            return span, prepared.predict(positions[span], directions[span], albedos.values, ray_features=some)
+            points = RayPoints(positions[span], directions[span], ray_features=some)
+            return span, prepared.predict(points, albedos.values)
 
         return self._context.tasks.map(task, spans(len(positions)))
 

@@ -9,19 +9,20 @@ import numpy as np
 from ..marching.depth_samples import DepthSamples
 from ..network.albedos import Albedos
 from ..network.prepared_predictors import EnvironmentPredictor
+from ..network.ray_points import RayPoints
 from ..plan.plan import last_albedo
-from .adaptive_interpolation import Guide
-from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .framebuffer import add_at
-from .multiple_scattering import (
+from .adaptive_evaluation import (
     distance_guide,
     evaluate_adaptively,
-    lattice_bounds,
     pixels_per_voxel,
     sample_batches,
     scattered_shares,
 )
+from .adaptive_interpolation import Guide
+from .context import ChannelPass, PreparedScene, RenderContext, Tile
+from .framebuffer import add_at
 from .predicted_error import environment_deviation
+from .prediction_sources import lattice_bounds
 
 
 @dataclass(frozen=True)
@@ -141,9 +142,8 @@ class EnvironmentEstimate:
         for done in sample_batches(points):
             self.context.cancel.check()
             directions = samples.directions[samples.ray[done]]
-            radiance = source.predictor.predict(
-                samples.positions(done), directions, self.along[done], source.albedos.values, samples.jitter(done)
-            )
+            asked = RayPoints(samples.positions(done), directions, samples.jitter(done))
+            radiance = source.predictor.predict(asked, self.along[done], source.albedos.values)
             weight = samples.scattered(done, source.members, source.last_albedo, source.places) * source.correction
             pixel = self.pixel[done]
             for c, row in source.albedos.by_channel(radiance[1:], samples.positions(done), directions):

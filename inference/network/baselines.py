@@ -18,6 +18,7 @@ from ..scene.phase_function import henyey_greenstein
 from .conditions import Conditions
 from .interfaces import PreparedPrediction
 from .network import register_system
+from .ray_points import RayPoints
 
 SINGLE, OCTAVES = "single-scattering", "multi-octave"
 # Wrenninge, Kulla, Lundqvist: "Oz: The Great and Volumetric", 2013: attenuation, contribution and eccentricity of each
@@ -74,16 +75,9 @@ class SingleScattering:
 
     lattice_cells = 0
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N) of zeros."""
-        return np.zeros((len(albedos), len(positions)), np.float32)
+        return np.zeros((len(albedos), len(points)), np.float32)
 
 
 @dataclass(frozen=True)
@@ -97,19 +91,12 @@ class MultiOctave:
     sun: np.ndarray
     lattice_cells = 0
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""
-        if ray_features is None:
+        if points.ray_features is None:
             raise ValueError("the multi-octave approximation needs ray features")
-        cosine, tau_sun = np.cos(angle_to_sun(omega, self.sun)), ray_features[:, 0]
-        total = np.zeros(len(positions), np.float32)
+        cosine, tau_sun = np.cos(angle_to_sun(points.directions, self.sun)), points.ray_features[:, 0]
+        total = np.zeros(len(points), np.float32)
         for octave in range(1, OCTAVE_COUNT):
             phase = henyey_greenstein(cosine, self.anisotropy * ECCENTRICITY**octave)
             total += CONTRIBUTION**octave * phase * np.exp(-(ATTENUATION**octave) * tau_sun)

@@ -17,6 +17,7 @@ from ..transport.environment_light import ALBEDOS, read_lattice
 from ..transport.open_depths import OpenDepths
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import open_session
+from .ray_points import RayPoints
 from .weights_file import read_weights
 
 # Folder of these networks' weights; each has the name of the network for suns that it stands beside.
@@ -81,24 +82,16 @@ class PreparedEnvironment:
     thickness: float
     anisotropy: float
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        along: np.ndarray,
-        shares: np.ndarray,
-        albedos: Sequence[float],
-        jitter: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, along: np.ndarray, shares: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
         """Radiance float32 (1 + A, N, C) scattered towards the camera, without the factor of the local albedo.
 
-        Single scattering, then multiple scattering for each of A albedos. positions, omega: (N, 3) in the cube's frame.
-        along: (N, 2), optical depth ahead of each point and behind it on its ray. shares: (N, S), of the skies at the
-        points. jitter: as for `FieldLookup`.
+        Single scattering, then multiple scattering for each of A albedos. points: in the cube's frame. along: (N, 2),
+        optical depth ahead of each point and behind it on its ray. shares: (N, S), of the skies at the points.
         """
+        positions, omega = points.positions, points.directions
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]
-        density = self.lookup(positions, omega[first], view, jitter)[:, : self.low, 0]
+        density = self.lookup(positions, omega[first], view, points.jitter)[:, : self.low, 0]
         depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)

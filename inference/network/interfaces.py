@@ -12,6 +12,7 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import Conditions
+from .ray_points import RayPoints
 
 
 class System(Protocol):
@@ -80,16 +81,8 @@ class PreparedPrediction(Protocol):
     def lattice_cells(self) -> int:
         """Cells of the lookup lattices, for the report."""
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """Multiple-scattered radiance float32 (A, N) for a sun of irradiance 1, without the factor of the local albedo.
 
-        positions, omega: (N, 3), points and camera-ray directions in the cube's frame. albedos: (A,). jitter: (N, 3) in
-        [-1/2, 1/2), offset of each point's lookups in cells. ray_features: (N, COLUMNS) of RayFeatures, if needed.
+        points: in the cube's frame. albedos: (A,).
         """

@@ -16,6 +16,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from .conditions import Conditions
+from .ray_points import RayPoints
 
 
 def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
@@ -74,15 +75,10 @@ class PreparedLattice:
     sun: np.ndarray
     lattice_cells = 0
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """As PreparedPrediction; jitter: as for `read_lattices`. Ray features are not used."""
-        lattice = read_lattices(self.network.points, self.features, positions, omega, self.sun, jitter)
-        gamma = angle_to_sun(omega, self.sun)
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
+        """As PreparedPrediction; ray features are not used."""
+        lattice = read_lattices(
+            self.network.points, self.features, points.positions, points.directions, self.sun, points.jitter
+        )
+        gamma = angle_to_sun(points.directions, self.sun)
         return self.network.run(lattice=lattice, gamma=gamma, albedo=albedos)

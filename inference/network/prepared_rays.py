@@ -11,6 +11,7 @@ from ..features.descriptors import FieldLookup, angle_to_sun, distinct_rows
 from ..features.final_gather import REDUCED, SCALE, SCATTERED, SINGLE, FinalGather
 from ..features.stencil import frames
 from ..transport.scattered_fluence import PROBES, FluenceLattice
+from .ray_points import RayPoints
 from .uncertainty import UncertaintyNetwork, deviations
 
 
@@ -24,47 +25,32 @@ class PreparedRays:
     gather: FinalGather
     anisotropy: float
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """As PreparedPrediction. Raises ValueError without ray features."""
-        return self.network.run(**self._inputs(positions, omega, jitter, ray_features), albedo=albedos)
+        return self.network.run(**self._inputs(points), albedo=albedos)
 
     def deviation(
-        self,
-        network: UncertaintyNetwork,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        radiance: Mapping[float, np.ndarray],
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
+        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
     ) -> np.ndarray:
         """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
 
-        radiance: (N,), of each albedo, as `predict` gives it; the other arguments as there.
+        radiance: (N,), of each of A albedos, as `predict` gives it for these points.
         """
-        return deviations(network, self._inputs(positions, omega, jitter, ray_features), radiance)
+        return deviations(network, self._inputs(points), radiance)
 
-    def _inputs(
-        self, positions: np.ndarray, omega: np.ndarray, jitter: np.ndarray | None, ray_features: np.ndarray | None
-    ) -> dict[str, np.ndarray]:
+    def _inputs(self, points: RayPoints) -> dict[str, np.ndarray]:
         """What the network reads, by name, but for the albedos. Raises ValueError without ray features."""
+        positions, omega, sun = points.positions, points.directions, self.lookup.sun
         first, view = distinct_rows(omega)
-        stencil = self.lookup(positions, omega[first], view, jitter).reshape(len(positions), -1)
-        sun = self.lookup.sun
+        stencil = self.lookup(positions, omega[first], view, points.jitter).reshape(len(points), -1)
         gamma = angle_to_sun(omega[first], sun)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         around = self.light.read(positions, omega, sun, self.anisotropy)
-        if ray_features is None:
+        if points.ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
         return {
             "stencil": stencil,
-            "ray": np.concatenate([ray_features, around], axis=1),
+            "ray": np.concatenate([points.ray_features, around], axis=1),
             "gathered": self.gather(positions, frames(omega[first], sun)[view]),
             "view": view,
             "anisotropy": anisotropy,
@@ -102,54 +88,35 @@ class PreparedLampRays:
     scale: float
     anisotropy: float
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        irradiance: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def predict(self, points: RayPoints, irradiance: np.ndarray, albedos: np.ndarray) -> np.ndarray:
         """Radiance float32 (A, N) as if a sun of irradiance 1 stood in the lamp's place, as PreparedPrediction.
 
-        positions, omega: (N, 3) in the cube's frame. irradiance: (N,), of the lamp of power 1, over which the ray
-        features are given. Raises ValueError without them.
+        irradiance: (N,), of the lamp of power 1, over which the points' ray features are given. Raises ValueError
+        without them.
         """
         if self.most == 0.0:
             # It shines past the volume.
-            return np.zeros((len(albedos), len(positions)), np.float32)
-        inputs = self._inputs(positions, omega, irradiance, jitter, ray_features)
-        return self.network.run(**inputs, albedo=albedos)
+            return np.zeros((len(albedos), len(points)), np.float32)
+        return self.network.run(**self._inputs(points, irradiance), albedo=albedos)
 
     def deviation(
         self,
         network: UncertaintyNetwork,
-        positions: np.ndarray,
-        omega: np.ndarray,
+        points: RayPoints,
         irradiance: np.ndarray,
         radiance: Mapping[float, np.ndarray],
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
     ) -> np.ndarray:
         """As PreparedRays; the other arguments as for `predict`."""
-        inputs = self._inputs(positions, omega, irradiance, jitter, ray_features)
-        return deviations(network, inputs, radiance)
+        return deviations(network, self._inputs(points, irradiance), radiance)
 
-    def _inputs(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        irradiance: np.ndarray,
-        jitter: np.ndarray | None,
-        ray_features: np.ndarray | None,
-    ) -> dict[str, np.ndarray]:
+    def _inputs(self, points: RayPoints, irradiance: np.ndarray) -> dict[str, np.ndarray]:
         """As PreparedRays."""
-        if ray_features is None:
+        if points.ray_features is None:
             raise ValueError(f"the network {self.network.name} needs ray features")
+        positions, omega = points.positions, points.directions
         towards = directions_to(self.place, positions + self.ahead * omega)
-        view = np.arange(len(positions), dtype=np.int32)
-        stencil = self.lookup(positions, omega, view, jitter, towards).reshape(len(positions), -1)
+        view = np.arange(len(points), dtype=np.int32)
+        stencil = self.lookup(positions, omega, view, points.jitter, towards).reshape(len(points), -1)
         gamma = np.arccos(np.clip((omega * towards).sum(axis=1), -1.0, 1.0)).astype(np.float32)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         around = self.light.read(positions, omega, towards, self.anisotropy)
@@ -163,7 +130,7 @@ class PreparedLampRays:
         gathered[:, :, REDUCED] *= unscattered ** np.float32(SCALE)
         return {
             "stencil": stencil,
-            "ray": np.concatenate([ray_features, around], axis=1),
+            "ray": np.concatenate([points.ray_features, around], axis=1),
             "gathered": gathered,
             "view": view,
             "anisotropy": anisotropy,

@@ -51,6 +51,7 @@ from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .lamp_nearby import MIN_ALBEDO, LampNearby, SoftStart
 from .prepared_rays import PreparedLampRays, PreparedRays
+from .ray_points import RayPoints
 
 # Fluence lattices, of suns and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 64
@@ -121,16 +122,9 @@ class PreparedStencil:
     phase: PhaseFeatures
     anisotropy: float
 
-    def predict(
-        self,
-        positions: np.ndarray,
-        omega: np.ndarray,
-        albedos: np.ndarray,
-        jitter: np.ndarray | None = None,
-        ray_features: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """As PreparedPrediction; jitter: as for FieldLookup. Ray features are not used."""
-        features, gamma = describe(self.lookup, self.phase, positions, omega, jitter)
+    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
+        """As PreparedPrediction; ray features are not used."""
+        features, gamma = describe(self.lookup, self.phase, points.positions, points.directions, points.jitter)
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
 

@@ -20,7 +20,8 @@ environment does, and phi and F then hold unscattered light too. The solution is
 feature for the network, which otherwise knows a point's surroundings in outline only.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,6 +62,24 @@ BEAMS_PER_BLOCK = 1024
 Beam = Callable[["DiscreteOrdinates", CancelToken], tuple[np.ndarray, np.ndarray]]
 # What follows light along the steps of one side.
 Follower = Callable[[], object]
+
+
+class _Fields(NamedTuple):
+    """Light of one solution.
+
+    field: float32 (5, x, y, z), fluence and flux that are to scatter, and the fluence of a beam. source: of the same
+    shape, what sweeps read; the field itself unless the albedo varies. swept: float32 (4, x, y, z), fluence and flux
+    of what a sweep has scattered, or (26, x, y, z), radiance along each of ORDINATES.
+    """
+
+    field: np.ndarray
+    source: np.ndarray
+    swept: np.ndarray
+
+    def start(self, light: Iterable[np.ndarray]) -> None:
+        """Let this fluence and flux, (x, y, z) each, be what scatters next."""
+        for values, found in zip(self.field, light):
+            values[...] = found
 
 
 class DiscreteOrdinates:
@@ -130,20 +149,19 @@ class DiscreteOrdinates:
         """
         n = len(self.density)
         tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
-        field, swept = self._fields()
+        fields = self._fields()
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
-        field[4] = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.sweeps.within[0])
+        fields.field[4] = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.sweeps.within[0])
         phases = [self._phase(sign * STEPS[axis], sun) for axis, sign in SIDES]
         # The quadrature of the phase function need not be exactly 1.
         angles = [solid_angles(STEPS[axis]) for axis, _ in SIDES]
         total = 4.0 * np.pi * sum((angle * phase).sum() for angle, phase in zip(angles, phases))
-        source = self._source(field)
-        follow = self.sweeps.followers(source, swept, phases=[phase / total for phase in phases])
+        follow = self.sweeps.followers(fields.source, fields.swept, phases=[phase / total for phase in phases])
         if self.coarser is not None:
             coarse_visibility = self._means(visibility) if isinstance(visibility, np.ndarray) else visibility
-            field[:4] = [self._finer(values) for values in self.coarser.light(sun, coarse_visibility, cancel)]
-        return self._converge(field, source, swept, follow, cancel)
+            fields.start(self._finer(values) for values in self.coarser.light(sun, coarse_visibility, cancel))
+        return self._converge(fields, follow, cancel)
 
     def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
@@ -151,14 +169,13 @@ class DiscreteOrdinates:
         beam: of the lamp, on any number of cells. Raises Cancelled.
         """
         light, towards = beam(self, cancel)
-        field, swept = self._fields()
-        beams, source = self._beams(light.astype(np.float32), towards.astype(np.float32)), self._source(field)
+        fields, beams = self._fields(), self._beams(light.astype(np.float32), towards.astype(np.float32))
         if self.varies:
             beams *= self.albedo
-        follow = self.sweeps.followers(source, swept, beams=beams)
+        follow = self.sweeps.followers(fields.source, fields.swept, beams=beams)
         if self.coarser is not None:
-            field[:4] = [self._finer(values) for values in self.coarser.lamp(beam, cancel)]
-        return self._converge(field, source, swept, follow, cancel)
+            fields.start(self._finer(values) for values in self.coarser.lamp(beam, cancel))
+        return self._converge(fields, follow, cancel)
 
     def moments(self, first: np.ndarray, beams: np.ndarray | None = None, cancel: CancelToken = NEVER) -> np.ndarray:
         """What becomes of light that scatters: radiance times each of `spherical_harmonics` of where it goes.
@@ -180,19 +197,21 @@ class DiscreteOrdinates:
         field, radiance = np.zeros((5, n, n, n), np.float32), np.empty((len(ORDINATES), n, n, n), np.float32)
         np.add(first, again, out=field[:4])
         self._limit_flux(field)
-        self._sweep(field, field, radiance, self.sweeps.followers(field, radiance, beams=beams), cancel)
+        follow = self.sweeps.followers(field, radiance, beams=beams)
+        self._sweep(_Fields(field, field, radiance), follow, cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
         return product_of_columns(weights.astype(np.float32), radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
 
     def _scattered_again(self, first: np.ndarray, beams: np.ndarray | None, cancel: CancelToken) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of what `moments` finds."""
-        field, swept = self._fields()
+        fields = self._fields()
+        field, swept = fields.field, fields.swept
         again = np.zeros_like(swept)
         follow = self.sweeps.followers(field, swept, beams=beams)
         for number in range(EXACT_SWEEPS):
             np.add(first, again, out=field[:4])
             self._limit_flux(field)
-            self._sweep(field, field, swept, follow, cancel)
+            self._sweep(fields, follow, cancel)
             change = self._newly_scattered(swept, again)
             again[:] = swept
             most = EXACTLY_CONVERGED * (self.extinction * (swept[0] + first[0])).sum()
@@ -201,52 +220,42 @@ class DiscreteOrdinates:
             self._correct(again, change, cancel)
         return again
 
-    def _fields(self) -> tuple[np.ndarray, np.ndarray]:
-        """Float32 (5, x, y, z) of zeros, for fluence, flux and a beam, and (4, x, y, z) to be filled by sweeps."""
+    def _fields(self) -> "_Fields":
+        """Without any light."""
         n = len(self.density)
-        return np.zeros((5, n, n, n), np.float32), np.empty((4, n, n, n), np.float32)
+        field = np.zeros((5, n, n, n), np.float32)
+        source = np.empty_like(field) if self.varies else field
+        return _Fields(field, source, np.empty((4, n, n, n), np.float32))
 
     def _converge(
-        self,
-        field: np.ndarray,
-        source: np.ndarray,
-        swept: np.ndarray,
-        follow: Sequence[Follower],
-        cancel: CancelToken,
-        environment: bool = False,
+        self, fields: "_Fields", follow: Sequence[Follower], cancel: CancelToken, environment: bool = False
     ) -> np.ndarray:
-        """Sweep, and correct by diffusion, until little changes; returns `swept`, fluence and flux (4, x, y, z).
+        """Sweep, and correct by diffusion, until little changes; returns what is `swept`.
 
-        field: (5, x, y, z), with a first guess; source: of `_source`; follow: of `OrdinateSweeps.followers`, which fill
-        `swept`; environment: whether the light is an environment's, in which the result has to be linear.
+        follow: of `OrdinateSweeps.followers` of these fields. environment: whether the light is an environment's, in
+        which the result has to be linear.
         """
         fine, converged = FINE_SWEEPS, CONVERGED
         if environment:
             fine, converged = ENVIRONMENT_FINE_SWEEPS, ENVIRONMENT_CONVERGED
+        field, swept = fields.field, fields.swept
         sweeps = SWEEPS if self.coarser is None else fine
         for number in range(sweeps):
-            self._sweep(field, source, swept, follow, cancel)
+            self._sweep(fields, follow, cancel)
             change = self._newly_scattered(swept, field)
             if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
                 break
-            field[:4] = swept
+            fields.start(swept)
             self._correct(field, change, cancel, limit=not environment)
         return swept
 
-    def _sweep(
-        self,
-        field: np.ndarray,
-        source: np.ndarray,
-        swept: np.ndarray,
-        follow: Sequence[Follower],
-        cancel: CancelToken,
-    ) -> None:
-        """Fill `swept` with the light that a field (5, x, y, z) scatters, and that of beams; arguments: `_converge`."""
+    def _sweep(self, fields: "_Fields", follow: Sequence[Follower], cancel: CancelToken) -> None:
+        """Fill `swept` with the light that the field scatters, and that of beams; arguments: `_converge`."""
         if self.boundaries is not None:
-            field *= ~self.boundaries.inside
+            np.multiply(fields.field, ~self.boundaries.inside, out=fields.field)
         if self.varies:
-            np.multiply(field, self.albedo, out=source)
-        swept.fill(0.0)
+            np.multiply(fields.field, self.albedo, out=fields.source)
+        fields.swept.fill(0.0)
         for one in follow:
             cancel.check()
             one()
@@ -284,24 +293,19 @@ class DiscreteOrdinates:
 
         radiance: (26,), that arrives from ORDINATES. Linear in it. Raises Cancelled.
         """
-        field, swept = self._fields()
-        source = self._source(field)
-        follow = self.sweeps.followers(source, swept, entering=np.asarray(radiance, np.float32))
+        fields = self._fields()
+        follow = self.sweeps.followers(fields.source, fields.swept, entering=np.asarray(radiance, np.float32))
         if self.coarser is not None:
-            field[:4] = [self._finer(values) for values in self.coarser.environment(radiance, cancel)]
+            fields.start(self._finer(values) for values in self.coarser.environment(radiance, cancel))
         elif self.conservative:
             # Exact for even light, which no albedo of 1 changes.
-            field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
-        return self._converge(field, source, swept, follow, cancel, environment=True)
+            fields.field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
+        return self._converge(fields, follow, cancel, environment=True)
 
     def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
         """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
         tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / len(self.density), self.kernels)
         return visibility * np.exp(-tau)
-
-    def _source(self, field: np.ndarray) -> np.ndarray:
-        """What sweeps read in place of a field (5, x, y, z): itself, unless the albedo varies."""
-        return np.empty_like(field) if self.varies else field
 
     def _phase(self, steps: np.ndarray, sun: np.ndarray) -> np.ndarray:
         """Henyey-Greenstein phase function (D,) of a sun's beam along steps (D, 3)."""

@@ -14,6 +14,7 @@ from inference import Environment, Medium, Settings, Surface, render
 from inference.network.environment_network import load_environment_network
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
+from inference.network.ray_points import RayPoints
 from training import export_environment, train_environment
 from training.data import environment_targets
 from training.data.seeded_volume import cube_volume, seeded_volume
@@ -106,7 +107,7 @@ def test_training_and_rendering_read_the_same(folder):
             assert prepared.channels == 1
             positions = predictor.cube.centre + predictor.cube.edge * d["position"][own] @ predictor.cube.rotation.T
             directions = d["omega"][own] @ predictor.cube.rotation.T
-            found = prepared.predict(positions, directions, d["along"][own], [1.0])[..., 0]
+            found = prepared.predict(RayPoints(positions, directions), d["along"][own], [1.0])[..., 0]
             candidates = rows["candidates"][own][..., e : e + 1].astype(np.float32)
             expected = network.run(rows["x"][own], candidates, np.array([1.0]))[..., 0].T
             assert np.abs(found - expected).mean() < 0.01 * expected.mean()

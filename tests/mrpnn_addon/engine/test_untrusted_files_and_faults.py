@@ -164,7 +164,7 @@ class BreakingPredictor(BaselinePredictor):
 
 
 class BreakingPrediction(SingleScattering):
-    def predict(self, positions, omega, albedos, jitter=None, ray_features=None):
+    def predict(self, points, albedos):
         raise ZeroDivisionError("in a thread")
 
 
