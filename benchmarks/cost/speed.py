@@ -101,18 +101,19 @@ def main():
     layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, settings)
     report = layer.report
     points = report.counts["network points"]
-    print(f"{arguments.size} x {arguments.size}, {arguments.depth_samples} depth samples, {os.cpu_count()} cores")
-    print(f"covered: {(layer.alpha > 0.02).mean():.0%} of the image, {points} points")
+    print("| | |\n|---|---|")
+    print(f"| image | {arguments.size}², {arguments.depth_samples} depth samples, {os.cpu_count()} cores |")
+    print(f"| covered | {(layer.alpha > 0.02).mean():.0%}, {points} points |")
     for stage, seconds in report.seconds.items():
-        print(f"{stage:16} {seconds:7.2f} s")
-    print(f"points per second{points / report.seconds['total']:9.0f} end to end")
+        print(f"| {stage} | {seconds:.2f} s |")
+    print(f"| points per second, end to end | {points / report.seconds['total']:.0f} |")
     if before is not None:
-        print(f"memory           {(report.peak_memory - before) / 2**20:9.0f} MiB more than before")
+        print(f"| memory beyond what the process held | {(report.peak_memory - before) / 2**20:.0f} MiB |")
     work, alone = flop_per_point(arguments.model), network_seconds(arguments.model)
     share, one_core = points * work / report.seconds["network"] / rate, rate / os.cpu_count()
-    print(f"matrix product   {rate / 1e9:9.0f} Gflop/s")
-    print(f"the network      {work / alone / one_core:9.0%} of that on one core, {1e6 * alone:.1f} us per point")
-    print(f"with descriptors {share:9.0%} of that")
+    print(f"| a matrix product | {rate / 1e9:.0f} Gflop/s |")
+    print(f"| the network alone, on one core | {work / alone / one_core:.0%} of that, {1e6 * alone:.1f} µs per point |")
+    print(f"| the stage *network*, with its inputs | {share:.0%} of that |")
     print(made_by(PROGRAM, models=[arguments.model]))
 
 

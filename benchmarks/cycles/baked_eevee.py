@@ -17,6 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
+PROGRAM = "benchmarks.cycles.baked_eevee"
 DISTANCE, DEGREES = 6.0, {"compiling": 0.0, "baked view": 0.0, "beside": 40.0}
 SAMPLES, STEPS, THICKNESS = 16, 128, 20.0
 # Redraws of the viewport along the orbit, and before they are timed.
@@ -101,7 +102,7 @@ def main() -> None:
     parser.add_argument("--window", action="store_true")
     options = parser.parse_args()
     from ..support.extension import extension
-    from ..support.provenance import commit, weights_checksum
+    from ..support.provenance import made_by
 
     extension()
     import bpy
@@ -111,7 +112,6 @@ def main() -> None:
     from inference import Settings, render
     from tests.support import blender_scenes as scenes
 
-    print(f"weights {weights_checksum('mrpnn')}, {commit()}", flush=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         scene = scenes.empty_scene()
@@ -127,7 +127,11 @@ def main() -> None:
         started += ["--factory-startup", "--gpu-backend", "opengl"]
         started += [str(folder / "lit.blend"), "--python-exit-code", "1", "--python", str(script)]
         said = subprocess.run(started, capture_output=True, text=True, check=True).stdout
-        print("\n".join(re.findall("EEVEE.*: .*", said)), flush=True)
+        [version], viewports = (
+            set(re.findall(r"EEVEE of (\S+)", said)),
+            re.findall(r"EEVEE's (viewport .*): .* (\S+) processor", said),
+        )
+        print(f"| EEVEE of {version} | error | bias | processor seconds |\n|---|---|---|---|")
         for name in list(DEGREES)[1:]:
             turn(scene.camera, name)
             described = read_scene(scenes.depsgraph())
@@ -138,9 +142,12 @@ def main() -> None:
             shown = layer.alpha > 0.02
             change = (pixels.reshape(options.size, options.size, 4)[::-1, :, :3] - layer.rgb)[shown]
             mean = layer.rgb[shown].mean()
-            print(
-                f"{name}: error {np.sqrt(np.mean(change**2)) / mean:.3f}, bias {change.mean() / mean:+.3f}", flush=True
-            )
+            figures = f"{np.sqrt(np.mean(change**2)) / mean:.3f} | {100 * change.mean() / mean:+.1f} %"
+            [seconds] = re.findall(rf"{name}: .*, (\S+) processor seconds", said)
+            print(f"| {name} | {figures} | {seconds} |", flush=True)
+        for name, seconds in viewports:
+            print(f"| a frame of the {name} | | | {seconds} |", flush=True)
+        print(made_by(PROGRAM))
 
 
 if __name__ == "__main__":

@@ -17,8 +17,9 @@ import numpy as np
 from inference import Settings, render
 from inference.scene.optimizations import ALL
 
-from ..support.provenance import commit, weights_checksum
+from ..support.provenance import made_by
 
+PROGRAM = "benchmarks.cycles.baked_film"
 # The camera's path about the cloud: degrees per frame, and distance.
 DEGREES, DISTANCE = 0.85, 6.0
 
@@ -69,7 +70,7 @@ def main() -> None:
         scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
         return scenes.rendered(scene, folder)[..., :3].mean(axis=2)
 
-    print(f"weights {weights_checksum('mrpnn')}, {commit()}, {vars(options)}", flush=True)
+    print(f"| | {options.samples} samples | {10 * options.samples} samples | without noise |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(Path(folder), options)
         exact = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
@@ -78,7 +79,7 @@ def main() -> None:
             path(scene, frame)
             found = read_scene(scenes.depsgraph())
             layers.append(render(found.volumes, found.lights, found.camera, exact).rgb.mean(axis=2))
-        print(f"layer: flicker {flicker(np.array(layers)):.4f}", flush=True)
+        print(f"| the layer | | | {flicker(np.array(layers)):.4f} |", flush=True)
         for often in (False, True):
             path(scene, options.frames // 2)
             bpy.ops.mrpnn.bake_light(folder=folder)
@@ -91,11 +92,9 @@ def main() -> None:
                 a.append(picture(Path(folder), 5 * options.samples, 3 * frame + 1))
                 b.append(picture(Path(folder), 5 * options.samples, 3 * frame + 2))
             noisy, a, b = (np.array(frames, np.float64) for frames in (noisy, a, b))
-            print(
-                f"baked {'for every frame' if often else 'once'}: flicker {flicker(noisy):.4f} with {options.samples} "
-                f"samples, {flicker(0.5 * (a + b)):.4f} with {10 * options.samples}, {flicker(a, b):.4f} without noise",
-                flush=True,
-            )
+            found = " | ".join(f"{flicker(*frames):.4f}" for frames in ((noisy,), (0.5 * (a + b),), (a, b)))
+            print(f"| light baked {'for every frame' if often else 'once'} | {found} |", flush=True)
+    print(made_by(PROGRAM))
 
 
 if __name__ == "__main__":

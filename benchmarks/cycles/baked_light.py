@@ -20,10 +20,11 @@ from inference.scene.optimizations import ALL
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views, look_at
 from ..support.pages import csv_text, read_csv, replace
-from ..support.provenance import commit, weights_checksum
+from ..support.provenance import commit, made_by, weights_checksum
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "baked-light.csv"
-SOURCE = "`python -m benchmarks.cycles.baked_light`, weights and commit in each row."
+PROGRAM = "benchmarks.cycles.baked_light"
+SOURCE = f"`python -m {PROGRAM}`, weights and commit in each row."
 SAMPLES = 64
 COLUMNS = (
     "view",
@@ -136,7 +137,12 @@ def main(names: list[str]) -> None:
             continue
         rows = [row for row in rows if row["view"] != view.name] + [measure(view)]
         replace(PAGE, csv_text([SOURCE], COLUMNS, [[row[column] for column in COLUMNS] for row in rows]))
-        print({k: round(v, 4) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
+        print(f"{view.name}: error {rows[-1]['baked']:.3f}", flush=True)
+    print("| view | layer | Cycles with baked light | Cycles, processor seconds |\n|---|---|---|---|")
+    for row in rows:
+        figures = [f"{float(row[what]):.3f} ({100 * float(row[f'{what}_bias']):+.1f} %)" for what in ("layer", "baked")]
+        print(f"| {row['view']} | {' | '.join(figures)} | {float(row['cycles_cpu']):.1f} |")
+    print(made_by(PROGRAM, names))
 
 
 if __name__ == "__main__":

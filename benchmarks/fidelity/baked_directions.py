@@ -13,6 +13,7 @@ of the sun; parallel bakes twelve parallel lights in the sky's place.
 
 import argparse
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -90,8 +91,8 @@ def lights(view: View, kind: str) -> tuple[list, list]:
     return directional_lights(sky, DIRECTIONS) if kind == "parallel" else [sky], [sky]
 
 
-def measure(view: View, size: int, degrees: float, kind: str) -> str:
-    """One row of the table; degrees: by which the camera beside is turned. kind: one of LIGHTS."""
+def measure(view: View, size: int, angles: Sequence[float], kind: str) -> str:
+    """One row of the table; angles: degrees by which other cameras are turned. kind: one of LIGHTS."""
     shining, rendered = lights(view, kind)
     camera = view.camera(view.spec.size if kind == "sun" else size)
     start = time.process_time()
@@ -112,8 +113,9 @@ def measure(view: View, size: int, degrees: float, kind: str) -> str:
         ]
     else:
         figures = [against(layer, view, camera, lit)]
-    beside = Camera(look_at(turned(view, degrees), view.up), resolution=(size, size), fov=camera.fov)
-    figures.append(against(render(view.volumes(), rendered, beside, EXACT), view, beside, lit))
+    for degrees in angles:
+        beside = Camera(look_at(turned(view, degrees), view.up), resolution=(size, size), fov=camera.fov)
+        figures.append(against(render(view.volumes(), rendered, beside, EXACT), view, beside, lit))
     return f"| {view.name}{LIGHTS[kind]} | {' | '.join(figures)} | {seconds[1]:.1f} | {seconds[0]:.1f} |"
 
 
@@ -128,13 +130,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("views", nargs="*")
     parser.add_argument("--size", type=int, default=64)
-    parser.add_argument("--turn", type=float, default=ORBIT, metavar="DEGREES")
+    parser.add_argument("--turn", type=float, nargs="+", default=[ORBIT], metavar="DEGREES")
     parser.add_argument("--light", nargs="+", choices=LIGHTS, default=["sun"])
     options = parser.parse_args()
     if "sun" in options.light and len(options.light) > 1:
         parser.error("the sun's table has other columns: measure it alone")
     figures = ["layer", "baked light"] if options.light == ["sun"] else ["baked view"]
-    head = ["view", *figures, "beside", "bake, processor seconds", "without other directions"]
+    turns = [f"turned by {degrees:g}°" for degrees in options.turn]
+    head = ["view", *figures, *turns, "bake, processor seconds", "without other directions"]
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for view in independent_views():
         if not options.views or view.name in options.views:

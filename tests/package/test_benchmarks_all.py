@@ -3,13 +3,14 @@
 
 import json
 import re
+import sys
 
-from benchmarks.all import COMMANDS, enter, run, shipped, stamps
+from benchmarks.all import COMMANDS, COMMANDS_5, enter, run, shipped, stamps
 from tests.support.paths import ROOT
 
 
 def test_every_table_with_a_stamp_is_made_by_one_of_the_commands():
-    programs = {command.split()[0] for command in COMMANDS}
+    programs = {command.split()[0] for command in COMMANDS + COMMANDS_5}
     found = list(stamps())
     assert [stamp for stamp in found if stamp.program not in programs] == []
     # Each page that has figures is among them.
@@ -20,7 +21,7 @@ def test_every_table_with_a_stamp_is_made_by_one_of_the_commands():
 
 
 def test_every_command_is_a_program_of_the_repository():
-    for command in COMMANDS:
+    for command in COMMANDS + COMMANDS_5:
         path = ROOT.joinpath(*command.split()[0].split("."))
         assert (path / "__main__.py").exists() or "__main__" in path.with_suffix(".py").read_text(), command
 
@@ -28,7 +29,7 @@ def test_every_command_is_a_program_of_the_repository():
 def test_tables_between_a_commands_marks_are_made_by_that_command():
     marks = [mark for page in (ROOT / "docs").glob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
     named = {mark for mark in marks if mark.startswith(("benchmarks.", "training."))}
-    assert named and named <= set(COMMANDS)
+    assert named and named <= set(COMMANDS + COMMANDS_5)
 
 
 def test_a_printed_table_goes_between_its_commands_marks(tmp_path):
@@ -51,12 +52,13 @@ def test_what_is_done_for_this_code_and_these_weights_is_skipped(tmp_path, capsy
     commands = ["this", "json.tool --help", "json.tool no-such-file"]
     assert run(commands, tmp_path) == 1
     done = json.loads((tmp_path / "done.json").read_text())
-    assert set(done) == set(commands[:2]) and set(shipped()) <= set(done["this"])
+    keys = [f"{command}, Python {sys.version_info[0]}.{sys.version_info[1]}" for command in commands]
+    assert set(done) == set(keys[:2]) and set(shipped()) <= set(done[keys[0]])
     assert "Beautiful is better than ugly" in (tmp_path / "this.log").read_text()
     capsys.readouterr()
     assert run(commands, tmp_path) == 1
     assert capsys.readouterr().out.count("done before: ") == 2
     # Other weights make all of it anew.
-    (tmp_path / "done.json").write_text(json.dumps({command: ["older"] for command in commands}))
+    (tmp_path / "done.json").write_text(json.dumps({key: ["older"] for key in keys}))
     run(commands[:1], tmp_path)
     assert "running: this" in capsys.readouterr().out
