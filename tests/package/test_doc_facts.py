@@ -299,7 +299,11 @@ def test_paths_and_commands_exist(path):
     text = path.read_text()
     quoted = set(re.findall(r"`([\w.-]+(?:/[\w.*-]*)+|[\w-]+\.(?:py|md|toml))`", text))
     paths = {name for name in quoted if name.split("/")[0] not in MADE}
-    missing = [name for name in paths if not list(ROOT.glob(name.rstrip("/")))]
+    # Networks are named by their files.
+    networks = ROOT / "inference" / "weights"
+    missing = [
+        name for name in paths if not list(ROOT.glob(name.rstrip("/"))) and not (networks / f"{name}.onnx").exists()
+    ]
     assert missing == []
     modules = set(re.findall(r"python\S* -m\s+((?:benchmarks|training|inference)[\w.]*)", text))
     files = {module: ROOT.joinpath(*module.rstrip(".").split(".")) for module in modules}
