@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every figure in docs and README anew, one command after the other, in a night or more.
 
-    python -m benchmarks.all [--list] [--only WORDS]
+    python -m benchmarks.all [--list] [--only WORDS] [--eevee ARGUMENTS]
 
 What is done for the present code and weights, by this version of Python, is skipped, so that a run that was stopped
 continues; a command that fails is told and the rest go on. What commands print is kept in build/all. Run it once more
 with Blender 5.2's module for that version's rows. A table that a command prints goes between the
-marks <!-- the command --> and <!-- end --> of a page of docs, where there are such. --list says which tables in docs
-are of other weights or older code, and runs nothing.
+marks <!-- the command --> and <!-- end --> of a page of docs, where there are such. EEVEE needs a graphics driver, and
+its viewport a display: --eevee "--window --blender COMMAND" names a Blender that has them. --list says which tables in
+docs are of other weights or older code, and runs nothing.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ from .support.provenance import made_by
 CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
+EEVEE = "benchmarks.cycles.baked_eevee"
 #: In the order in which they run: what is short, and then what takes hours.
 COMMANDS = (
     "benchmarks.demo --figures docs/readme.csv",
@@ -56,7 +58,7 @@ COMMANDS = (
     "benchmarks.cycles.baked_film --size 32 --frames 12",
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512",
     "benchmarks.cycles.baked_light",
-    "benchmarks.cycles.baked_eevee",
+    EEVEE,
     f"benchmarks.fidelity --out build/fidelity --docs --views independent {SYSTEMS}",
     f"benchmarks.fidelity --out build/retraced --docs --views retraced --samples 4096 {SYSTEMS}",
     "benchmarks.stability",
@@ -131,8 +133,11 @@ def stale() -> Iterator[str]:
             yield f"{stamp.page.relative_to(ROOT)}: {stamp.program}: {'; '.join(reasons)}"
 
 
-def run(commands: Sequence[str], folder: Path) -> int:
-    """Run what is not done for the present code and weights; gives the number of commands that failed."""
+def run(commands: Sequence[str], folder: Path, of_machine: Mapping[str, str] | None = None) -> int:
+    """Run what is not done for the present code and weights; gives the number of commands that failed.
+
+    of_machine: arguments that only this machine needs, by the command that they are added to.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     state, version = [_git("log", "-1", "--format=%h", "--", *CODE), *shipped()], "{}.{}".format(*sys.version_info)
     file, failed = folder / "done.json", 0
@@ -143,7 +148,8 @@ def run(commands: Sequence[str], folder: Path) -> int:
             continue
         print(f"running: {command}", flush=True)
         with open(folder / f"{re.sub('[^a-z0-9_]+', '-', command)[:80]}.log", "w+") as log:
-            status = subprocess.call([sys.executable, "-m", *shlex.split(command)], cwd=ROOT, stdout=log, stderr=log)
+            words = shlex.split(f"{command} {(of_machine or {}).get(command, '')}")
+            status = subprocess.call([sys.executable, "-m", *words], cwd=ROOT, stdout=log, stderr=log)
             log.seek(0)
             printed = log.read()
         if status == 0:
@@ -176,12 +182,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.all", description=__doc__.split("\n\n")[0])
     parser.add_argument("--list", action="store_true", help="tables of other weights or older code; run nothing")
     parser.add_argument("--only", default="", metavar="WORDS", help="commands that contain this")
+    parser.add_argument("--eevee", default="", metavar="ARGUMENTS", help=f"more arguments of {EEVEE}")
     options = parser.parse_args(arguments)
     if options.list:
         print("\n".join(stale()))
         return 0
     commands = COMMANDS_5 if sys.version_info >= (3, 13) else COMMANDS
-    return min(run([command for command in commands if options.only in command], ROOT / "build" / "all"), 1)
+    wanted = [command for command in commands if options.only in command]
+    return min(run(wanted, ROOT / "build" / "all", {EEVEE: options.eevee}), 1)
 
 
 if __name__ == "__main__":

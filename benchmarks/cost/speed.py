@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seconds, points and memory of one render, beside this machine's own arithmetic.
+"""Seconds and points of one render, beside this machine's own arithmetic.
 
     python -m benchmarks.cost.speed [--size 512] [--depth-samples 8] [--coverage 0.4] [--model mrpnn]
 
 Renders a procedural cloud that covers a given share of a square image. Prints the seconds of each stage, network
-points per second, peak memory above what the process held before, and the network's arithmetic rate, alone and with
-its descriptors, as a share of that of a single-precision matrix product measured in the same run.
+points per second, and the network's arithmetic rate, alone and with its descriptors, as a share of that of a
+single-precision matrix product measured in the same run.
 """
 
 import argparse
@@ -19,7 +19,6 @@ from inference import Camera, Medium, Settings, Sun, render
 from inference.network.network import load_network
 from inference.network.predictor import POINTS_PER_TASK
 from inference.network.weights_file import WEIGHTS
-from inference.runtime.report import process_peak_memory
 from training.data.seeded_volume import cube_volume
 from training.data.volumes import HELD_BACK, make_volume
 
@@ -96,7 +95,6 @@ def main():
     volume = cloud()
     camera = camera_covering(volume, medium, arguments.size, arguments.coverage)
     rate = sgemm_rate()
-    before = process_peak_memory()
     settings = Settings(arguments.depth_samples, model=arguments.model)
     layer = render([(volume, medium)], [Sun((0.8, 0.45, -0.36))], camera, settings)
     report = layer.report
@@ -107,8 +105,6 @@ def main():
     for stage, seconds in report.seconds.items():
         print(f"| {stage} | {seconds:.2f} s |")
     print(f"| points per second, end to end | {points / report.seconds['total']:.0f} |")
-    if before is not None:
-        print(f"| memory beyond what the process held | {(report.peak_memory - before) / 2**20:.0f} MiB |")
     work, alone = flop_per_point(arguments.model), network_seconds(arguments.model)
     share, one_core = points * work / report.seconds["network"] / rate, rate / os.cpu_count()
     print(f"| a matrix product | {rate / 1e9:.0f} Gflop/s |")

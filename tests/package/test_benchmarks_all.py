@@ -58,6 +58,10 @@ def test_what_is_done_for_this_code_and_these_weights_is_skipped(tmp_path, capsy
     capsys.readouterr()
     assert run(commands, tmp_path) == 1
     assert capsys.readouterr().out.count("done before: ") == 2
+    # What only this machine needs is no part of what was done.
+    run(["json.tool"], tmp_path, {"json.tool": "--help"})
+    assert "usage" in (tmp_path / "json-tool.log").read_text()
+    assert keys[1].replace(" --help", "") in json.loads((tmp_path / "done.json").read_text())
     # Other weights make all of it anew.
     (tmp_path / "done.json").write_text(json.dumps({key: ["older"] for key in keys}))
     run(commands[:1], tmp_path)
