@@ -63,7 +63,7 @@ COMMANDS = (
     f"benchmarks.fidelity --out build/retraced --docs --views retraced --samples 4096 {SYSTEMS}",
     "benchmarks.stability",
     "benchmarks.stability.soak",
-    "benchmarks.cycles.scenes",
+    "benchmarks.cycles.scenes --samples 96",
     "benchmarks.fidelity --out build/real --docs --views real --models mrpnn --size 32 --samples 256"
     " --depth-samples 32",
     "benchmarks.fidelity --out build/held --docs --views procedural --match g0.857-albedo1"

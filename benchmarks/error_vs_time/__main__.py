@@ -41,7 +41,7 @@ def main(arguments=None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "results.json"
     if options.again:
-        for timed in (file, *(options.out / "images").glob("*/cycles-*.npz")):
+        for timed in (file, *(options.out / "images").rglob("cycles-*.npz")):
             timed.unlink(missing_ok=True)
     results = json.loads(file.read_text()) if file.is_file() else {}
     scenes = cases(options.size)
