@@ -70,7 +70,7 @@ def save_ladders(results, path: Path) -> None:
         axis.set_title(title, fontsize=8)
         for result in same:
             _ladder(axis, result, LINES[versions.index(cycles(result)) % len(LINES)], result is same[0])
-    axes[0, 0].legend(fontsize=6)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=7, loc="outside upper center", ncols=5)
     figure.supxlabel("processor seconds", fontsize=9)
     figure.supylabel("relative error", fontsize=9)
     figure.savefig(path, dpi=110)
