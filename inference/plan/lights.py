@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..scene.description import Sun, Surface
+from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.emitters import solid_angles
 from ..scene.environment import Environment, pixel_solid_angles
 from ..scene.lamps import LAMPS, Lamp
@@ -29,6 +29,8 @@ SURFACES_SHADOW = "surfaces shadow it"
 MESH_LIGHTS, AROUND = 8, 2.5
 # Share of the fluence in any volume that lamps may have together and be skipped.
 FAINT = 1e-4
+# Middles of the eighths of a grid, over its size: where the light in a volume is measured.
+EIGHTHS = np.array(np.meshgrid(*[(0.25, 0.75)] * 3)).reshape(3, -1).T
 # Parallel lights that represent an environment where it is not computed as a whole.
 DIRECTIONS = 12
 
@@ -157,6 +159,18 @@ def fluence(light: Sun | Environment) -> float:
     rows, columns, _ = light.radiance.shape
     found = float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
     return found if light.weight is None else light.weight.mean * found
+
+
+def brightest_light(lights: Sequence[Light], volumes: Sequence[tuple[Volume, Medium]]) -> list[Light]:
+    """The light that gives the volumes the most fluence, shadows aside; none if none lights any of them."""
+    light_in_volumes = np.zeros(len(lights))
+    for volume, _ in volumes:
+        index = EIGHTHS * volume.density.shape - 0.5
+        points = index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+        for number, light in enumerate(lights):
+            if lights_object(light, volume.name):
+                light_in_volumes[number] += light.fluence_at(points).mean()
+    return [lights[int(light_in_volumes.argmax())]] if light_in_volumes.any() else []
 
 
 def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:

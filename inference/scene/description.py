@@ -227,6 +227,10 @@ class Sun:
         if np.any(self.irradiance < 0.0) or np.any(self.irradiance > MAX_IRRADIANCE):
             raise SceneError(f"{self.name}: irradiance must not be negative or above {MAX_IRRADIANCE:g}")
 
+    def fluence_at(self, points: np.ndarray) -> np.ndarray:
+        """Fluence float64 (N, 3), W/m^2, at world points (N, 3), without shadows."""
+        return np.broadcast_to(self.irradiance, (len(points), 3))
+
 
 @dataclass
 class Surface:

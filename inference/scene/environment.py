@@ -160,6 +160,11 @@ class Environment:
         """Fluence float64 (3,), W/m^2: radiance integrated over the sphere."""
         return (self.radiance.astype(np.float64).sum(axis=1) * pixel_solid_angles(len(self.radiance))).sum(axis=0)
 
+    def fluence_at(self, points: np.ndarray) -> np.ndarray:
+        """As of Sun."""
+        weight = np.ones(len(points)) if self.weight is None else self.weight(points)
+        return weight[:, None] * self.fluence()
+
     def without_peaks(self) -> tuple["Environment", list[Sun]]:
         """The environment without its peaks, and these as suns: together as much light as before.
 

@@ -27,8 +27,28 @@ TOLD_APART = 0.025
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
 
 
+class Lamp(Protocol):
+    """A light that has a place. name, receivers: as of PointLight. power: float64 (3,), W."""
+
+    name: str
+    power: np.ndarray
+    receivers: frozenset[str] | None
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,)."""
+
+    def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
+        """As of PointLight."""
+
+    def fluence_at(self, points: np.ndarray) -> np.ndarray:
+        """As of Sun."""
+        parts = self.emitters(points.min(axis=0), points.max(axis=0))
+        return np.sum([part.fluence(points) for part in parts], axis=0)[:, None] * self.power
+
+
 @dataclass
-class PointLight:
+class PointLight(Lamp):
     """A sphere, or a point, that shines alike in all directions.
 
     position: (3,) world. power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiant intensity is
@@ -63,7 +83,7 @@ class PointLight:
 
 
 @dataclass
-class SpotLight:
+class SpotLight(Lamp):
     """A sphere, or a point, that shines into a cone.
 
     position: (3,) world. direction: (3,), the way the light travels; normalised here. power: W, scalar or RGB, in
@@ -113,7 +133,7 @@ class SpotLight:
 
 
 @dataclass
-class AreaLight:
+class AreaLight(Lamp):
     """A flat light that shines to one side, along its -Z.
 
     world_matrix: (4, 4), from the lamp's frame. shape: one of SHAPES. size: full width before the matrix, one number or
@@ -179,21 +199,6 @@ class AreaLight:
             radiance = self.area / len(quads) / whole.area / (np.pi * self.area)
             found.append(QuadEmitter(corners, normal, radiance, self.spread))
         return found
-
-
-class Lamp(Protocol):
-    """A light that has a place. name, receivers: as of PointLight. power: float64 (3,), W."""
-
-    name: str
-    power: np.ndarray
-    receivers: frozenset[str] | None
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(3,)."""
-
-    def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
-        """As of PointLight."""
 
 
 LAMPS = (PointLight, SpotLight, AreaLight)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .description import Surface
 from .emitters import Emitter, QuadEmitter, SphereEmitter
-from .lamps import MEDIUM_SIZE, MOST, SMALL, distance_from_box
+from .lamps import MEDIUM_SIZE, MOST, SMALL, Lamp, distance_from_box
 
 # Sum of the vector areas of a closed mesh over its area, at most.
 CLOSED = 1e-3
@@ -24,7 +24,7 @@ ROUND = 1.5
 
 
 @dataclass
-class MeshLight:
+class MeshLight(Lamp):
     """The light that a surface emits, as a lamp.
 
     surface: whose emission is not 0. Open meshes shine on both sides, closed ones outwards, as if they were convex.

@@ -9,7 +9,8 @@ import numpy as np
 
 from ... import inference
 from ...inference import RenderCache
-from ...inference.scene import Camera, Cancelled, Environment, SceneError, Settings, Sun
+from ...inference.plan.lights import Light, brightest_light
+from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..output.layer_frame import rgba
 
 # Pixels of the pictures before the last, which has the region's resolution.
@@ -35,7 +36,7 @@ class Step:
     """One picture of a preview: its resolution, lights and settings."""
 
     size: tuple
-    lights: list[Sun | Environment]
+    lights: list[Light]
     settings: Settings
 
 
@@ -51,12 +52,8 @@ def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -
     single = replace(coarse, multiple=False)
     if prepared.shadows is description:
         return [Step(rough, every, single), *last]
-    brightest = sorted(every, key=_brightness)[-1:]
+    brightest = brightest_light(every, description.volumes) or every
     return [Step(rough, brightest, single), Step(finer, every, single), *last]
-
-
-def _brightness(light: Sun | Environment) -> float:
-    return float((light.irradiance if isinstance(light, Sun) else light.fluence()).sum())
 
 
 def _size(resolution, pixels: int) -> tuple:
