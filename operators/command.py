@@ -48,26 +48,44 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         required=True,
         metavar="FILE",
-        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform; # are the "
-        "frame's digits, // is the .blend file's folder",
+        help=".exr: multi-layer, scene-linear; .png: with the scene's view transform. The last run of # is the "
+        "frame's number, // the .blend file's folder",
     )
-    render.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10,15; the file's current one by default")
+    render.add_argument(
+        "--frames",
+        "--frame",
+        metavar="LIST",
+        help="1-10,15 or 1..10, or every third as 1-10:3; the file's current frame without it",
+    )
     render.add_argument("--skip-existing", action="store_true", help="skip frames whose file exists")
 
     bake = actions.add_parser("bake", help="bake predicted scattering into light for Cycles and EEVEE")
-    bake.add_argument("--frames", "--frame", metavar="LIST", help="e.g. 1-10; the file's current one by default")
-    bake.add_argument("--folder", default=FOLDER, help="of the .vdb files; // is the .blend file's folder")
+    bake.add_argument(
+        "--frames",
+        "--frame",
+        metavar="LIST",
+        help="1-10,15 or 1..10, or every third as 1-10:3; the file's current frame without it",
+    )
+    bake.add_argument(
+        "--folder", default=FOLDER, metavar="FOLDER", help="of the .vdb files; // is the .blend file's folder"
+    )
     bake.add_argument("--save", metavar="FILE", help=".blend file to write that shows the light")
     bake.add_argument("--fast", action="store_true", help="with --save: settings with which Cycles shows it fast, too")
     bake.add_argument("--no-directions", action="store_true", help="the light as the camera sees it, only")
 
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
     compare.add_argument(
-        "--samples", type=_positive, default=32, help="samples per pixel in each of the reference's two halves, at most"
+        "--samples",
+        type=_positive,
+        default=32,
+        metavar="N",
+        help="samples per pixel in each of the reference's two halves, at most",
     )
-    compare.add_argument("--seconds", type=float, default=0.0, help="time limit for Cycles, roughly; 0: none")
     compare.add_argument(
-        "--ladder", type=int, default=64, help="highest number of samples per pixel of Cycles; 0: none"
+        "--seconds", type=float, default=0.0, metavar="N", help="time limit for Cycles, roughly; 0: none"
+    )
+    compare.add_argument(
+        "--ladder", type=int, default=64, metavar="N", help="highest number of samples per pixel of Cycles; 0: none"
     )
     compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
     compare.add_argument(
@@ -78,10 +96,15 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--all-models", action="store_true", help="every network, not only the scene's")
     compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
     compare.add_argument(
-        "--folder", default=REPORT_FOLDER, help="of the report and of images from which another run continues"
+        "--folder",
+        default=REPORT_FOLDER,
+        metavar="FOLDER",
+        help="of the report and of images from which another run continues",
     )
-    compare.add_argument("--bounces", type=_positive, default=1024, help="most scattering events along a path")
-    compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="of the resolution")
+    compare.add_argument(
+        "--bounces", type=_positive, default=1024, metavar="N", help="most scattering events along a path"
+    )
+    compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="percent of the resolution")
 
     report = actions.add_parser("report", help="describe what a render would do, without rendering")
     for action in (render, bake, report):
@@ -89,41 +112,51 @@ def _parser() -> argparse.ArgumentParser:
             "--strict",
             action=argparse.BooleanOptionalAction,
             default=False,
-            help="fail where an object cannot be rendered, instead of leaving it out with a warning",
+            help="exit status 1 where an object cannot be rendered, and a message that names it, instead of leaving it "
+            "out; the frame gets no file",
         )
     for action in (compare, report):
-        action.add_argument("--frame", type=int, metavar="N", help="the file's current one by default")
+        action.add_argument("--frame", type=int, metavar="N", help="the file's current frame without it")
 
     for action in (render, bake, compare, report):
-        action.add_argument("--json", metavar="FILE", help="file for all results")
         action.add_argument(
-            "--progress", choices=("text", "json"), default="text", help="json: one object per line on standard output"
+            "--json",
+            metavar="FILE",
+            help="file for everything known at the end, also after an error; of each frame the report, with its "
+            "expected error",
+        )
+        action.add_argument(
+            "--progress",
+            choices=("text", "json"),
+            default="text",
+            help="json: one object per line on standard output; its event is progress, warning, skipped, frame, saved, "
+            "report, comparison, error or end",
         )
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
-        for name, kind in (
-            ("depth-samples", int),
-            ("seed", int),
-            ("threads", int),
-            ("memory-limit", float),
-            ("model", str),
-            ("provider", str),
-            ("resolution-percentage", _positive),
-            ("camera", str),
-            ("view-layer", str),
+        for name, kind, metavar in (
+            ("depth-samples", int, "N"),
+            ("seed", int, "N"),
+            ("threads", int, "N"),
+            ("memory-limit", float, "GIB"),
+            ("model", str, None),
+            ("provider", str, None),
+            ("resolution-percentage", _positive, "PERCENT"),
+            ("camera", str, "NAME"),
+            ("view-layer", str, "NAME"),
         ):
             action.add_argument(
                 f"--{name}",
                 type=kind,
                 choices=choices.get(name),
-                help="GiB; the scene's own setting by default"
-                if name == "memory-limit"
-                else "the scene's own by default",
+                metavar=metavar,
+                help="in place of the scene's own, for this command",
             )
         action.add_argument(
             "--leave-out",
             type=_optimizations,
             metavar="NAMES",
-            help=f"all, none, or with commas between: {', '.join(OPTIMIZATIONS)}",
+            help="optimizations in place of the scene's own: all, none, or of these, with commas between: "
+            + ", ".join(OPTIMIZATIONS),
         )
     return parser
 

@@ -19,7 +19,7 @@ TICK_INTERVAL = 0.1
 
 
 class MRPNN_OT_render(bpy.types.Operator):
-    """Render the volumes that the active camera sees, lit by the scene's suns; Esc stops"""
+    """Render the volumes that the active camera sees, lit by the scene's lights and World; Esc stops"""
 
     bl_idname = "mrpnn.render"
     bl_label = "Render Volumes"

@@ -79,7 +79,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         elif not expected.volumes:
             draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", "ERROR")
         else:
-            lights = [_number(expected.lamps, "sun")] * (expected.lamps > 0) + ["World"] * expected.world
+            lights = [_number(expected.lamps, "light")] * (expected.lamps > 0) + ["World"] * expected.world
             draw_text(
                 context,
                 layout,
@@ -88,7 +88,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
                 "OUTLINER_DATA_VOLUME",
             )
             if not lights:
-                draw_text(context, layout, "Only emission is visible; add a sun with Add > Light > Sun", "INFO")
+                draw_text(context, layout, "Only emission is visible; add a light with Add > Light", "INFO")
             else:
                 about = "Roughly" if expected.rough else "About"
                 draw_text(context, layout, f"{about} {_duration(expected.seconds)}", "TIME")

@@ -16,11 +16,15 @@ def replace(path: Path, text: str) -> None:
     os.replace(partial, path)
 
 
-def with_table(page: str, name: str, table: str, made_by: str) -> str:
-    """The page with a table, and the sentence on what made it, between the marks <!-- name --> and <!-- end -->."""
-    found = f"{table}\n\n{made_by}\n"
+def between_marks(page: str, name: str, text: str) -> str:
+    """The page with a text between its marks <!-- name --> and <!-- end -->; unchanged where it has none."""
     marked = rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)"
-    return re.sub(marked, lambda mark: mark.group(1) + found + mark.group(2), page, flags=re.S)
+    return re.sub(marked, lambda mark: f"{mark.group(1)}{text}\n{mark.group(2)}", page, flags=re.S)
+
+
+def with_table(page: str, name: str, table: str, made_by: str) -> str:
+    """The page with a table, and the sentence on what made it, between its marks."""
+    return between_marks(page, name, f"{table}\n\n{made_by}")
 
 
 def csv_text(made_by: Sequence[str], header: Sequence, rows: Iterable[Sequence]) -> str:

@@ -245,7 +245,7 @@ ADDON_FACTS = [
     ("docs/performance.md", r"Grids of more than (\S+) voxels keep only blocks", "vdb.density_grid", ("DENSE_SPAN",)),
     (
         "docs/settings.md",
-        r"Preset: Preview, Draft, Final, Custom \| (\d+), (\d+) and (\d+) depth samples",
+        r"\*Preview\*: (\d+) depth sample.{0,120} \*Draft\*: (\d+) depth samples.{0,80} \*Final\*: (\d+) depth samples",
         "settings.properties",
         ("PRESETS['PREVIEW']", "PRESETS['DRAFT']", "PRESETS['FINAL']"),
     ),

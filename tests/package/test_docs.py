@@ -10,6 +10,8 @@ from tests.support.paths import ROOT
 
 bpy = pytest.importorskip("bpy")
 
+from benchmarks import lists
+
 
 def page(name):
     return " ".join((ROOT / name).read_text().split())
@@ -61,6 +63,13 @@ def test_exactly_the_commands_options_are_listed(addon):
     listed = set(re.findall(r"`(--[a-z-]+)", page("docs/command-line.md"))) - {"--command"}
     assert options and [name for name in options if f"`{name}" not in pages] == []
     assert listed <= options
+
+
+@pytest.mark.parametrize("name", lists.LISTS)
+def test_lists_are_those_of_the_code(addon, name):
+    text = (ROOT / name).read_text()
+    assert "<!-- end -->" in text
+    assert lists.with_lists(name, text) == text, "python -m benchmarks.lists makes them anew"
 
 
 def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
