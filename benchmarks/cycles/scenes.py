@@ -18,6 +18,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from inference.evaluation.error import error_text
+
 from ..demo import scene as demo_scene
 from ..support import pictures
 from ..support.extension import ROOT, extension
@@ -181,10 +183,12 @@ def page(results) -> str:
         "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",
         "*single*, emission included, contain nothing learned: they tell whether the scene was understood. *Whole*",
         "adds the network's multiple scattering, whose own error is that of the first row. RMSE is relative to the",
-        "mean, with its 95 % interval; 0 where Cycles' noise hides it. *Single* is left out where light is emitted and",
-        "scattered: Cycles' image without bounces contains a part of that. Seconds are processor seconds of all",
-        f"threads; Cycles' are those of the two renders of *whole*, with {FORWARD_SAMPLES} times as many samples at",
-        f"{FORWARD}, and {NEAR_SAMPLES} times as many where a lamp or a glowing surface is near the smoke or in it.",
+        "mean, with its 95 % interval, or below its upper end where Cycles' noise hides it. *Single* is left",
+        "out where light is emitted and scattered: Cycles' image without bounces contains a part of that. Seconds are",
+        "processor seconds of all threads; Cycles' are those of the two renders of *whole*, with",
+        f"{FORWARD_SAMPLES} times as many samples at {FORWARD}, and {NEAR_SAMPLES} times as many where a lamp or a "
+        "glowing surface is",
+        "near the smoke or in it.",
         "",
         "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
         "| Cycles, ours |",
@@ -221,10 +225,9 @@ def row(name: str, found: dict | None) -> str:
         return f"| {name} | not measured yet | | | | | | |"
     if "refused" in found:
         return f"| {name} | refused: {found['refused']} | | | | | | |"
-    rmse, low, high = found["whole rmse"]
     return (
         f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
-        f"| {rmse:.3f} ({low:.3f}–{high:.3f}) | {found['whole bias'][0]:+.1%} "
+        f"| {error_text(*found['whole rmse'])} | {found['whole bias'][0]:+.1%} "
         f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
         f"| ![](images/scenes/{picture(name).name}) |"
     )
@@ -247,7 +250,10 @@ def with_rows(text: str, results: dict) -> str:
 
 
 def _single(found) -> str:
-    return f"{found['single rmse'][0]:.3f} | {found['single bias'][0]:+.1%}" if "single rmse" in found else "– | –"
+    if "single rmse" not in found:
+        return "– | –"
+    rmse = f"{found['single rmse'][0]:.3f}"
+    return f"{'below the noise' if rmse == '0.000' else rmse} | {found['single bias'][0]:+.1%}"
 
 
 def parse(arguments):

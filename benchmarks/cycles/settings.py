@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from inference import RenderCache, Settings, render
-from inference.evaluation.error import relative_bias, relative_rmse
+from inference.evaluation.error import error_text, relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
 from ..support.pages import csv_made_by, csv_text, read_csv
@@ -145,7 +145,7 @@ def page(rows: list[dict], sources: list[str]) -> str:
             if (row["view"], row["version"]) == (view, version):
                 error, low, high, bias, seconds = (float(row[k]) for k in ("error", "low", "high", "bias", "seconds"))
                 lines.append(
-                    f"| {row['settings']} | {row['samples']} | {error:.3f} ({low:.3f}–{high:.3f}) "
+                    f"| {row['settings']} | {row['samples']} | {error_text(error, low, high)} "
                     f"| {100 * bias:+.1f} % | {seconds:.1f} |"
                 )
         parts += [f"## {view}, Blender {version}", "\n".join(lines)]

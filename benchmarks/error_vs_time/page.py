@@ -3,7 +3,7 @@
 
 import math
 
-from inference.evaluation.error import Estimate
+from inference.evaluation.error import Estimate, error_text
 from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
 from ..fidelity.tables import table
@@ -312,7 +312,7 @@ def scenes(main, model: str) -> str:
         "reference",
     ]
     return (
-        "Where the reference cannot tell the error from 0 (0.000), the seconds are those to the upper end of its "
+        "Where the reference cannot tell the error from 0 (*below*), the seconds are those to the upper end of its "
         "interval; n/a: that is 0 too. *Too noisy*: its noise moves the error by more than 10 %; "
         "how many times the samples a good one has.\n\n" + table(head, rows)
     )
@@ -384,7 +384,7 @@ def label(result) -> str:
 
 def _error(found) -> str:
     rmse = found["rmse"]
-    return f"{rmse['value']:.3f} ({rmse['low']:.3f}–{rmse['high']:.3f})"
+    return error_text(rmse["value"], rmse["low"], rmse["high"])
 
 
 def _more(verdict) -> str:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from inference import Settings
-from inference.evaluation.error import RESAMPLES, Estimate, relative_bias, tile_sums
+from inference.evaluation.error import RESAMPLES, Estimate, error_text, relative_bias, tile_sums
 from inference.evaluation.error_vs_time import AT_LEAST, AT_MOST, Rung, cost, seconds_on_ladder
 from mrpnn_addon.comparison.perceptual import flip
 
@@ -249,9 +249,7 @@ def image_rows(one: Measured) -> Iterator[list[str]]:
                 size,
                 method,
                 str(rung.samples),
-                f"{rung.rmse.value:.3f} ({rung.rmse.low:.3f}–{rung.rmse.high:.3f})"
-                if rung.rmse.high
-                else "below the reference's noise",
+                error_text(rung.rmse.value, rung.rmse.low, rung.rmse.high),
                 f"{100 * rung.bias.value:+.1f} %",
                 f"{rung.cpu_seconds:.3g}",
                 _shown_flip(rung, one.flip_noise),

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from string import Template
 
+from ...inference.evaluation.error import error_text
 from ...inference.evaluation.error_vs_time import Rung
 from ..cycles.choices import CHOICES
 from .chart import make_chart, svg
@@ -98,8 +99,8 @@ def _summary(comparison: Comparison) -> str:
     rmse, bias, judged = comparison.rmse, comparison.bias, comparison.judged
     return (
         f"{judged.method} with {judged.samples} depth samples took {judged.seconds:.2f} s. Its relative error is "
-        f"{rmse.value:.3f} (95 % between {rmse.low:.3f} and {rmse.high:.3f}), its bias {bias.value:+.1%} "
-        f"({bias.low:+.1%} to {bias.high:+.1%})."
+        f"{error_text(rmse.value, rmse.low, rmse.high)}, its bias {bias.value:+.1%} "
+        f"({bias.low:+.1%} to {bias.high:+.1%}), with intervals of 95 %."
     )
 
 

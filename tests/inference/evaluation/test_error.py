@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from inference.evaluation.error import paper_metric, relative_bias, relative_rmse
+from inference.evaluation.error import error_text, paper_metric, relative_bias, relative_rmse
 
 SIZE = 160
 
@@ -115,3 +115,15 @@ def test_black_reference_is_refused():
     image = np.ones((4, 4))
     with pytest.raises(ValueError, match="black"):
         relative_bias(image, 0 * image, 0 * image, np.ones((4, 4), bool))
+
+
+def test_an_error_that_noise_hides_is_said_to_be_below_its_interval(truth):
+    """Never an error of 0 beside a bias: the reference cannot tell one."""
+    shown = np.ones((SIZE, SIZE), bool)
+    noisy, clean = halves(truth, 1.0), halves(truth, 0.01)
+    hidden = relative_rmse(truth, *(half + 0.002 * truth.mean() for half in noisy), shown)
+    told = relative_rmse(1.2 * truth, *clean, shown)
+    assert hidden.value == 0.0 or hidden.low == 0.0
+    assert error_text(0.0, 0.0, hidden.high) == f"below {hidden.high:.3f}"
+    assert error_text(told.value, told.low, told.high) == f"{told.value:.3f} ({told.low:.3f}–{told.high:.3f})"
+    assert error_text(0.0, 0.0, 1e-5) == "below the noise"
