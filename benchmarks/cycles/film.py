@@ -21,6 +21,8 @@ import bpy
 import numpy as np
 from PIL import Image
 
+from inference.evaluation.error import error_text
+
 from ..demo import scene as demo_scene
 from ..support import pictures
 from ..support.data import EXTRA_VOLUMES
@@ -218,7 +220,7 @@ def page(found, options) -> str:
             "|---|---|---|---|",
         ]
     lines += [
-        f"| {frame['file']} | {frame['rmse']:.3f} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
+        f"| {frame['file']} | {error_text(frame['rmse'])} | {frame['bias']:+.1%} | {frame['alpha_bias']:+.2%} |"
         for frame in compared
     ]
     lines += [

@@ -252,8 +252,7 @@ def with_rows(text: str, results: dict) -> str:
 def _single(found) -> str:
     if "single rmse" not in found:
         return "– | –"
-    rmse = f"{found['single rmse'][0]:.3f}"
-    return f"{'below the noise' if rmse == '0.000' else rmse} | {found['single bias'][0]:+.1%}"
+    return f"{error_text(found['single rmse'][0])} | {found['single bias'][0]:+.1%}"
 
 
 def parse(arguments):

@@ -33,11 +33,12 @@ class Estimate:
         return f"{self.value:.4f} [{self.low:.4f}, {self.high:.4f}]"
 
 
-def error_text(value: float, low: float, high: float) -> str:
-    """An error and its 95 % interval for a table; its upper end alone where noise hides the error."""
-    if f"{high:.3f}" == "0.000":
-        return "below the noise"
-    return f"below {high:.3f}" if f"{value:.3f}" == "0.000" else f"{value:.3f} ({low:.3f}–{high:.3f})"
+def error_text(value: float, low: float | None = None, high: float | None = None) -> str:
+    """An error and its 95 % interval for a table; "below" its upper end where noise hides the error."""
+    hidden, interval = f"{value:.3f}" == "0.000", low is not None and high is not None
+    if hidden:
+        return f"below {high:.3f}" if interval and f"{high:.3f}" != "0.000" else "below the noise"
+    return f"{value:.3f} ({low:.3f}–{high:.3f})" if interval else f"{value:.3f}"
 
 
 def relative_rmse(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike, seed: int = 0) -> Estimate:

@@ -126,4 +126,4 @@ def test_an_error_that_noise_hides_is_said_to_be_below_its_interval(truth):
     assert hidden.value == 0.0 or hidden.low == 0.0
     assert error_text(0.0, 0.0, hidden.high) == f"below {hidden.high:.3f}"
     assert error_text(told.value, told.low, told.high) == f"{told.value:.3f} ({told.low:.3f}–{told.high:.3f})"
-    assert error_text(0.0, 0.0, 1e-5) == "below the noise"
+    assert error_text(0.0, 0.0, 1e-5) == error_text(0.0) == "below the noise"
