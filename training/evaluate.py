@@ -101,9 +101,8 @@ def main(options=None):
         if inside.any():
             bias = y[inside].sum() / (0.5 * (a + b)[inside].sum()) - 1.0
             error, noisy = (values[inside].mean().clamp(min=0.0).sqrt() for values in (square, noise))
-            print(
-                f"| {name} | {low} | {high} | {inside.sum()} | {100 * bias:+.1f} % | {error_text(error)} | {noisy:.2f} |"
-            )
+            share = f"{inside.sum()} | {100 * bias:+.1f} %"
+            print(f"| {name} | {low} | {high} | {share} | {error_text(error)} | {noisy:.2f} |")
     shared = noise_correlation(((a - b) / scale.sqrt()).numpy().astype(np.float64), first_rows(files))
     print(f"\nnoise of two suns' targets at one point: correlation {shared:.2f}")
 
