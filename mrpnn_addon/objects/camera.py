@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from ...inference.scene import Camera, SceneError
+from .ignored_settings import CAMERA, ignored_settings
 from .placement import placement_problem
 
 PROJECTIONS = {"PERSP": "perspective", "ORTHO": "orthographic", "PANO": "equirectangular"}
@@ -55,7 +56,7 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
             latitude=_ends(lens, "latitude"),
             clip=(lens.clip_start, lens.clip_end),
             region=_region(render, width, height),
-        ), _warnings(where, lens, render)
+        ), ignored_settings(lens, CAMERA, f"{where}:")
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
     perspective = lens.type == "PERSP"
     # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
@@ -70,7 +71,7 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
         shift=(centre[0] / 2.0, centre[1] / 2.0 * height / width),
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
-    ), _warnings(where, lens, render)
+    ), ignored_settings(lens, CAMERA, f"{where}:")
 
 
 def panorama_settings(lens):
@@ -104,12 +105,3 @@ def _region(render, width: int, height: int) -> tuple[int, int, int, int] | None
     if x0 >= x1 or y0 >= y1:
         raise SceneError("the render region holds no pixel; make it larger or turn it off")
     return x0, y0, x1, y1
-
-
-def _warnings(where: str, lens, render) -> list[str]:
-    warnings = []
-    if lens.dof.use_dof:
-        warnings.append(f"{where}: depth of field is not rendered")
-    if render.use_motion_blur:
-        warnings.append("motion blur is not rendered")
-    return warnings

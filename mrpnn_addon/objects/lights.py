@@ -8,6 +8,7 @@ import numpy as np
 from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun, soft_sun
 from ..nodes.evaluation import constant
 from ..nodes.sockets import Unsupported, active_output, linked_node
+from .ignored_settings import LIGHT, ignored_settings
 from .placement import placement_problem
 from .visibility import VisibleObject
 
@@ -36,7 +37,7 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
     # angle.
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, name)
-    return soft_sun(shown.matrix[:3, 2], irradiance, lamp.angle, name), _warnings(shown, name)
+    return soft_sun(shown.matrix[:3, 2], irradiance, lamp.angle, name), ignored_settings(shown.object, LIGHT, name)
 
 
 Lamp = PointLight | SpotLight | AreaLight
@@ -55,7 +56,7 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
     if problem:
         raise SceneError(f"{name}: {problem}")
     power, matrix = _strength(lamp) * _node_factor(lamp, name), np.array(shown.matrix, np.float64)
-    warnings = _warnings(shown, name)
+    warnings = ignored_settings(shown.object, LIGHT, name)
     if lamp.type == "AREA":
         if getattr(getattr(lamp, "cycles", None), "is_portal", False):
             return None, [f"{name} is a portal, which gives no light of its own; it is left out"]
@@ -98,17 +99,6 @@ def _strength(lamp) -> np.ndarray:
     if getattr(lamp, "use_temperature", False):
         strength *= np.array(lamp.temperature_color)
     return strength
-
-
-def _warnings(shown: VisibleObject, name: str) -> list[str]:
-    lamp, warnings = shown.object.data, []
-    if shown.object.light_linking.blocker_collection is not None:
-        warnings.append(f"{name} is shadowed by some objects only; it is rendered as shadowed by all")
-    # A property of Cycles, absent while Cycles is disabled.
-    settings = getattr(lamp, "cycles", None)
-    if not getattr(settings, "cast_shadow", lamp.use_shadow):
-        warnings.append(f"{name} casts no shadow; it is rendered with shadows")
-    return warnings
 
 
 def _node_factor(lamp, name: str) -> np.ndarray:

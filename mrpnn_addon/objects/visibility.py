@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...inference.scene import SceneError
-from ..nodes.material import shows_volume
+from ..nodes.material import SURFACES, shows_volume
 
 
 @dataclass
@@ -32,7 +32,8 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
     """All objects and instances of the view layer that renders, or a viewport, show.
 
     space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
-    (eye icon, local view, collections, its filter of object types) and not the visibility in renders.
+    (eye icon, local view, collections, its filter of object types) and not the visibility in renders. Both respect the
+    view layer's filter.
     """
     in_render = None if space or depsgraph.mode == "RENDER" else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:
@@ -50,8 +51,17 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
             from_nodes = instance.is_instance and source.instance_type == "NONE"
             if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
-        if instance.show_self and not _is_replaced(instanced):
+        if instance.show_self and not _is_filtered_out(instanced, depsgraph.view_layer) and not _is_replaced(instanced):
             yield VisibleObject(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+
+
+def _is_filtered_out(shown_object: "bpy.types.Object", view_layer: "bpy.types.ViewLayer") -> bool:
+    """Whether *Filter* in the view layer's properties hides an object, as in Cycles."""
+    if shown_object.type == "VOLUME":
+        return not view_layer.use_volumes
+    if shown_object.type == "CURVES":
+        return not view_layer.use_strand
+    return shown_object.type in SURFACES and not view_layer.use_solid
 
 
 def _is_replaced(shown_object) -> bool:
@@ -70,14 +80,19 @@ def visibility_state(depsgraph, space) -> tuple:
     Blender notifies engines of hiding, local view and collections as of selection: the scene has changed.
     """
     view_layer = depsgraph.view_layer
-    return view_layer.name, frozenset(
-        (
-            shown.name_full,
-            shown.original.holdout_get(view_layer=view_layer),
-            shown.original.indirect_only_get(view_layer=view_layer),
-        )
-        for shown in depsgraph.objects
-        if shown.visible_in_viewport_get(space)
+    filters = view_layer.use_volumes, view_layer.use_solid, view_layer.use_strand, view_layer.use_sky
+    return (
+        view_layer.name,
+        filters,
+        frozenset(
+            (
+                shown.name_full,
+                shown.original.holdout_get(view_layer=view_layer),
+                shown.original.indirect_only_get(view_layer=view_layer),
+            )
+            for shown in depsgraph.objects
+            if shown.visible_in_viewport_get(space)
+        ),
     )
 
 
@@ -115,12 +130,12 @@ def _rendered_collections(layer_collection):
 
 
 def evaluated_world(depsgraph):
-    """The World of an evaluated scene in this frame, or None.
+    """The World of an evaluated scene in this frame; None without one, or where the view layer filters it out.
 
     The evaluated scene refers to the original World, which is not animated during F12.
     """
     world = depsgraph.scene.world
-    return None if world is None else world.evaluated_get(depsgraph)
+    return world.evaluated_get(depsgraph) if world is not None and depsgraph.view_layer.use_sky else None
 
 
 def require_evaluated(depsgraph) -> None:

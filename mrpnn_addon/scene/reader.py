@@ -15,6 +15,7 @@ from ...inference.scene import (
 )
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
+from ..objects.ignored_settings import SCENE, VIEW_LAYER, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
@@ -124,12 +125,15 @@ def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription
 
 
 def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
-    scene = depsgraph.scene
+    scene, layer = depsgraph.scene, depsgraph.view_layer
     description = SceneDescription(
         crop=scene.render.use_crop_to_border,
         view_layer=depsgraph.view_layer.name,
         frame=scene.frame_current,
-        warnings=_view_layer_warnings(depsgraph.view_layer),
+        warnings=[
+            *ignored_settings(scene, SCENE),
+            *ignored_settings(layer, VIEW_LAYER, f'view layer "{layer.name}"'),
+        ],
     )
     if space is None:
         description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
@@ -249,16 +253,3 @@ def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view
     description.left_out.add(shown.name)
     description.unseen.append(f"{where} {unseen}")
     description.warnings.append(f"{where} {unseen} and is left out")
-
-
-def _view_layer_warnings(view_layer) -> list[str]:
-    """Warnings about settings of a view layer that have no effect."""
-    where, found = f'view layer "{view_layer.name}"', []
-    if view_layer.material_override is not None:
-        found.append(f"{where} overrides materials; volumes keep their own")
-    # Not in Blender 4.2.
-    if getattr(view_layer, "world_override", None) is not None:
-        found.append(f"{where} overrides the World; the scene's own is rendered")
-    if not view_layer.use_volumes:
-        found.append(f"{where} filters volumes out; they are rendered")
-    return found

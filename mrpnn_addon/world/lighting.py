@@ -7,6 +7,7 @@ import numpy as np
 from ...inference.scene import Environment, Sun, soft_sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..objects.ignored_settings import WORLD, ignored_settings
 from ..objects.visibility import evaluated_world
 from .picture import WorldSource, is_known, world_picture, world_source
 from .process import PictureFailed
@@ -36,7 +37,8 @@ def read_world(depsgraph, check=lambda: None) -> tuple[list[Sun], list[Environme
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None:
         return [], [], []
-    name, warnings = f'World "{world.name}"', []
+    name = f'World "{world.name}"'
+    warnings = ignored_settings(world, WORLD, name)
     output = active_output(world)
     if output is not None and source_of(output.inputs["Volume"]).node is not None:
         warnings.append(f"{name}: its fog is not rendered")

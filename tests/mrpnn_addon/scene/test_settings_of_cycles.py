@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every setting of lights, Worlds, film, light paths and view layers is rendered, has no effect, or is named.
+
+A setting that a new version of Blender brings is in none of the lists, and fails the first test.
+"""
+
+import importlib
+import re
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from tests.support import blender_scenes
+
+# Regular expressions of names, by why no warning names them.
+LIGHT = {
+    "rendered: test_lights, test_lamps": "type|color|energy|exposure|normalize|angle|shape|size|size_y|spread"
+    "|use_temperature|temperature|temperature_color|use_nodes|node_tree|spot_size|spot_blend|shadow_soft_size"
+    "|use_soft_falloff",
+    "Cycles ignores it": "(diffuse|specular|transmission|volume)_factor|use_custom_distance|cutoff_distance|use_square"
+    "|use_shadow_jitter|use_absolute_resolution|shadow_(?!soft).*|show_cone",
+    "a reference": "animation_data|cycles",
+    "other settings of Cycles are below": "use_shadow",
+}
+LIGHT_CYCLES = {
+    "named as a portal: test_lamps": "is_portal",
+    "how Cycles samples": "use_multiple_importance_sampling",
+    "caustics on surfaces alone": "is_caustics_light",
+}
+WORLD = {
+    "rendered: test_lights, test_background": "color|use_nodes|node_tree|lightgroup",
+    "Cycles ignores it": "use_eevee.*|probe_resolution|sun_.*|use_sun_.*",
+    "passes that this engine has not": "mist_settings|light_settings",
+    "a reference": "animation_data|cycles|cycles_visibility",
+}
+WORLD_CYCLES = {
+    "how Cycles samples": "sampling_method|sample_map_resolution",
+    "of fog in the World, which is named: test_lights": "homogeneous_volume|volume_.*",
+    "caustics on surfaces alone": "is_caustics_light",
+}
+WORLD_VISIBILITY = {
+    "rendered: test_lights, test_background": "camera|scatter",
+    "named beside surfaces: below": "diffuse",
+    "of surfaces' own reflections": "glossy|transmission",
+    "Cycles shows the same": "shadow",
+}
+SCENE_CYCLES = {
+    "rendered: test_exposure": "film_exposure",
+    "the layer has all bounces": "max_bounces|(min|diffuse|glossy|transmission|volume|transparent).*_bounces",
+    "how Cycles samples, and how soon it stops": ".*samples?|sample_(offset|subset.*)|use_sample_subset|time_limit"
+    "|sampling_pattern|.*scrambling_distance|use_layer_samples|light_sampling_threshold|.*adaptive.*|use_light_tree"
+    "|direct_light_sampling_type|.*guiding.*|seed|use_animated_seed|volume_(preview_)?step_rate|volume_max_steps"
+    "|volume_biased",
+    "the layer has no noise to remove": ".*denois.*",
+    "of surfaces": "caustics_.*|blur_glossy|film_transparent_.*|.*dicing.*|max_subdivisions",
+    "rays go through pixels' centres": "pixel_filter_type|use_pixel_jitter",
+    "belongs to a setting that is named": "(camera|distance)_cull_margin|rolling_shutter.*|fast_gi_method|ao_bounces.*",
+    "the viewport's": "texture_limit|texture_resolution",
+    "how Cycles computes": "device|feature_set|shading_system|debug_.*|preview_pause|use_auto_tile|tile_size|bake_type",
+}
+RENDER = {
+    "rendered: test_scene, test_background, test_composite": "resolution_.*|pixel_aspect.*|(use_)?border.*"
+    "|use_crop_to_border|film_transparent|engine|fps.*|frame_map.*|use_compositing|use_sequencer|threads.*"
+    "|use_persistent_data",
+    "stereo has its own tests": "use_multiview|views_format|(stereo_)?views|use_spherical_stereo",
+    "Blender evaluates it": "use_simplify|simplify_.*|use_simplify_normals|hair_.*|use_.*single_layer|metadata_input",
+    "Blender writes files by it": "image_settings|ffmpeg|dither_intensity|.*stamp.*|use_placeholder|use_overwrite"
+    "|use_file_extension|file_extension|is_movie_format|filepath|use_render_cache|ppm_.*|save_output",
+    "the interface's": "preview_pixel_size|use_lock_interface|sequencer_.*|use_sequencer_override.*"
+    "|has_multiple_engines|compositor_.*|use_new_cpu_compositor|_bpy.*",
+    "other engines'": "filter_size|use_freestyle|line_thickness.*|use_high_quality_normals|anisotropic_filter",
+    "of surfaces": "bake|bake_.*|use_bake.*",
+    "of images' files": "use_texture_cache|use_auto_generate_texture_cache",
+    "belongs to a setting that is named": "motion_blur_.*",
+}
+VIEW_LAYER = {
+    "rendered: test_layers, test_light_groups, test_visibility": "use|use_pass_(combined|z|emit)|.*lightgroup.*"
+    "|use_(solid|sky|strand|volumes)|(active_)?layer_collection|objects",
+    "how Cycles samples": "samples",
+    "passes that this engine has not": "use_pass_.*|.*cryptomatte.*|.*aov.*|pass_alpha_threshold",
+    "of surfaces": "use_ao|use_grease_pencil|use_freestyle|freestyle_settings",
+    "belongs to a setting that is named": "use_motion_blur",
+    "a reference": "eevee|cycles|depsgraph|has_export_collections|mrpnn|name",
+}
+
+
+def settings():
+    """Owners by name: their properties, where these lie from the owner of the table, the table, and reasons."""
+    tables = importlib.import_module("mrpnn.mrpnn_addon.objects.ignored_settings")
+    lamp, world, scene = bpy.data.lights.new("Any", "POINT"), bpy.data.worlds.new("Any"), bpy.context.scene
+    lights = [getattr(bpy.types, f"{kind}Light").bl_rna for kind in ("Point", "Spot", "Area", "Sun")]
+    return {
+        "light": (lights, "data.", tables.LIGHT, LIGHT),
+        "light.cycles": ([lamp.cycles.bl_rna], "data.cycles.", tables.LIGHT, LIGHT_CYCLES),
+        "world": ([bpy.types.World.bl_rna], "", tables.WORLD, WORLD),
+        "world.cycles": ([world.cycles.bl_rna], "cycles.", tables.WORLD, WORLD_CYCLES),
+        "world.cycles_visibility": ([world.cycles_visibility.bl_rna], "", (), WORLD_VISIBILITY),
+        "scene.cycles": ([scene.cycles.bl_rna], "cycles.", tables.SCENE, SCENE_CYCLES),
+        "scene.render": ([scene.render.bl_rna], "render.", tables.SCENE, RENDER),
+        "view layer": ([bpy.types.ViewLayer.bl_rna], "", tables.VIEW_LAYER, VIEW_LAYER),
+    }
+
+
+def test_every_setting_is_rendered_or_without_effect_or_named(addon, scene):
+    common = {prop.identifier for prop in bpy.types.ID.bl_rna.properties} | {"name"}
+    unknown, count = [], 0
+    for owner, (kinds, prefix, table, reasons) in settings().items():
+        named = {setting.path.removeprefix(prefix) for setting in table}
+        for name in {prop.identifier for rna in kinds for prop in rna.properties} - common - named:
+            count += 1
+            if not any(re.fullmatch(names, name) for names in reasons.values()):
+                unknown.append(f"{owner}.{name}")
+    assert count > 200
+    assert not unknown, f"Blender {bpy.app.version_string} has settings whose effect nobody has looked at: {unknown}"
+
+
+@pytest.fixture
+def lit(addon, scene, tmp_path):
+    """A cloud below a sun and a World, and what reading it warns of."""
+    blender_scenes.cloud_scene(scene, tmp_path)
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    return lambda: set(addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).warnings)
+
+
+def changed(owner, path):
+    """Set a setting to another value than its default; gives whether this Blender has it."""
+    *parents, name = path.split(".")
+    for parent in parents:
+        owner = getattr(owner, parent)
+    prop = owner.bl_rna.properties.get(name)
+    if prop is None:
+        return False
+    if prop.type == "POINTER":
+        value = getattr(
+            bpy.data,
+            {"Collection": "collections", "Material": "materials", "World": "worlds"}[prop.fixed_type.identifier],
+        ).new("Another")
+    elif prop.type == "ENUM":
+        value = next(item.identifier for item in prop.enum_items if item.identifier != prop.default)
+    elif prop.type == "BOOLEAN":
+        value = not prop.default
+    else:
+        value = prop.default + 1 if prop.default < prop.hard_max else prop.default / 2
+        value = type(prop.default)(value)
+    setattr(owner, name, value)
+    return True
+
+
+@pytest.mark.parametrize("name", ["LIGHT", "CAMERA", "WORLD", "SCENE", "VIEW_LAYER"])
+def test_each_ignored_setting_is_named_once_it_is_set(addon, scene, lit, name):
+    owner = {
+        "LIGHT": scene.objects["Sun"],
+        "CAMERA": scene.camera.data,
+        "WORLD": scene.world,
+        "SCENE": scene,
+        "VIEW_LAYER": scene.view_layers[0],
+    }[name]
+    before, table = lit(), getattr(importlib.import_module("mrpnn.mrpnn_addon.objects.ignored_settings"), name)
+    assert not any(setting.warning in text for text in before for setting in table)
+    for setting in table:
+        if not changed(owner, setting.path):
+            continue
+        if setting.switch:
+            assert lit() == before, setting.path
+            changed(owner, setting.switch)
+        said = lit() - before
+        assert len(said) == 1 and setting.warning in said.pop(), setting.path
+        for value in setting.harmless:
+            parent, _, last = setting.path.rpartition(".")
+            setattr(owner.path_resolve(parent), last, value)
+            assert lit() == before
+        restore(owner, setting.path)
+        if setting.switch:
+            restore(owner, setting.switch)
+    assert lit() == before
+
+
+def restore(owner, path):
+    parent, _, name = path.rpartition(".")
+    parent = owner.path_resolve(parent) if parent else owner
+    prop = parent.bl_rna.properties[name]
+    setattr(parent, name, None if prop.type == "POINTER" else prop.default)
