@@ -57,16 +57,14 @@ def download(wheel: Path) -> None:
     subprocess.run(command, check=True)
 
 
-def fetch_wheels() -> None:
-    """Bring build/wheels to what the manifest names; raises SystemExit where a hash is not the lock's."""
-    locked = set(re.findall(r"sha256:([0-9a-f]{64})", LOCK.read_text()))
-    for name in manifest()["wheels"]:
-        wheel = ROOT / name
-        if not wheel.exists():
-            wheel.parent.mkdir(parents=True, exist_ok=True)
-            download(wheel)
-        if hashlib.sha256(wheel.read_bytes()).hexdigest() not in locked:
-            raise SystemExit(f"{wheel.name} is not the file that {LOCK.name} lists; delete it and build again")
+def fetch(wheel: Path, lock: Path) -> Path:
+    """Download a wheel unless it is there; returns it. Raises SystemExit unless `lock` lists its hash."""
+    if not wheel.exists():
+        wheel.parent.mkdir(parents=True, exist_ok=True)
+        download(wheel)
+    if hashlib.sha256(wheel.read_bytes()).hexdigest() not in re.findall(r"sha256:([0-9a-f]{64})", lock.read_text()):
+        raise SystemExit(f"{wheel.name} is not the file that {lock.name} lists; delete it and build again")
+    return wheel
 
 
 def blender_tool(*arguments) -> None:
@@ -81,8 +79,9 @@ def build() -> list[Path]:
 
     Each appears in build/ once it is whole, so that several processes may build at the same time.
     """
-    fetch_wheels()
     facts = manifest()
+    for name in facts["wheels"]:
+        fetch(ROOT / name, LOCK)
     zips = []
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:
         blender_tool("build", "--source-dir", ROOT, "--output-dir", folder, "--split-platforms")

@@ -3,17 +3,37 @@
 
 import importlib.metadata
 import importlib.util
+import platform
 import sys
+import tomllib
+from functools import cache
 from pathlib import Path
 
 from ...inference.network.provider import PROVIDERS
 from ...inference.scene import SceneError
 
-# The version of the wheels in blender_manifest.toml, and the oldest release that runs the networks' ONNX opset 17.
-SHIPPED = "1.24.4"
+MANIFEST = Path(__file__).resolve().parents[2] / "blender_manifest.toml"
+# How the names of wheels call `sys.platform`.
+SYSTEMS = {"linux": "manylinux", "win32": "win", "darwin": "macosx"}
+# The oldest release that runs the networks' ONNX opset 17.
 OLDEST = (1, 12)
 # Packages that contain the module onnxruntime, with different providers.
 PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
+
+
+@cache
+def shipped_version(
+    system: str = sys.platform,
+    machine: str = platform.machine(),
+    python: tuple[int, int] = sys.version_info[:2],
+) -> str | None:
+    """Version of the extension's wheel for a platform and a Python; None where it has none for them."""
+    for wheel in tomllib.loads(MANIFEST.read_text())["wheels"]:
+        _, version, tag, _, built_for = Path(wheel).stem.split("-")
+        fits = built_for.startswith(SYSTEMS.get(system, "?")) and built_for.endswith(machine.lower())
+        if fits and tag == "cp{}{}".format(*python):
+            return version
+    return None
 
 
 def runtime_version() -> str | None:
@@ -44,7 +64,7 @@ def check_runtime() -> list:
             "the package onnxruntime, which the extension ships, is missing; disable and enable the "
             "extension, or install it again"
         )
-    if version is None or version == SHIPPED:
+    if version is None or version == shipped_version():
         return []
     if tuple(int(number) for number in version.split(".")[:2]) < OLDEST:
         raise SceneError(
@@ -53,7 +73,7 @@ def check_runtime() -> list:
         )
     return [
         f"onnxruntime {version} in {folder} is used, which another extension brought; "
-        f"{SHIPPED} is what this one was tested with"
+        f"{shipped_version()} is what this one was tested with"
     ]
 
 
