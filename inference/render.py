@@ -118,7 +118,7 @@ def _finished_parts(
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
 
     def compose() -> Layer:
-        layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), report)
+        layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), camera.exposure, report)
         if error_is_known(report.model):
             report.expected_error = expected_error(layer)
         return layer
@@ -143,13 +143,13 @@ def _render_passes(
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
             if number == len(passes) - 1:
-                yield window, functools.partial(_compose_part, framebuffer, scene.camera.window, window)
+                yield window, functools.partial(_compose_part, framebuffer, scene.camera, window)
 
 
-def _compose_part(framebuffer: Framebuffer, whole: Window, part: Window) -> Layer:
-    """The Layer of a part of a framebuffer's window."""
+def _compose_part(framebuffer: Framebuffer, camera: Camera, part: Window) -> Layer:
+    """The Layer of a part of the window of a camera, whose pixels a framebuffer holds."""
     x0, y0, x1, y1 = part
-    return compose_layer(framebuffer.part(whole, part), (y1 - y0, x1 - x0))
+    return compose_layer(framebuffer.part(camera.window, part), (y1 - y0, x1 - x0), camera.exposure)
 
 
 def _tiles(

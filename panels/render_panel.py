@@ -168,7 +168,10 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
 
     def draw(self, context):
         column = _split(self.layout)
-        # Render Volumes shows the layer alone, whatever the film.
+        if hasattr(context.scene, "cycles"):
+            column.prop(context.scene.cycles, "film_exposure", text="Exposure")
+        column = column.column()
+        # Render Volumes shows the layer alone, without what is behind it.
         column.active = context.engine == MRPNNRenderEngine.bl_idname
         column.prop(context.scene.render, "film_transparent", text="Transparent")
 

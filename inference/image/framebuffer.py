@@ -38,6 +38,10 @@ class Framebuffer:
         single, multiple = colours
         return cls(single, multiple, np.zeros((pixels, 3), np.float32), *numbers)
 
+    def radiances(self) -> list[np.ndarray]:
+        """Its images that are in proportion to the light: all but alpha and depth."""
+        return [self.single, self.multiple, self.emission, self.uncertainty, self.deviation]
+
     def part(self, window: Window, part: Window) -> "Framebuffer":
         """A copy of the pixels in a part of this one's window."""
         return Framebuffer(

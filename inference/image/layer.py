@@ -14,7 +14,7 @@ from .framebuffer import Framebuffer
 class Layer:
     """The image layer that a render returns, rows from the top.
 
-    rgb: float32 (H, W, 3), linear radiance, premultiplied by alpha.
+    rgb: float32 (H, W, 3), linear radiance times the camera's exposure, premultiplied by alpha.
     alpha: float32 (H, W), 1 - transmittance of the camera ray.
     depth: float32 (H, W), mean distance along the ray at which light scatters, world units; infinity where alpha is 0.
     single, multiple, emission: float32 (H, W, 3), single scattering, multiple scattering, and emission that is not
@@ -40,8 +40,16 @@ class Layer:
     groups: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def compose_layer(framebuffer: Framebuffer, shape: tuple[int, int], report: Report | None = None) -> Layer:
-    """The Layer of a framebuffer's pixels, in its memory, so that it cannot be added to any more; shape: (H, W)."""
+def compose_layer(
+    framebuffer: Framebuffer, shape: tuple[int, int], exposure: float = 1.0, report: Report | None = None
+) -> Layer:
+    """The Layer of a framebuffer's pixels, in its memory, so that it cannot be added to any more.
+
+    shape: (H, W). exposure: of the camera.
+    """
+    if exposure != 1.0:
+        for radiance in framebuffer.radiances():
+            radiance *= np.float32(exposure)
     single, multiple, emission = (
         colour.reshape(*shape, 3) for colour in (framebuffer.single, framebuffer.multiple, framebuffer.emission)
     )
@@ -70,4 +78,4 @@ def empty_layer(camera: Camera) -> Layer:
     """The layer of a camera that sees no volume."""
     x0, y0, x1, y1 = camera.window
     framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
-    return compose_layer(framebuffer, (y1 - y0, x1 - x0), Report(seconds={"total": 0.0}))
+    return compose_layer(framebuffer, (y1 - y0, x1 - x0), report=Report(seconds={"total": 0.0}))

@@ -22,6 +22,7 @@ class Camera:
     longitude, latitude: (left, right) and (lower, upper) edges in radians, 0 straight ahead, positive to the right and
         up (equirectangular).
     clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
+    exposure: what radiance is multiplied by in the layer, which Cycles calls *Film > Exposure*.
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.
 
@@ -38,6 +39,7 @@ class Camera:
     latitude: tuple[float, float] = (-np.pi / 2.0, np.pi / 2.0)
     clip: tuple[float, float] = (0.0, np.inf)
     region: tuple[int, int, int, int] | None = None
+    exposure: float = 1.0
 
     def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")
@@ -55,6 +57,8 @@ class Camera:
             raise SceneError(f"camera: longitudes {self.longitude} and latitudes {self.latitude} span nothing")
         if not np.all(np.isfinite([*self.shift, *self.longitude, *self.latitude])):
             raise SceneError("camera: shift, longitudes and latitudes must be finite")
+        if not 0.0 <= self.exposure < np.inf:
+            raise SceneError(f"camera: exposure {self.exposure:g} must not be negative")
         near, far = self.clip
         if not 0.0 <= near < far:
             raise SceneError(f"camera: clip range {near:g} to {far:g} is empty")

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
+from ..objects.camera import film_exposure
 from ..vdb.openvdb_module import load_openvdb
 
 # Deviations from Cycles' defaults, which stop after 0 volume bounces, clamp indirect light at 10, denoise, roulette dim
@@ -27,7 +28,6 @@ UNBIASED = {
     "use_fast_gi": False,
     "use_animated_seed": False,
     "time_limit": 0.0,
-    "film_exposure": 1.0,
     "light_sampling_threshold": 0.0,
     "sample_clamp_direct": 0.0,
     "sample_clamp_indirect": 0.0,
@@ -152,7 +152,7 @@ def _black_world():
 
 
 def _copy_view(source, reference, keep) -> None:
-    """Copy frame, resolution, region, threads and camera of `source`; the camera without depth of field."""
+    """Copy frame, resolution, region, threads, exposure and camera of `source`; the camera without depth of field."""
     for name in (
         "resolution_x",
         "resolution_y",
@@ -168,6 +168,7 @@ def _copy_view(source, reference, keep) -> None:
         "threads",
     ):
         setattr(reference.render, name, getattr(source.render, name))
+    reference.cycles.film_exposure = film_exposure(source)
     # The layer has the region's size.
     reference.render.use_crop_to_border = True
     lens = keep(source.camera.data.copy())

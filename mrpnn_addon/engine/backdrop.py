@@ -61,7 +61,7 @@ class Backdrop:
             self._shown = _ViewRendering(behind, camera, self._filter, first=self._texture is None)
             self._watch(self._shown)
         elif behind is not None:
-            self._shown = _Plain(behind)
+            self._shown = _Plain(behind * np.float32(camera.exposure))
         else:
             self._shown = self._texture = None
 
@@ -142,7 +142,8 @@ class _ViewRendering(Worker):
         divisor = int(np.ceil(max(width * height / ROUGH_PIXELS, 1.0) ** 0.5))
         size = max(width // divisor, 1), max(height // divisor, 1)
         _, directions, _, _ = camera_rays(replace(self._camera, resolution=size))
-        return sampler(self._source.panorama[::-1])(directions).reshape(size[1], size[0], 3)
+        colours = sampler(self._source.panorama[::-1])(directions) * self._camera.exposure
+        return colours.reshape(size[1], size[0], 3)
 
     def _show(self, rgb):
         self.picture, self.number = _opaque(rgb), self.number + 1
@@ -157,6 +158,7 @@ def view_key(camera: Camera) -> tuple:
         camera.fov,
         camera.ortho_scale,
         camera.shift,
+        camera.exposure,
     )
 
 

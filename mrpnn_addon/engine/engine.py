@@ -3,6 +3,7 @@
 
 import time
 import traceback
+from dataclasses import replace
 
 import bpy
 import gpu
@@ -10,7 +11,7 @@ import gpu
 from ...inference.image.layer import empty_layer
 from ...inference.scene import Cancelled, SceneError
 from ..nodes.material import shows_volume
-from ..objects.camera import read_camera
+from ..objects.camera import film_exposure, read_camera
 from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..scene.film import read_background
@@ -92,6 +93,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             camera = part and viewport_camera(
                 view.view_matrix, view.window_matrix, view.is_perspective, size, context.space_data.clip_end, part
             )
+            camera = camera and replace(camera, exposure=film_exposure(depsgraph.scene))
         except SceneError:
             # A camera of scale 0 shows nothing.
             camera = None

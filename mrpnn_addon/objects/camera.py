@@ -56,6 +56,7 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
             latitude=_ends(lens, "latitude"),
             clip=(lens.clip_start, lens.clip_end),
             region=_region(render, width, height),
+            exposure=film_exposure(scene),
         ), ignored_settings(lens, CAMERA, f"{where}:")
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
     perspective = lens.type == "PERSP"
@@ -71,7 +72,13 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
         shift=(centre[0] / 2.0, centre[1] / 2.0 * height / width),
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
+        exposure=film_exposure(scene),
     ), ignored_settings(lens, CAMERA, f"{where}:")
+
+
+def film_exposure(scene: "bpy.types.Scene") -> float:
+    """What Cycles multiplies radiance by: *Film > Exposure*. 1 while Cycles is disabled."""
+    return getattr(getattr(scene, "cycles", None), "film_exposure", 1.0)
 
 
 def panorama_settings(lens):

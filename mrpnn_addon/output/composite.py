@@ -123,6 +123,8 @@ def synchronize(scene, structure: bool = True) -> None:
     _set(volumes.render, "use_sequencer", False)
     _copy_values(scene.render, volumes.render, _OWN_RENDER_PROPERTIES)
     _set(volumes.render, "filepath", _beside(scene.render.filepath))
+    if hasattr(scene, "cycles"):
+        _set(volumes.cycles, "film_exposure", scene.cycles.film_exposure)
     _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS_PROPERTIES)
     for name in _SCENE_PROPERTIES:
         _set(volumes, name, getattr(scene, name))

@@ -47,7 +47,7 @@ def read_background(depsgraph, camera: Camera, check=lambda: None) -> Background
     """
     found = world_behind(depsgraph)
     if not isinstance(found, WorldSource):
-        return Background(camera, found)
+        return Background(camera, found * np.float32(camera.exposure))
     try:
         return Background(camera, found.view(camera, SAMPLES, pixel_filter(depsgraph.scene), check))
     except PictureFailed as failure:

@@ -70,7 +70,7 @@ class WorldSource:
         return found
 
     def view(self, camera: Camera, samples: int, pixel_filter: tuple[str, float], check=lambda: None) -> np.ndarray:
-        """float32 (h, w, 3): the World in the camera's window, rows from the top. Raises PictureFailed.
+        """float32 (h, w, 3): the World in the camera's window at its exposure, rows from the top. Raises PictureFailed.
 
         pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
         """
@@ -94,7 +94,7 @@ class WorldSource:
             while len(self._views) >= MAX_VIEWS:
                 del self._views[next(iter(self._views))]
             self._views[key] = found
-        return self._views[key]
+        return self._views[key] * np.float32(camera.exposure)
 
     def _ask(self, job, check, seconds=SECONDS):
         if self._unsaved:
