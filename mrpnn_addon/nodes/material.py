@@ -15,7 +15,9 @@ from .sockets import Unsupported, active_output, input_of, source_of
 
 #: Custom property of objects that show baked light.
 LIGHT_MARK = "mrpnn_light"
-SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
+#: Types of objects that Blender converts to meshes, in which Cycles renders volumes.
+MESHES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+SURFACES = MESHES | {"CURVES", "POINTCLOUD"}
 
 
 @dataclass
@@ -100,12 +102,27 @@ class VolumeMaterial:
         return shading
 
 
-def first_material(shown):
+def materials(shown: "bpy.types.Object") -> list["bpy.types.Material | None"]:
+    """An object's materials, without those of slots that no face of its mesh uses; None for an empty slot.
+
+    Geometry nodes put an empty slot before the material that they set.
+    """
+    found = [slot.material for slot in shown.material_slots] or list(shown.data.materials)
+    if len(found) < 2 or shown.type != "MESH":
+        return found
+    of_faces = shown.data.attributes.get("material_index")
+    if of_faces is None:
+        return found[:1]
+    numbers = np.empty(len(of_faces.data), np.int32)
+    of_faces.data.foreach_get("value", numbers)
+    used = np.bincount(np.clip(numbers, 0, len(found) - 1), minlength=len(found))
+    # In Edit Mode there are no faces to ask.
+    return [material for material, faces in zip(found, used) if faces] or found
+
+
+def first_material(shown: "bpy.types.Object") -> "bpy.types.Material | None":
     """The material that Cycles uses for a Volume object or for a mesh with one material; None without one."""
-    slots = shown.material_slots
-    if len(slots):
-        return slots[0].material
-    return next(iter(shown.data.materials), None)
+    return next(iter(materials(shown)), None)
 
 
 def is_animated(material) -> bool:
@@ -125,9 +142,12 @@ def shows_volume(shown) -> bool:
     """
     if shown.type == "VOLUME":
         return LIGHT_MARK not in shown
-    if shown.type not in SURFACES:
-        return False
-    outputs = [active_output(slot.material) if slot.material else None for slot in shown.material_slots]
+    return shown.type in MESHES and only_volume(shown)
+
+
+def only_volume(shown: "bpy.types.Object") -> bool:
+    """Whether an object has materials and all of them have a volume and no surface."""
+    outputs = [material and active_output(material) for material in materials(shown)]
     return bool(outputs) and all(
         output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked
         for output in outputs

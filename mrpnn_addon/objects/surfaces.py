@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...inference.scene import SceneError, Surface
+from ..nodes.material import MESHES, materials, only_volume
 from ..nodes.sockets import Unsupported, active_output, input_of, source_of
 from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
 from .visibility import VisibleObject
 
-# Object types that Blender converts to meshes.
-MESHES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeHoldout"}
 
 
@@ -56,16 +55,19 @@ def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> 
 
     Raises SceneError, naming the object, where its transform or its vertices are not finite.
     """
-    where = f'{shown.object.type.lower()} object "{shown.name}"'
+    where = f'{_kind(shown)} object "{shown.name}"'
     if shown.object.type not in MESHES:
+        if only_volume(shown.object):
+            return None, [f"{where} has a volume material, which Cycles renders in meshes only; convert it to a mesh"]
         return None, [f"{where} is a surface and not rendered"]
     covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
     shades, stops = shown.object.visible_shadow, shown.object.visible_volume_scatter
     if not (covers or shades or stops):
         return None, []
-    if any(_is_transparent(slot.material) for slot in shown.object.material_slots):
+    if any(_is_transparent(material) for material in materials(shown.object)):
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
-    key = (shown.object.data.name_full, shown.object.as_pointer())
+    # Blender's list of instances reuses one object for all of them; its data is each one's own.
+    key = (shown.object.data.name_full, shown.object.data.as_pointer())
     if key not in known:
         known[key] = read_mesh(shown.object)
     mesh, problem = known[key], placement_problem(shown.matrix)
@@ -79,7 +81,13 @@ def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> 
     return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), []
 
 
-def _mean_colour(slots, mesh: Mesh) -> SurfaceColour:
+def _kind(shown: VisibleObject) -> str:
+    """The type of an object as Blender's interface names it, such as "text"."""
+    original = shown.object.original
+    return original.bl_rna.properties["type"].enum_items[original.type].name.lower()
+
+
+def _mean_colour(slots: "bpy.types.bpy_prop_collection", mesh: Mesh) -> SurfaceColour:
     """Mean of the materials of a mesh over its area."""
     if len(slots) < 2:
         return surface_colour(slots[0].material if slots else None)

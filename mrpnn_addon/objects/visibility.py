@@ -9,6 +9,10 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..nodes.material import SURFACES, shows_volume
 
+# Blender lists objects of these types and, as one more instance, the mesh that renders show of them. None for texts
+# without letters, for all but the first member of a metaball family, and for texts that particles instance.
+CONVERTED = {"CURVE", "SURFACE", "META", "FONT"}
+
 
 @dataclass
 class VisibleObject:
@@ -33,11 +37,13 @@ def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
 
     space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
     (eye icon, local view, collections, its filter of object types) and not the visibility in renders. Both respect the
-    view layer's filter.
+    view layer's filter. Texts, curves, surfaces and metaballs come once, as the mesh that Cycles renders.
     """
     in_render = None if space or depsgraph.mode == "RENDER" else render_visible(depsgraph.view_layer)
     for instance in depsgraph.object_instances:
         instanced = instance.object
+        if instanced.type in CONVERTED:
+            continue
         # Instances have the visibility of their instancer.
         if space is not None and not instanced.visible_in_viewport_get(space):
             continue

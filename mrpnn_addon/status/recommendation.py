@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-from ..nodes.material import SURFACES, shows_volume
+from ..nodes.material import SURFACES, materials, shows_volume
 from ..nodes.sockets import has_nodes
 from ..objects.visibility import visible_objects
 
@@ -43,8 +43,8 @@ def recommend(depsgraph) -> Recommendation:
             needs.append("a lamp")
         elif kind in SURFACES and not shows_volume(shown.object):
             surfaces = True
-            for slot in shown.object.material_slots:
-                needs += _shows_surroundings(slot.material)
+            for material in materials(shown.object):
+                needs += _shows_surroundings(material)
     if needs:
         found = list(dict.fromkeys(needs))
         listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...inference.scene import Medium, SceneError, Volume
-from ..nodes.material import EmptyMaterial, VolumeMaterial, first_material, is_animated, shows_volume
+from ..nodes.material import EmptyMaterial, VolumeMaterial, first_material, is_animated, materials, shows_volume
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
@@ -120,10 +120,10 @@ def _key(shown: VisibleObject, placed: bool) -> tuple:
 
     Evaluated data belongs to its object or to all its instances; a fluid domain's changes with the frame.
     """
-    data, slots, domain = shown.object.data, shown.object.material_slots, gas_domain(shown.object)
-    materials = tuple(slot.material.as_pointer() if slot.material else 0 for slot in slots)
+    data, domain = shown.object.data, gas_domain(shown.object)
+    shaders = tuple(material.as_pointer() if material else 0 for material in materials(shown.object))
     content = checksum(domain) if domain else None
-    return data.name_full, data.as_pointer(), materials, shown.matrix.tobytes() if placed else None, content
+    return data.name_full, data.as_pointer(), shaders, shown.matrix.tobytes() if placed else None, content
 
 
 def _where(shown: VisibleObject) -> str:
@@ -194,7 +194,7 @@ def _load_problem(data) -> str:
 
 
 def _mesh_material(shown: VisibleObject, where: str) -> VolumeMaterial:
-    if len({slot.material.name for slot in shown.object.material_slots}) > 1:
+    if len({material.name for material in materials(shown.object) if material}) > 1:
         raise SceneError(f"{where}: it has several volume materials; use one")
     return VolumeMaterial(first_material(shown.object), where)
 
