@@ -48,7 +48,7 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
     try:
         import onnxruntime
     except ImportError as error:
-        raise SceneError(f"onnxruntime cannot be imported ({error}); reinstall the extension") from error
+        raise SceneError("onnxruntime cannot be imported; install it for this Python") from error
     processor = _session(onnxruntime, content, "CPU")
     if provider == "CPU":
         return OpenedSession(processor, "CPU", [], contextlib.nullcontext())

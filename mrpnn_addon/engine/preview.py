@@ -12,6 +12,7 @@ from ...inference import RenderCache
 from ...inference.plan.lights import Light, brightest_light
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..output.layer_frame import rgba
+from ..runtime.onnxruntime_version import check_runtime
 
 # Pixels of the pictures before the last, which has the region's resolution.
 ROUGH_PIXELS, FINER_PIXELS = 4_000, 16_000
@@ -90,6 +91,7 @@ class Preview:
             self.done = True
             return
         try:
+            check_runtime()
             for step in steps(description, camera, settings, prepared):
                 layer = inference.render(
                     description.volumes,
