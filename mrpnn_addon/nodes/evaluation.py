@@ -40,15 +40,18 @@ class NodeEvaluator:
         return source_of(input_of(node, identifier), groups).node is not None
 
     def _value(self, socket, groups):
-        """The value of a socket and the type of its source."""
+        """The value of a socket and its type."""
         source = source_of(socket, groups)
-        if source.node is None:
-            return _own_value(source.socket), source.socket.type
-        value = self._output(source)
-        # The linked socket converts first: a colour that passes through a number becomes grey.
-        if socket.type in ("VALUE", "INT", "BOOLEAN"):
-            return as_number(value, source.output.type), "VALUE"
-        return as_colour(value), socket.type
+        if source.node is not None:
+            value, kind = self._output(source), source.output.type
+        elif source.socket is not None:
+            value, kind = _own_value(source.socket), source.socket.type
+        else:
+            value, kind = np.zeros((1, 1)), "VALUE"
+        # Each socket converts: a colour that passes through a number becomes grey.
+        for passed in source.passed:
+            value, kind = _converted(value, kind, passed), passed
+        return value, kind
 
     def _output(self, source: Source) -> np.ndarray:
         node, output = source.node, source.output
@@ -74,6 +77,14 @@ def as_number(value: np.ndarray, kind: str) -> np.ndarray:
 def as_colour(value: np.ndarray) -> np.ndarray:
     """(n, 3): a number becomes grey."""
     return value if value.shape[1] == 3 else np.repeat(value, 3, axis=1)
+
+
+def _converted(value: np.ndarray, kind: str, passed: str) -> np.ndarray:
+    """A value of one type as a socket of another passes it on."""
+    if passed not in ("VALUE", "INT", "BOOLEAN"):
+        return as_colour(value)
+    number = as_number(value, kind)
+    return number if passed == "VALUE" else np.trunc(number)
 
 
 def _own_value(socket) -> np.ndarray:

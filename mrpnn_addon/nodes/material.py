@@ -225,7 +225,7 @@ def _text(node, identifier, groups) -> str:
     source = source_of(input_of(node, identifier), groups)
     if source.node is not None:
         raise Unsupported(f'node "{source.node.name}" linked to {identifier} of "{node.name}" is not supported')
-    return source.socket.default_value
+    return source.socket.default_value if source.socket is not None else ""
 
 
 def _density(values, node, groups):

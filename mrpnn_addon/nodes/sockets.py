@@ -20,15 +20,18 @@ class Source:
     """What drives a socket.
 
     node, output: the node and its output socket; both None where nothing is linked.
-    socket: the input that holds the value where nothing is linked.
+    socket: the input that holds the value where nothing is linked; None where that is 0, as in Cycles: behind a muted
+        node or a reroute whose own input is not linked.
     groups: the enclosing group nodes, outermost first.
+    passed: types of the sockets that convert the value in turn; the last is the socket's that is driven.
     """
 
     # Quoted: see `objects.visibility.VisibleObject`.
     node: "bpy.types.Node | None"
     output: "bpy.types.NodeSocket | None"
-    socket: "bpy.types.NodeSocket"
+    socket: "bpy.types.NodeSocket | None"
     groups: tuple = ()
+    passed: tuple[str, ...] = ()
 
 
 def always_has_nodes(block) -> bool:
@@ -48,6 +51,7 @@ def active_output(block):
 
 def source_of(socket, groups=()) -> Source:
     """Follow the links of an input socket, through reroutes, muted nodes and groups."""
+    passed, holds_value = [socket.type], True
     while socket.is_linked:
         link = socket.links[0]
         if link.is_muted or not link.is_valid:
@@ -57,18 +61,20 @@ def source_of(socket, groups=()) -> Source:
             through = next((inner.from_socket for inner in node.internal_links if inner.to_socket == output), None)
             if through is None:
                 break
-            socket = through
+            socket, holds_value, kind = through, False, output.type
         elif node.bl_idname == "NodeReroute":
-            if not node.inputs[0].is_linked:
-                break
-            socket = node.inputs[0]
+            socket, holds_value, kind = node.inputs[0], False, output.type
         elif node.bl_idname == "NodeGroupInput" and groups:
-            socket, groups = _same(groups[-1].inputs, output), groups[:-1]
+            socket, groups, holds_value = _same(groups[-1].inputs, output), groups[:-1], True
+            kind = socket.type
         elif node.bl_idname == "ShaderNodeGroup":
-            socket, groups = _same(_group_output(node).inputs, output), (*groups, node)
+            socket, groups, holds_value = _same(_group_output(node).inputs, output), (*groups, node), True
+            kind = socket.type
         else:
-            return Source(node, output, socket, groups)
-    return Source(None, None, socket, groups)
+            return Source(node, output, socket, groups, tuple(reversed(passed)))
+        # What a muted node passes on has the type of its output, whatever that of its input.
+        passed.append(kind)
+    return Source(None, None, socket if holds_value else None, groups, tuple(reversed(passed)))
 
 
 def _same(sockets, wanted):

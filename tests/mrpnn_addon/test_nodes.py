@@ -10,7 +10,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from tests.support import glowing_plane
-from tests.support.glowing_plane import Plane, add, assert_equal_to_cycles, axes, combined, evaluated
+from tests.support.glowing_plane import Plane, add, assert_equal_to_cycles, axes, combined, evaluated, rendered
 
 
 @pytest.fixture
@@ -257,6 +257,58 @@ def test_groups_reroutes_and_muted_nodes(addon, scene, plane, tmp_path):
     np.testing.assert_allclose(
         evaluated(emission)[:, 0], 20.0 + 0.5 * Plane().coordinates("object", None)[:, 0], rtol=1e-6
     )
+
+
+def test_muted_nodes_of_every_kind(addon, scene, plane, tmp_path):
+    """They pass on what is linked to them, and 0 where nothing is."""
+    tree, emission, coordinates = plane
+    kinds = importlib.import_module("mrpnn.mrpnn_addon.nodes.functions").FUNCTIONS
+    outputs = []
+    for linked in (False, True):
+        for kind in kinds:
+            node = tree.nodes.new(kind)
+            node.mute = True
+            through = next((link for link in node.internal_links if link.to_socket.enabled), None)
+            outputs.append(through.to_socket if through else node.outputs[0])
+            if linked and through:
+                tree.links.new(coordinates, through.from_socket)
+    while batch := [outputs.pop() for _ in range(min(len(outputs), 3))]:
+        combined(tree, emission, batch)
+        names = [output.node.bl_idname for output in batch]
+        np.testing.assert_allclose(evaluated(emission), rendered(scene, tmp_path), atol=1e-3, err_msg=str(names))
+
+
+def test_sockets_that_a_value_passes_convert_it(addon, scene, plane, tmp_path):
+    """Muted nodes and groups, whose sockets have types of their own; reroutes and links without a source."""
+    tree, emission, coordinates = plane
+    colour = add(tree, "RGB")
+    colour.outputs[0].default_value = 1.2, 2.6, 3.9, 1.0
+    last = []
+    for kind, side in itertools.product(("Float", "Int", "Bool", "Vector", "Color"), ("INPUT", "OUTPUT")):
+        group = bpy.data.node_groups.new(kind, "ShaderNodeTree")
+        for own in ("INPUT", "OUTPUT"):
+            group.interface.new_socket(own, in_out=own, socket_type=f"NodeSocket{kind if own == side else 'Color'}")
+        entry, leave = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+        group.links.new(entry.outputs[0], leave.inputs[0])
+        node = tree.nodes.new("ShaderNodeGroup")
+        node.node_tree = group
+        tree.links.new(colour.outputs[0], node.inputs[0])
+        last.append(node.outputs[0])
+    silent = tree.nodes.new("ShaderNodeGroup")
+    silent.node_tree, silent.mute = group, True
+    vector, number = add(tree, "VectorMath", mute=True), add(tree, "Math", mute=True)
+    tree.links.new(colour.outputs[0], vector.inputs[0])
+    tree.links.new(vector.outputs[0], number.inputs[0])
+    bare, cut = tree.nodes.new("NodeReroute"), tree.nodes.new("NodeReroute")
+    tree.links.new(colour.outputs[0], cut.inputs[0]).is_muted = True
+    last += [silent.outputs[0], number.outputs[0], bare.outputs[0], cut.outputs[0]]
+    for output in last:
+        tree.links.new(output, emission.inputs["Color"])
+        np.testing.assert_allclose(evaluated(emission), rendered(scene, tmp_path), rtol=1e-4, atol=1e-4)
+    # A muted link leaves the socket's own value.
+    emission.inputs["Color"].links[0].is_muted = True
+    emission.inputs["Color"].default_value = 0.3, 0.4, 0.5, 1.0
+    np.testing.assert_allclose(evaluated(emission), rendered(scene, tmp_path), rtol=1e-4)
 
 
 def test_what_cannot_be_evaluated_is_named(addon, scene, plane):
