@@ -11,13 +11,13 @@ if __package__:
     from . import operators, panels
 
 
-def register():
+def register() -> None:
     """Add operators and panels to Blender."""
     operators.register()
     panels.register()
 
 
-def unregister():
+def unregister() -> None:
     """Remove what `register` added, in the opposite order."""
     panels.unregister()
     operators.unregister()

@@ -28,10 +28,11 @@ from .marching.extended_lights import ExtendedLights
 from .marching.lamp_in_media import enclosed_warnings
 from .marching.marcher import prepare_march
 from .marching.ray_march import MarchOptions
+from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .occluders.seen_surfaces import vantage
-from .plan.lights import without_lamps
+from .plan.lights import Light, without_lamps
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
@@ -40,20 +41,20 @@ from .runtime.progress import Progress
 from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
-from .scene.description import Sun
+from .scene.description import Medium, Sun, Surface, Volume
 from .scene.settings import Settings
 from .transport.scattered_emission import ScatteredEmission
 
 
 def render(
-    volumes,
-    lights,
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
     camera: Camera,
     settings: Settings | None = None,
-    progress=None,
-    cancelled=None,
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
     cache: RenderCache | None = None,
-    surfaces=(),
+    surfaces: Sequence[Surface] = (),
 ) -> Layer:
     """Render volumes lit by suns, lamps and environments.
 
@@ -73,14 +74,14 @@ def render(
 
 
 def render_tiles(
-    volumes,
-    lights,
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
     camera: Camera,
     settings: Settings | None = None,
-    progress=None,
-    cancelled=None,
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
     cache: RenderCache | None = None,
-    surfaces=(),
+    surfaces: Sequence[Surface] = (),
 ) -> Iterator[tuple[tuple[int, int, int, int], Layer]]:
     """As `render`, but yield each part of the image as soon as it is finished.
 
@@ -92,7 +93,14 @@ def render_tiles(
 
 
 def _finished_parts(
-    volumes, lights, camera: Camera, settings: Settings, progress, cancelled, cache: RenderCache | None, surfaces
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
+    camera: Camera,
+    settings: Settings,
+    progress: Callable[[float, str], None] | None,
+    cancelled: Callable[[], bool] | None,
+    cache: RenderCache | None,
+    surfaces: Sequence[Surface],
 ) -> Iterator[tuple[Window, Callable[[], Layer]]]:
     """As `render_tiles`, but yield what composes each layer, to be called before the next one is asked for."""
     report = Report()
@@ -244,7 +252,9 @@ def load_compiled(settings: Settings, report: Report) -> Kernels | None:
     return kernels
 
 
-def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=()) -> PreparedScene:
+def prepare_scene(
+    context: RenderContext, plan: Plan, camera: Camera, surfaces: Sequence[Surface] = ()
+) -> PreparedScene:
     """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
     network = _load_network(context, plan)
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
@@ -284,7 +294,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
     with report.stage("fields"):
         groups = [
             cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel, context.kernels)
-            if plan.multiple[g]
+            if network is not None and plan.multiple[g]
             else None
             for g, members in enumerate(plan.groups)
         ]
@@ -329,7 +339,7 @@ def prepare_scene(context: RenderContext, plan: Plan, camera: Camera, surfaces=(
 
 
 def _open_groups(
-    context: RenderContext, scene: PreparedScene, surfaces, eye: np.ndarray
+    context: RenderContext, scene: PreparedScene, surfaces: Sequence[Surface], eye: np.ndarray
 ) -> list[ScatteringGroup | None]:
     """The scene's groups without what surfaces hide from a place (3,) in them; none where they cut no volume."""
     opened: list[ScatteringGroup | None] = []
@@ -348,7 +358,7 @@ def _open_groups(
     return opened
 
 
-def _load_network(context: RenderContext, plan: Plan):
+def _load_network(context: RenderContext, plan: Plan) -> System | None:
     """The network, or None where nothing is predicted."""
     if not any(plan.multiple):
         return None

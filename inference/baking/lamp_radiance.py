@@ -11,7 +11,7 @@ from ..marching.depth_samples import entry_point
 from ..marching.marcher import prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
-from ..network.prepared_predictors import LampLight
+from ..network.prepared_predictors import LampLight, PreparedLampPredictor
 from ..network.ray_points import RayPoints
 from ..plan.plan import Channels
 from .point_radiance import rays_outwards, spans
@@ -20,7 +20,7 @@ from .point_radiance import rays_outwards, spans
 class LampRadiance:
     """As `PointRadiance`, in the light of the plan's lamps instead of its suns. Raises Cancelled."""
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels):
+    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels) -> None:
         group, plan = scene.groups[g], scene.plan
         assert group is not None
         self._context, self._count = context, len(scene.lamps)
@@ -62,7 +62,12 @@ class LampRadiance:
         for (cluster, lamp), (predictor, albedos) in zip(self._clusters, self._predictors):
             of_lamp = features.mean(slice(None), 0, cluster, lamp.shares(positions))
 
-            def task(span: slice, predictor=predictor, asked=albedos.values, of_lamp=of_lamp):
+            def task(
+                span: slice,
+                predictor: PreparedLampPredictor = predictor,
+                asked: list[float] = albedos.values,
+                of_lamp: np.ndarray = of_lamp,
+            ) -> tuple[slice, np.ndarray]:
                 points = RayPoints(positions[span], directions[span], ray_features=of_lamp[span])
                 return span, predictor.predict(points, asked)
 

@@ -9,7 +9,7 @@ from ..grids.bound_medium import BoundMedium
 from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.extended_lights import EquivalentDirections
-from ..marching.marcher import prepare_march
+from ..marching.marcher import Marcher, prepare_march
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..marching.ray_steps import RayBatch
@@ -28,7 +28,7 @@ class PointRadiance:
     Prepared for some colour channels and all suns of the scene. Raises Cancelled.
     """
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels):
+    def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels) -> None:
         group, plan = scene.groups[g], scene.plan
         assert group is not None
         self._context, self._predictor = context, group.predictor
@@ -51,7 +51,7 @@ class PointRadiance:
         self._ready: dict[int, PreparedPredictor] = {}
         self._march = None if fluence is None else self._prepare_march(scene, fluence)
 
-    def _prepare_march(self, scene: PreparedScene, fluence: ScatteredFluence):
+    def _prepare_march(self, scene: PreparedScene, fluence: ScatteredFluence) -> Marcher:
         context = self._context
         # Every ray needs its features at its start, however faint it is.
         options = MarchOptions(

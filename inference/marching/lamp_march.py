@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.lamp_optical_depth import LampOpticalDepth
@@ -62,7 +63,7 @@ class LampMarch:
 class _Steps:
     """Known steps of marched rays, flat: S of them, and the edges between them, E of them."""
 
-    def __init__(self, medium: MarchedMedium, rays: RayBatch, known: np.ndarray):
+    def __init__(self, medium: MarchedMedium, rays: RayBatch, known: np.ndarray) -> None:
         """known: bool (P, STEPS), whether light is looked up there."""
         blocks = medium.blocks
         self.medium, self.rays, self.filled = medium, rays, np.flatnonzero(known)
@@ -108,7 +109,7 @@ class _Steps:
         share = (step + 0.5) / STEPS
         return (1.0 - share) * ends[0][..., place] + share * ends[1][..., place]
 
-    def scattered(self, values: np.ndarray, dtype=np.float64) -> np.ndarray:
+    def scattered(self, values: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
         """Values (S,) as (P, STEPS), 0 elsewhere."""
         found = np.zeros(self.medium.total.shape, dtype)
         found.reshape(-1)[self.filled] = values
@@ -196,7 +197,7 @@ class _LitSteps:
 
     def __init__(
         self, steps: _Steps, media: Sequence[BoundMedium], lamp: LampInMedia, mean: MeanLampDepth | None = None
-    ):
+    ) -> None:
         """mean: optical depth of all of the lamp's light in the only medium, or None."""
         self.steps, self.media, self.lamp = steps, media, lamp
         distance, longest = steps.distances(lamp.centre)

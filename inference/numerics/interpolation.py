@@ -27,7 +27,7 @@ def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
     flat = padded.reshape(-1)
     step_y, step_x = padded.shape[2], padded.shape[1] * padded.shape[2]
 
-    def edge(offset):
+    def edge(offset: int) -> np.ndarray:
         low, high = flat[offset:].take(base), flat[offset + 1 :].take(base)
         return lerp_into(low, high, fz)
 

@@ -9,7 +9,7 @@ elapsed is the time left."""
 import contextlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 #: Stages, and seconds per unit before anything has been measured: two cores of a desktop of 2020.
 SECONDS_PER_UNIT = {
@@ -32,7 +32,7 @@ class Progress:
     callback: (fraction, message) or None, called on the calling thread.
     """
 
-    def __init__(self, callback: Callable[[float, str], None] | None = None):
+    def __init__(self, callback: Callable[[float, str], None] | None = None) -> None:
         self._callback = callback
         self._start, self._fraction, self._message = time.perf_counter(), 0.0, ""
         self._expected: dict[str, float] = {}
@@ -41,7 +41,7 @@ class Progress:
         self._running: dict[str, float] = {}
 
     @contextlib.contextmanager
-    def stage(self, stage: str, amount: float = 0.0):
+    def stage(self, stage: str, amount: float = 0.0) -> Iterator[None]:
         """Time the block as part of a stage, and count `amount` more of it as done afterwards."""
         self._running[stage] = time.perf_counter()
         try:
@@ -94,7 +94,7 @@ class Progress:
             seconds += max(self._expected.get(stage, 0.0) - done, 0.0) * rate
         return seconds
 
-    def _tell(self):
+    def _tell(self) -> None:
         if self._callback is None:
             return
         elapsed, fraction = time.perf_counter() - self._start, 0.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .description import MAX_IRRADIANCE
 from .emitters import Emitter, QuadEmitter, SphereEmitter
@@ -261,21 +262,21 @@ def distance_from_box(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> f
     return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 
 
-def _vector(value, name: str) -> np.ndarray:
+def _vector(value: ArrayLike, name: str) -> np.ndarray:
     vector = np.asarray(value, np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise SceneError(f"{name} must be three finite numbers")
     return vector
 
 
-def _power(value, name: str) -> np.ndarray:
+def _power(value: ArrayLike, name: str) -> np.ndarray:
     power = rgb_triple(value, f"{name}: power")
     if np.any(power < 0.0) or np.any(power > MAX_IRRADIANCE):
         raise SceneError(f"{name}: power must not be negative or above {MAX_IRRADIANCE:g}")
     return power
 
 
-def _not_negative(value, name: str) -> float:
+def _not_negative(value: float, name: str) -> float:
     number = float(value)
     if not 0.0 <= number < np.inf:
         raise SceneError(f"{name} must be finite and not negative, not {number:g}")

@@ -84,7 +84,7 @@ def fournier_forand(cosine: Cosine, index: float, backwards: float) -> Cosine:
     index, backwards = max(index, 1.01), min(max(backwards, 1e-4), 0.499)
     half = np.maximum((1.0 - np.asarray(cosine, np.float64)) / 2.0, MIN_SINE)
 
-    def delta(sine):
+    def delta(sine: Any) -> Any:
         return 4.0 * sine / (3.0 * (index - 1.0) ** 2)
 
     # The exponent for which the given fraction goes backwards.

@@ -4,6 +4,7 @@
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .description import Sun
 from .errors import SceneError
@@ -23,7 +24,7 @@ WIDEST_JOINED = math.radians(120.0)
 SECTORS = [[0], *([1 + k, 7 + 2 * k, 8 + 2 * k] for k in range(6))]
 
 
-def soft_sun(direction, irradiance, angle: float, name: str = "sun") -> list[Sun]:
+def soft_sun(direction: ArrayLike, irradiance: ArrayLike, angle: float, name: str = "sun") -> list[Sun]:
     """The parallel lights that represent a disc of uniform radiance.
 
     direction: (3,) towards its middle. irradiance: W/m^2, scalar or RGB, of all of them together, each on a surface
@@ -37,8 +38,8 @@ def soft_sun(direction, irradiance, angle: float, name: str = "sun") -> list[Sun
     if not 0.0 <= angle <= math.pi + 1e-6:
         raise SceneError(f"{name}: angle must lie in [0, pi]")
     if angle <= ONE:
-        return [Sun(direction, irradiance, name)]
-    frame, directions, shares = _frame(Sun(direction, name=name).direction), [], []
+        return [Sun(np.asarray(direction), np.asarray(irradiance), name)]
+    frame, directions, shares = _frame(Sun(np.asarray(direction), name=name).direction), [], []
     for count, radius, share in next(rings for largest, rings in RINGS.items() if min(angle, math.pi) <= largest):
         for turn in (np.arange(count) + 0.5) * (2.0 * math.pi / count):
             cosine = 1.0 - radius**2 * (1.0 - math.cos(angle / 2.0))

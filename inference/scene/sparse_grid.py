@@ -28,7 +28,9 @@ class SparseGrid:
     # Voxels along an edge of the cells that rays skip.
     CELL = 4
 
-    def __init__(self, shape: Sequence[int] | np.ndarray, table: np.ndarray, values: np.ndarray, first: ArrayLike):
+    def __init__(
+        self, shape: Sequence[int] | np.ndarray, table: np.ndarray, values: np.ndarray, first: ArrayLike
+    ) -> None:
         self.shape, self.table, self.values = tuple(int(n) for n in shape), table, values
         self.first = np.array(first, int)
 

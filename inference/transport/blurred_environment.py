@@ -6,6 +6,7 @@ the image's part of that degree.
 """
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def _legendre(rows: int) -> np.ndarray:
     return found
 
 
-def blurred(image: np.ndarray, anisotropies) -> np.ndarray:
+def blurred(image: np.ndarray, anisotropies: Sequence[float] | np.ndarray) -> np.ndarray:
     """An image (H, 2H, C) convolved with phase functions: float32 (H, 2H, B, C), for B mean cosines.
 
     Even light stays exactly even.

@@ -98,7 +98,7 @@ class DiscreteOrdinates:
         triangles: np.ndarray | None = None,
         kernels: Kernels | None = None,
         albedo: float | np.ndarray = 1.0,
-    ):
+    ) -> None:
         n = len(density)
         self.kernels = kernels
         self.density, self.sigma = density, np.float32(sigma_hat)

@@ -37,7 +37,7 @@ class OrdinateSweeps:
         scattering: tuple[float, float],
         boundaries: CellBoundaries | None,
         kernels: Kernels | None,
-    ):
+    ) -> None:
         n = len(extinction)
         self.cells, self.scattering, self.kernels = n, scattering, kernels
         self.links: list[np.ndarray] | None = None

@@ -52,7 +52,7 @@ class ScatteredEmission:
         media: Sequence[Medium],
         cancel: CancelToken = NEVER,
         kernels: Kernels | None = None,
-    ):
+    ) -> None:
         self.kernels = kernels
         corners = np.concatenate([grid.corners() for grid in grids])
         low, high = corners.min(axis=0), corners.max(axis=0)

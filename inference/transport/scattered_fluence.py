@@ -69,7 +69,7 @@ class FluenceLattice:
     cells: of `fluence_lattice`, or of `moment_lattice` for `values`.
     """
 
-    def __init__(self, cells: np.ndarray):
+    def __init__(self, cells: np.ndarray) -> None:
         self._edge = len(cells)
         self._cells = cells.astype(np.float32, copy=False).reshape(-1, cells.shape[-1])
 

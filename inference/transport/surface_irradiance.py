@@ -24,7 +24,7 @@ class SurfaceIrradiance:
     world.
     """
 
-    def __init__(self, solver: DiscreteOrdinates, cube: Cube, positions: np.ndarray, normals: np.ndarray):
+    def __init__(self, solver: DiscreteOrdinates, cube: Cube, positions: np.ndarray, normals: np.ndarray) -> None:
         self.solver, self.cube, self.normals = solver, cube, cube.directions(normals)
         self.positions = cube.positions(positions) - BEHIND / len(solver.density) * self.normals
 

@@ -55,7 +55,7 @@ class CoarseAlbedo:
         coarse: np.ndarray,
         cancel: CancelToken = NEVER,
         kernels: Kernels | None = None,
-    ):
+    ) -> None:
         """coarse: the density on these cells or on smaller ones. kernels: compiled ones, or None."""
         assert volume.scattering is not None
         self.density, self.kernels = _cells(coarse, kernels), kernels
@@ -69,7 +69,9 @@ class CoarseAlbedo:
         ends = [(float(albedo[filled].min()), float(albedo[filled].max())) for albedo in self.channels]
         self.uniform, self.enclosing = _enclosing(np.maximum(ends, LOWEST))
 
-    def solver(self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo) -> DiscreteOrdinates:
+    def solver(
+        self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo: float | np.ndarray
+    ) -> DiscreteOrdinates:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, self.kernels, albedo)
 

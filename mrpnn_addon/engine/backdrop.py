@@ -2,8 +2,10 @@
 """The World behind a viewport's volumes: immediately from a cached panorama, then at the view's resolution."""
 
 import traceback
+from collections.abc import Callable
 from dataclasses import replace
 
+import bpy
 import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
@@ -37,12 +39,16 @@ class Backdrop:
     watch: called with each worker whose pictures are to be drawn; see `viewport._watch`.
     """
 
-    def __init__(self, watch):
-        self._watch, self._behind, self._filter = watch, None, None
-        self._shown, self._view, self._drawn, self._texture = None, None, None, None
-        self._part = WHOLE
+    def __init__(self, watch: Callable[[Worker], None]) -> None:
+        self._watch, self._part = watch, WHOLE
+        self._behind: np.ndarray | WorldSource | None = None
+        self._filter: tuple[str, float] | None = None
+        self._shown: _Plain | _ViewRendering | None = None
+        self._view: tuple | None = None
+        self._drawn: tuple | None = None
+        self._texture: gpu.types.GPUTexture | None = None
 
-    def read(self, depsgraph) -> None:
+    def read(self, depsgraph: "bpy.types.Depsgraph") -> None:
         """Update the background after a change of the scene; a transparent film has none."""
         transparent = depsgraph.scene.render.film_transparent
         self._behind = None if transparent else world_behind(depsgraph)
@@ -65,7 +71,7 @@ class Backdrop:
         else:
             self._shown = self._texture = None
 
-    def draw(self, size) -> None:
+    def draw(self, size: tuple[int, int]) -> None:
         """Draw the latest picture over its part of the region; the previous one until the first is done."""
         shown = self._shown
         if shown is not None and shown.picture is not None and self._drawn != (shown, shown.number):
@@ -92,7 +98,7 @@ class _Plain:
 
     number, message, done = 1, "", True
 
-    def __init__(self, colour):
+    def __init__(self, colour: np.ndarray) -> None:
         self.picture = _opaque(colour[None, None])
 
 
@@ -102,9 +108,10 @@ class _ViewRendering(Worker):
     picture: the latest, float32 (h, w, 4), rows from the bottom, or None. number: of pictures so far.
     """
 
-    picture, number = None, 0
+    picture: np.ndarray | None = None
+    number = 0
 
-    def __init__(self, source: WorldSource, camera: Camera, filter_type, first: bool):
+    def __init__(self, source: WorldSource, camera: Camera, filter_type: tuple[str, float], first: bool) -> None:
         """first: whether there is no previous picture to show meanwhile."""
         self._source, self._camera, self._filter = source, camera, filter_type
         if source.panorama is not None:
@@ -113,7 +120,7 @@ class _ViewRendering(Worker):
             self._show(np.zeros((1, 1, 3)))
         self._start("mrpnn backdrop", awaited=False)
 
-    def _work(self):
+    def _work(self) -> None:
         source = self._source
         try:
             if self._stop.wait(REST_SECONDS):
@@ -132,11 +139,11 @@ class _ViewRendering(Worker):
             traceback.print_exc()
             self.message = f"MRPNN failed, which is a bug: {type(error).__name__}: {error}"
 
-    def _check(self):
+    def _check(self) -> None:
         if self.stopped:
             raise Cancelled()
 
-    def _rough(self):
+    def _rough(self) -> np.ndarray:
         """The view, sampled from the panorama at few pixels."""
         width, height = self._camera.resolution
         divisor = int(np.ceil(max(width * height / ROUGH_PIXELS, 1.0) ** 0.5))
@@ -145,7 +152,7 @@ class _ViewRendering(Worker):
         colours = sampler(self._source.panorama[::-1])(directions) * self._camera.exposure
         return colours.reshape(size[1], size[0], 3)
 
-    def _show(self, rgb):
+    def _show(self, rgb: np.ndarray) -> None:
         self.picture, self.number = _opaque(rgb), self.number + 1
 
 
@@ -169,7 +176,7 @@ def texture(picture: np.ndarray) -> gpu.types.GPUTexture:
     return gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
 
 
-def _opaque(rgb):
+def _opaque(rgb: np.ndarray) -> np.ndarray:
     """float32 (h, w, 4), rows from the bottom, clamped as Cycles clamps its display. rgb: rows from the top."""
     picture = np.ones((*rgb.shape[:2], 4), np.float32)
     picture[..., :3] = np.clip(rgb[::-1], 0.0, BRIGHTEST)

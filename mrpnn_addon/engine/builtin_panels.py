@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's own panels that are shown while this engine is chosen."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import bpy
 
 # Panels of use to every engine that list only some.
@@ -10,7 +13,7 @@ SHARED = ("EEVEE_MATERIAL_PT_context_material", "VIEWLAYER_PT_layer_passes")
 USELESS = ("DATA_PT_light", "DATA_PT_spot", "DATA_PT_preview", "OBJECT_PT_shading", "VIEWLAYER_PT_filter")
 
 
-def _useful_panels():
+def _useful_panels() -> Iterator[Any]:
     for panel in bpy.types.Panel.__subclasses__():
         # The Shader Editor's copies of panels share the originals' set of engines.
         name, engines = panel.__name__.removeprefix("NODE_"), getattr(panel, "COMPAT_ENGINES", ())

@@ -4,19 +4,22 @@
 import time
 import traceback
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import gpu
 
 from ...inference.image.layer import empty_layer
-from ...inference.scene import Cancelled, SceneError
+from ...inference.scene import Camera, Cancelled, SceneError
 from ..nodes.material import shows_volume
 from ..objects.camera import film_exposure, read_camera
 from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
-from ..scene.film import read_background
-from ..scene.reader import read_scene
+from ..runtime.background import Worker
+from ..scene.film import Background, read_background
+from ..scene.reader import SceneDescription, read_scene
 from ..scene.unrendered import composited, unrendered
+from ..settings.properties import scene_settings
 from ..status.last_render import remember_finished
 from ..volumes.loading import VolumeLoading
 from ..volumes.read_ahead import ReadAhead
@@ -44,17 +47,17 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True
 
     # Set when Blender draws a viewport with this engine.
-    _viewport = None
+    _viewport: Viewport | None = None
     # Of the class, since each frame has an engine of its own: what reads the files of an animation's next frame.
-    _ahead = None
+    _ahead: ReadAhead | None = None
 
-    def update_render_passes(self, scene, renderlayer):
+    def update_render_passes(self, scene: "bpy.types.Scene", renderlayer: "bpy.types.ViewLayer") -> None:
         """Register the passes for the compositor."""
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
         for extra in extra_passes(renderlayer):
             self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
-    def render(self, depsgraph):
+    def render(self, depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender for each view layer, on its render thread or, in background, on the main thread."""
         # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
         # would continue and write an empty image.
@@ -68,36 +71,38 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             traceback.print_exc()
             self.report({"ERROR"}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
 
-    def view_update(self, context, depsgraph):
+    def view_update(self, context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender when something in the viewport's scene has changed."""
         if self._viewport is None:
             self._viewport = Viewport()
         self._viewport.backdrop.read(depsgraph)
+        space: Any = context.space_data
         if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
-            self._viewport.shows(depsgraph, context.space_data)
+            self._viewport.shows(depsgraph, space)
         ):
             # Selection and settings, which view_draw compares, do not change the volumes.
             return
         if not all(_keeps_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
-        self._viewport.read(depsgraph, context.space_data)
+        self._viewport.read(depsgraph, space)
 
-    def view_draw(self, context, depsgraph):
+    def view_draw(self, context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender for each redraw of the viewport, also when only the view has changed."""
         view, size = context.region_data, (context.region.width, context.region.height)
         if self._viewport is None:
             return
-        self._viewport.read_on(depsgraph, context.space_data)
+        space: Any = context.space_data
+        self._viewport.read_on(depsgraph, space)
         part = render_region(context, depsgraph.scene)
         try:
             camera = part and viewport_camera(
-                view.view_matrix, view.window_matrix, view.is_perspective, size, context.space_data.clip_end, part
+                view.view_matrix, view.window_matrix, view.is_perspective, size, space.clip_end, part
             )
             camera = camera and replace(camera, exposure=film_exposure(depsgraph.scene))
         except SceneError:
             # A camera of scale 0 shows nothing.
             camera = None
-        self._viewport.update(camera, depsgraph.scene.mrpnn.settings(), part or WHOLE)
+        self._viewport.update(camera, scene_settings(depsgraph.scene).settings(), part or WHOLE)
         gpu.state.blend_set("ALPHA_PREMULT")
         self.bind_display_space_shader(depsgraph.scene)
         self._viewport.draw(size)
@@ -105,7 +110,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         gpu.state.blend_set("NONE")
         self.update_stats("", self._viewport.status)
 
-    def __del__(self):
+    def __del__(self) -> None:
         try:
             shown = self._viewport
         except ReferenceError:
@@ -114,7 +119,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if shown is not None:
             shown.close()
 
-    def _render(self, depsgraph):
+    def _render(self, depsgraph: "bpy.types.Depsgraph") -> None:
         view_layer = depsgraph.view_layer
         if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
             self.report({"INFO"}, f'view layer "{view_layer.name}" shows no Volume object and stays empty')
@@ -123,7 +128,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         # With a render region, Blender's result has the region's size.
         scene.crop = True
         transparent = depsgraph.scene.render.film_transparent
-        settings = depsgraph.scene.mrpnn.settings()
+        settings = scene_settings(depsgraph.scene).settings()
         background = None if transparent else self._background(depsgraph, scene.camera)
         result = RenderResult(self, view_layer, scene.camera, background)
         # Background renders need no intermediate pictures.
@@ -141,7 +146,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({"WARNING"}, warning)
         result.finish(finished.layer, stamp(settings, finished.layer.report))
 
-    def _read(self, depsgraph):
+    def _read(self, depsgraph: "bpy.types.Depsgraph") -> SceneDescription:
         """The scene; a thread reads its volumes first, which Esc stops."""
         cls, reader, frames = type(self), VolumeReader(), depsgraph.scene
         sources = reader.wanted(depsgraph)
@@ -159,13 +164,13 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         return scene
 
     @classmethod
-    def stop_reading_ahead(cls):
+    def stop_reading_ahead(cls) -> None:
         """Drop what was read of an animation's next frame."""
         ahead, cls._ahead = cls._ahead, None
         if ahead is not None:
             ahead.stop()
 
-    def _finish(self, worker):
+    def _finish(self, worker: Worker) -> None:
         """Wait for a thread, which Esc stops."""
         while not worker.done:
             self.update_stats("", worker.message.capitalize())
@@ -173,7 +178,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             if self.test_break():
                 worker.stop()
 
-    def _background(self, depsgraph, camera):
+    def _background(self, depsgraph: "bpy.types.Depsgraph", camera: Camera) -> Background:
         """The Background of a camera's pixels; reports its warnings."""
         self.update_stats("", "Rendering the sky")
         found = read_background(depsgraph, camera, self._check)
@@ -181,11 +186,11 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             self.report({"WARNING"}, warning)
         return found
 
-    def _check(self):
+    def _check(self) -> None:
         if self.test_break():
             raise Cancelled()
 
-    def _write_empty(self, depsgraph):
+    def _write_empty(self, depsgraph: "bpy.types.Depsgraph") -> None:
         camera = read_camera(depsgraph)[0]
         background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
         RenderResult(self, depsgraph.view_layer, camera, background).finish(empty_layer(camera), {})
@@ -194,10 +199,10 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 class _Progress:
     """Shows a render's progress in Blender's progress bar and statistics line."""
 
-    def __init__(self, engine):
-        self.engine, self.start = engine, None
+    def __init__(self, engine: "bpy.types.RenderEngine") -> None:
+        self.engine, self.start = engine, 0.0
 
-    def __call__(self, fraction, message):
+    def __call__(self, fraction: float, message: str) -> None:
         # Fractions count from the first call: a coarse picture comes before.
         self.start = self.start or time.monotonic()
         self.engine.update_progress(fraction)
@@ -207,7 +212,7 @@ class _Progress:
         self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
 
 
-def _keeps_volumes(update) -> bool:
+def _keeps_volumes(update: "bpy.types.DepsgraphUpdate") -> bool:
     """Whether a change cannot affect a volume's voxels, only its transform or lighting."""
     if isinstance(update.id, (bpy.types.Scene, bpy.types.World, bpy.types.Light, bpy.types.Camera)):
         return True
@@ -216,16 +221,16 @@ def _keeps_volumes(update) -> bool:
     return update.id.type in ("LIGHT", "CAMERA") or not (update.is_updated_geometry or update.is_updated_shading)
 
 
-def _shows_volumes(depsgraph) -> bool:
+def _shows_volumes(depsgraph: "bpy.types.Depsgraph") -> bool:
     return any(shows_volume(shown.object) for shown in visible_objects(depsgraph))
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(MRPNNRenderEngine)
     builtin_panels.register(MRPNNRenderEngine.bl_idname)
 
 
-def unregister():
+def unregister() -> None:
     viewport.unregister()
     MRPNNRenderEngine.stop_reading_ahead()
     builtin_panels.unregister(MRPNNRenderEngine.bl_idname)

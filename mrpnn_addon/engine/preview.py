@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Progressive pictures of a viewport, rendered on a thread; imports no bpy."""
+"""Progressive pictures of a viewport, rendered on a thread; calls no bpy."""
 
 import threading
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...inference.plan.lights import Light, brightest_light
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..output.layer_frame import rgba
 from ..runtime.onnxruntime_version import check_runtime
+from ..scene.reader import SceneDescription
 
 # Pixels of the pictures before the last, which has the region's resolution.
 ROUGH_PIXELS, FINER_PIXELS = 4_000, 16_000
@@ -28,20 +30,20 @@ class Prepared:
     """
 
     cache: RenderCache
-    shadows: object = None
-    fields: object = None
+    shadows: SceneDescription | None = None
+    fields: SceneDescription | None = None
 
 
 @dataclass
 class Step:
     """One picture of a preview: its resolution, lights and settings."""
 
-    size: tuple
-    lights: list[Light]
+    size: tuple[int, int]
+    lights: Sequence[Light]
     settings: Settings
 
 
-def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
+def steps(description: SceneDescription, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
     coarse = replace(settings, depth_samples=1, light_paths=False)
     rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
@@ -57,7 +59,7 @@ def steps(description, camera: Camera, settings: Settings, prepared: Prepared) -
     return [Step(rough, brightest, single), Step(finer, every, single), *last]
 
 
-def _size(resolution, pixels: int) -> tuple:
+def _size(resolution: tuple[int, int], pixels: int) -> tuple:
     """The resolution divided by an integer so that at most so many pixels remain."""
     width, height = resolution
     divisor = int(np.ceil(max(width * height / pixels, 1.0) ** 0.5))
@@ -71,14 +73,15 @@ class Preview:
     error, or "". done: whether the last picture is finished.
     """
 
-    def __init__(self, description, camera: Camera, settings: Settings, prepared: Prepared):
-        self.picture, self.number, self.message, self.done = None, 0, "", False
+    def __init__(self, description: SceneDescription, camera: Camera, settings: Settings, prepared: Prepared) -> None:
+        self.picture: np.ndarray | None = None
+        self.number, self.message, self.done = 0, "", False
         self._stop = threading.Event()
         threading.Thread(
             target=self._run, args=(description, camera, settings, prepared), name="mrpnn preview", daemon=True
         ).start()
 
-    def stop(self):
+    def stop(self) -> None:
         """Ask the thread to stop; no picture follows."""
         self._stop.set()
 
@@ -86,7 +89,7 @@ class Preview:
     def stopped(self) -> bool:
         return self._stop.is_set()
 
-    def _run(self, description, camera, settings, prepared):
+    def _run(self, description: SceneDescription, camera: Camera, settings: Settings, prepared: Prepared) -> None:
         if not description.volumes:
             self.done = True
             return
@@ -116,7 +119,7 @@ class Preview:
             self.message, self.done = f"MRPNN failed, which is a bug: {type(error).__name__}: {error}", True
 
 
-def _remember(prepared: Prepared, description, step: Step) -> None:
+def _remember(prepared: Prepared, description: SceneDescription, step: Step) -> None:
     if len(step.lights) == len(description.lights):
         prepared.shadows = description
         # Fields of several suns or colours replace each other in the cache.

@@ -2,12 +2,14 @@
 """One render of a scene that has been read, in the calling thread or on a worker thread."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ... import inference
 from ...inference.image.layer import Layer, empty_layer
+from ...inference.runtime.report import Report
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..objects.workload import Workload
 from ..output.layer_exr import write_layer
@@ -16,6 +18,7 @@ from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.light_groups import sum_of_groups
 from ..scene.reader import SceneDescription
+from .render_result import RenderResult
 
 # Pixels of the first picture, which appears within about a second.
 COARSE_PIXELS = 8000
@@ -34,7 +37,12 @@ class Finished:
 
 
 def render_scene(
-    scene: SceneDescription, settings: Settings, exr_path: str | None = None, progress=None, cancelled=None, parts=None
+    scene: SceneDescription,
+    settings: Settings,
+    exr_path: str | None = None,
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    parts: RenderResult | None = None,
 ) -> Finished:
     """Render a scene. Calls no bpy, so any thread may call this.
 
@@ -46,7 +54,7 @@ def render_scene(
     """
     runtime_warnings = check_runtime()
 
-    def check():
+    def check() -> None:
         if cancelled and cancelled():
             raise Cancelled()
 
@@ -68,7 +76,13 @@ def render_scene(
     return Finished(layer, layer.report.seconds["total"], warnings, workload)
 
 
-def _render(scene: SceneDescription, settings: Settings, progress, cancelled, parts) -> Layer:
+def _render(
+    scene: SceneDescription,
+    settings: Settings,
+    progress: Callable[[float, str], None] | None,
+    cancelled: Callable[[], bool] | None,
+    parts: RenderResult | None,
+) -> Layer:
     # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
     cache = inference.RenderCache(any_view=False)
     if parts is not None:
@@ -103,7 +117,7 @@ def coarse_camera(camera: Camera) -> Camera:
     return replace(camera, resolution=(width, height), region=(left, top, right, bottom))
 
 
-def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
+def metadata(scene: SceneDescription, settings: Settings, report: Report) -> dict:
     """Header attributes of an EXR: frame, settings, network and seconds per stage."""
     found = {
         "Frame": scene.frame,
@@ -119,7 +133,7 @@ def metadata(scene: SceneDescription, settings: Settings, report) -> dict:
     return found
 
 
-def stamp(settings: Settings, report) -> dict:
+def stamp(settings: Settings, report: Report) -> dict:
     """Metadata of files that Blender writes, as text."""
     return {
         "depthSamples": str(settings.depth_samples),
@@ -134,13 +148,13 @@ def stamp(settings: Settings, report) -> dict:
 class RenderJob(Worker):
     """render_scene on a worker thread. result: a Finished when done, or None with `error` set."""
 
-    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None):
+    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None) -> None:
         self.result: Finished | None = None
         self._task = scene, settings, exr_path
         self._start("mrpnn render", awaited=True)
 
-    def _work(self):
+    def _work(self) -> None:
         self.result = render_scene(*self._task, self._progress, lambda: self.stopped)
 
-    def _progress(self, fraction: float, message: str):
+    def _progress(self, fraction: float, message: str) -> None:
         self.fraction, self.message = fraction, message

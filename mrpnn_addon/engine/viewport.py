@@ -2,13 +2,16 @@
 """Rendered viewports: progressive pictures while nothing changes."""
 
 import bpy
+import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
+from mathutils import Matrix
 
 from ...inference import RenderCache
 from ...inference.scene import Camera, SceneError, Settings
 from ..objects.visibility import visibility_state
-from ..scene.reader import read_view
+from ..runtime.background import Worker
+from ..scene.reader import SceneDescription, read_view
 from ..scene.unrendered import unrendered
 from ..volumes.loading import VolumeLoading
 from ..volumes.reader import VolumeReader
@@ -22,7 +25,14 @@ POLL_INTERVAL = 0.05
 LOADING_GRACE = 0.05
 
 
-def viewport_camera(view_matrix, window_matrix, perspective: bool, size, clip_end: float, part: Part = WHOLE) -> Camera:
+def viewport_camera(
+    view_matrix: Matrix | np.ndarray,
+    window_matrix: Matrix | np.ndarray,
+    perspective: bool,
+    size: tuple[int, int],
+    clip_end: float,
+    part: Part = WHOLE,
+) -> Camera:
     """The camera of a 3D viewport, or of a part of it.
 
     view_matrix, window_matrix: (4, 4), see RegionView3D. size: (width, height) in pixels. clip_end: far distance of its
@@ -63,20 +73,26 @@ class Viewport:
     reader: of volumes; valid until a volume's data or material changes. backdrop: the World behind the volumes.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.backdrop = Backdrop(_watch)
         self.reader, self._prepared = VolumeReader(), Prepared(RenderCache())
-        self.description, self.message, self._unrendered = None, "", ""
-        self._preview, self._view, self._texture, self._drawn = None, None, None, (None, 0)
-        self._loading, self._before, self._shown = None, None, None
+        self.description: SceneDescription | None = None
+        self.message, self._unrendered = "", ""
+        self._preview: Preview | None = None
+        self._view: tuple | None = None
+        self._texture: gpu.types.GPUTexture | None = None
+        self._drawn: tuple[Preview | None, int] = (None, 0)
+        self._loading: VolumeLoading | None = None
+        self._before: SceneDescription | None = None
+        self._shown: tuple | None = None
         # Parts of the region: of the view and of the texture.
         self._part, self._place = WHOLE, WHOLE
 
-    def shows(self, depsgraph, space) -> bool:
+    def shows(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> bool:
         """Whether it has a description of the scene with the current visibility."""
         return self.description is not None and self._shown == _state(depsgraph, space)
 
-    def read(self, depsgraph, space) -> None:
+    def read(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> None:
         """Describe the scene after a change of it or of its visibility in a SpaceView3D.
 
         A thread reads volumes first where that takes long.
@@ -102,18 +118,18 @@ class Viewport:
                 return _watch(self._loading)
         self._describe(depsgraph, space)
 
-    def read_on(self, depsgraph, space) -> None:
+    def read_on(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> None:
         """Describe the scene once its volumes are read."""
         if self._loading is not None and self._loading.done:
             self._describe(depsgraph, space)
 
-    def _describe(self, depsgraph, space) -> None:
-        error = self._loading and self._loading.error
+    def _describe(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> None:
+        failure = self._loading and self._loading.error
         self._stop_loading()
         self._unrendered = unrendered(depsgraph).summary
         try:
-            if error is not None:
-                return self.describe(None, str(error))
+            if failure is not None:
+                return self.describe(None, str(failure))
             self.describe(read_view(depsgraph, space, self.reader))
         except SceneError as error:
             self.describe(None, str(error))
@@ -123,7 +139,7 @@ class Viewport:
             self._loading.stop()
             self._loading = None
 
-    def describe(self, description, message: str = "") -> None:
+    def describe(self, description: SceneDescription | None, message: str = "") -> None:
         """Set the description of the scene; None where it cannot be rendered, for the reason in `message`."""
         self._stop_preview()
         self.description, self.message, self._view, self._before = description, message, None, None
@@ -136,7 +152,7 @@ class Viewport:
         camera: of the rendered part of the region; None where nothing is rendered.
         """
         self.backdrop.update(camera, part)
-        view = camera and (view_key(camera), settings, part)
+        view = (view_key(camera), settings, part) if camera else None
         if self.description is None or view is not None and view == self._view:
             return
         self._stop_preview()
@@ -147,7 +163,7 @@ class Viewport:
         self._view, self._preview = view, Preview(self.description, camera, settings, self._prepared)
         _watch(self._preview)
 
-    def draw(self, size) -> None:
+    def draw(self, size: tuple[int, int]) -> None:
         """Draw the World and the latest picture over their parts of the region; the previous ones until the first are
         done.
         """
@@ -183,23 +199,23 @@ class Viewport:
             self._preview = None
 
 
-def _state(depsgraph, space):
+def _state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> tuple:
     """A value that changes where the scene must be described again although no object has changed."""
     world = depsgraph.scene.world
     return visibility_state(depsgraph, space), world and world.name_full
 
 
-def _left_out(description) -> str:
+def _left_out(description: SceneDescription) -> str:
     """The first object that cannot be rendered, and how many more there are."""
     more = f", and {len(description.refused) - 1} more" if len(description.refused) > 1 else ""
     return description.refused[0] + more if description.refused else ""
 
 
 # Active previews and loadings, and the number of pictures drawn of each.
-_watched = {}
+_watched: dict["Worker | Preview", int] = {}
 
 
-def _watch(preview) -> None:
+def _watch(preview: Worker | Preview) -> None:
     """Redraw viewports for each new picture of a Preview, or when a VolumeLoading ends.
 
     A timer does this, because Blender may free an engine while its thread runs.
@@ -209,7 +225,7 @@ def _watch(preview) -> None:
         bpy.app.timers.register(_redraw, first_interval=POLL_INTERVAL)
 
 
-def _redraw():
+def _redraw() -> float | None:
     new = False
     for preview, shown in list(_watched.items()):
         # Read `done` before `number`, or the last picture could be missed.
@@ -226,7 +242,7 @@ def _redraw():
     return POLL_INTERVAL if _watched else None
 
 
-def unregister():
+def unregister() -> None:
     """Stop all threads."""
     for preview in _watched:
         preview.stop()

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The render region of a 3D viewport."""
 
+from typing import Any
+
+import bpy
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
@@ -9,18 +12,19 @@ Part = tuple[float, float, float, float]
 WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
 
 
-def part_pixels(part: Part, size) -> tuple[int, int]:
+def part_pixels(part: Part, size: tuple[int, int]) -> tuple[int, int]:
     """Width and height in pixels of a part of a region of `size` pixels."""
     (left, bottom, right, top), (width, height) = part, size
     return round((right - left) * width), round((top - bottom) * height)
 
 
-def render_region(context, scene) -> Part | None:
+def render_region(context: "bpy.types.Context", scene: "bpy.types.Scene") -> Part | None:
     """The part of a viewport's region inside its render region, on whole pixels; None where it is empty.
 
     As in Cycles: in camera view the render's region within the camera's frame, otherwise the viewport's own.
     """
-    space, view, render = context.space_data, context.region_data, scene.render
+    view, render = context.region_data, scene.render
+    space: Any = context.space_data
     part = WHOLE
     if view.view_perspective != "CAMERA":
         if space.use_render_border:
@@ -45,19 +49,20 @@ def render_region(context, scene) -> Part | None:
     return (left, bottom, right, top) if left < right and bottom < top else None
 
 
-def _camera_frame(context, scene):
+def _camera_frame(context: "bpy.types.Context", scene: "bpy.types.Scene") -> tuple[np.ndarray, np.ndarray] | None:
     """Lower left and upper right corners of the camera's image, as fractions of the region; None without one."""
-    space = context.space_data
-    camera = space.camera if space.use_local_camera else scene.camera
+    space: Any = context.space_data
+    camera: bpy.types.Object | None = space.camera if space.use_local_camera else scene.camera
     if camera is None or camera.type != "CAMERA":
         return None
     # Blender ignores the scale of a camera.
     matrix = camera.matrix_world.normalized()
+    lens: Any = camera.data
     corners = [
         location_3d_to_region_2d(context.region, context.region_data, matrix @ corner)
-        for corner in camera.data.view_frame(scene=scene)
+        for corner in lens.view_frame(scene=scene)
     ]
     if None in corners:
         return None
-    corners = np.array(corners) / (context.region.width, context.region.height)
-    return corners.min(axis=0), corners.max(axis=0)
+    shares = np.array(corners) / (context.region.width, context.region.height)
+    return shares.min(axis=0), shares.max(axis=0)

@@ -2,17 +2,23 @@
 """The active camera as a `Camera`."""
 
 import math
+from typing import Any, Literal
 
+import bpy
 import numpy as np
 
 from ...inference.scene import Camera, SceneError
 from .ignored_settings import CAMERA, ignored_settings
 from .placement import placement_problem
 
-PROJECTIONS = {"PERSP": "perspective", "ORTHO": "orthographic", "PANO": "equirectangular"}
+PROJECTIONS: dict[str, Literal["perspective", "orthographic", "equirectangular"]] = {
+    "PERSP": "perspective",
+    "ORTHO": "orthographic",
+    "PANO": "equirectangular",
+}
 
 
-def read_camera(depsgraph) -> tuple[Camera, list[str]]:
+def read_camera(depsgraph: "bpy.types.Depsgraph") -> tuple[Camera, list[str]]:
     """The scene's active camera at the render resolution, and warnings.
 
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
@@ -24,7 +30,8 @@ def read_camera(depsgraph) -> tuple[Camera, list[str]]:
     if scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
     camera = scene.camera.evaluated_get(depsgraph)
-    where, lens = f'camera "{camera.name}"', camera.data
+    lens: Any = camera.data
+    where = f'camera "{camera.name}"'
     panorama = _panorama(lens) if lens.type == "PANO" else None
     if lens.type not in PROJECTIONS or panorama not in (None, "EQUIRECTANGULAR"):
         raise SceneError(
@@ -81,17 +88,17 @@ def film_exposure(scene: "bpy.types.Scene") -> float:
     return getattr(getattr(scene, "cycles", None), "film_exposure", 1.0)
 
 
-def panorama_settings(lens):
+def panorama_settings(lens: "bpy.types.Camera") -> Any:
     """The data that holds a lens' panorama type; None where Cycles is disabled and keeps it."""
     # Before 4.3, panoramas are Cycles' own property.
     return lens if hasattr(lens, "panorama_type") else getattr(lens, "cycles", None)
 
 
-def _panorama(lens) -> str:
+def _panorama(lens: "bpy.types.Camera") -> str:
     return getattr(panorama_settings(lens), "panorama_type", lens.type)
 
 
-def _ends(lens, name: str) -> tuple[float, float]:
+def _ends(lens: "bpy.types.Camera", name: str) -> tuple[float, float]:
     settings = panorama_settings(lens)
     return getattr(settings, f"{name}_min"), getattr(settings, f"{name}_max")
 
@@ -103,7 +110,7 @@ def _orthonormal(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _region(render, width: int, height: int) -> tuple[int, int, int, int] | None:
+def _region(render: "bpy.types.RenderSettings", width: int, height: int) -> tuple[int, int, int, int] | None:
     if not render.use_border:
         return None
     # Blender's border is a fraction from the lower left, rounded to whole pixels in single precision.

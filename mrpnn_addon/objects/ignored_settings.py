@@ -87,7 +87,7 @@ def ignored_settings(owner: Any, settings: tuple[IgnoredSetting, ...], name: str
 def _is_set(owner: Any, setting: IgnoredSetting) -> bool:
     path, _, name = setting.path.rpartition(".")
     parent = _at(owner, path)
-    known = parent.bl_rna.properties if parent is not None else ()
+    known: Any = parent.bl_rna.properties if parent is not None else ()
     if name not in known or setting.switch and not _at(owner, setting.switch):
         return False
     return getattr(parent, name) not in (getattr(known[name], "default", None), *setting.harmless)

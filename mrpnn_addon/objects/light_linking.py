@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which volumes and surfaces each light lights: light linking and ray visibility."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+
+import bpy
 
 from ...inference.scene import Sun
 from .lights import Lamp
@@ -30,7 +32,7 @@ class LightLinks:
         """A surface, as `inference` knows it."""
         self._receivers.append(_Receiver(name, _addresses(shown), False))
 
-    def add_light(self, shown: VisibleObject, lights: list[Light]) -> None:
+    def add_light(self, shown: VisibleObject, lights: Sequence[Light]) -> None:
         """The lights that a lamp or a mesh is."""
         collection = shown.object.light_linking.receiver_collection
         states = {} if collection is None else dict(_states(collection))
@@ -75,7 +77,7 @@ def _addresses(shown: VisibleObject) -> tuple[int, int]:
     return shown.source.as_pointer(), shown.object.original.as_pointer()
 
 
-def _states(collection) -> Iterator[tuple[int, bool]]:
+def _states(collection: "bpy.types.Collection") -> Iterator[tuple[int, bool]]:
     """Addresses of a collection's objects, and whether they are included; excluded ones last.
 
     The state of a collection within it is that of everything in it.
@@ -83,7 +85,7 @@ def _states(collection) -> Iterator[tuple[int, bool]]:
     found = []
     for shown, link in zip(collection.objects, collection.collection_objects):
         found.append((shown.original.as_pointer(), link.light_linking.link_state == "INCLUDE"))
-    for child, link in zip(collection.children, collection.collection_children):
-        included = link.light_linking.link_state == "INCLUDE"
+    for child, child_link in zip(collection.children, collection.collection_children):
+        included = child_link.light_linking.link_state == "INCLUDE"
         found += [(shown.original.as_pointer(), included) for shown in child.all_objects]
     yield from sorted(found, key=lambda one: not one[1])

@@ -2,6 +2,7 @@
 """Lamps as `Sun`s, of which a soft sun is several, and as point, spot and area lights."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
 
     Raises SceneError, naming the lamp, for nodes that cannot be evaluated and for an undefined direction.
     """
-    lamp, name = shown.object.data, f'sun "{shown.name}"'
+    lamp, name = shown.data, f'sun "{shown.name}"'
     problem = placement_problem(shown.matrix)
     if problem:
         raise SceneError(f"{name}: {problem}")
@@ -51,7 +52,7 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
 
     Raises SceneError, naming the lamp, for nodes that cannot be evaluated and for placements without a place.
     """
-    lamp, name = shown.object.data, f'{shown.object.data.type.lower()} light "{shown.name}"'
+    lamp, name = shown.data, f'{shown.data.type.lower()} light "{shown.name}"'
     problem = placement_problem(shown.matrix)
     if problem:
         raise SceneError(f"{name}: {problem}")
@@ -66,7 +67,7 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
             return None, [*warnings, f"{name} has no area and is left out"]
         # Only its direction counts; a lamp may be flat.
         matrix[:3, 2] = _across(matrix)
-        found = AreaLight(matrix, lamp.shape.lower(), size, 1.0, lamp.spread, name)
+        found = AreaLight(matrix, lamp.shape.lower(), size, np.ones(3), lamp.spread, name)
         found.power = power * (1.0 if getattr(lamp, "normalize", True) else found.area)
         return found, warnings
     radius = float(lamp.shadow_soft_size)
@@ -92,7 +93,7 @@ def _across(matrix: np.ndarray) -> np.ndarray:
     return -normal if normal @ matrix[:3, 2] < 0.0 else normal
 
 
-def _strength(lamp) -> np.ndarray:
+def _strength(lamp: Any) -> np.ndarray:
     """Strength or power times colour, float64 (3,)."""
     strength = lamp.energy * np.array(lamp.color, dtype=np.float64)
     strength *= 2.0 ** getattr(lamp, "exposure", 0.0)
@@ -101,7 +102,7 @@ def _strength(lamp) -> np.ndarray:
     return strength
 
 
-def _node_factor(lamp, name: str) -> np.ndarray:
+def _node_factor(lamp: Any, name: str) -> np.ndarray:
     """RGB factor of the lamp's nodes."""
     output = active_output(lamp)
     if output is None:

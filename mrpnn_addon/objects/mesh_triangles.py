@@ -3,7 +3,9 @@
 
 import functools
 from dataclasses import dataclass, field
+from typing import Any
 
+import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
@@ -31,12 +33,12 @@ class Mesh:
         """Whether all vertices are finite and in range."""
         return bool(np.abs(self.places).max(initial=0.0) <= LARGEST)
 
-    def triangles(self, matrix=IDENTITY) -> np.ndarray:
+    def triangles(self, matrix: np.ndarray = IDENTITY) -> np.ndarray:
         """float64 (T, 3, 3) corners, transformed by a matrix (4, 4)."""
         places = self.places.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         return places[self._vertices()]
 
-    def _vertices(self):
+    def _vertices(self) -> np.ndarray:
         if self.chosen is not None:
             return self.chosen
         # Triangles, and the first triangle of each quad: corners 0, 1, 2. The second: 0, 2, 3.
@@ -60,7 +62,7 @@ def require_finite(mesh: Mesh, where: str) -> None:
         raise SceneError(f"{where}: some of its vertices are not finite or exceed {LARGEST:g}; check its modifiers")
 
 
-def read_mesh(mesh_object) -> Mesh:
+def read_mesh(mesh_object: "bpy.types.Object") -> Mesh:
     """The mesh of an evaluated object, in object space. Call on Blender's main thread or in a render."""
     mesh = mesh_object.to_mesh()
     try:
@@ -70,8 +72,9 @@ def read_mesh(mesh_object) -> Mesh:
         places, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.loops), np.int32)
         first = np.empty(len(mesh.polygons), np.int32)
         # Attributes are copied as a block; vertices and loops one by one, which takes fifty times as long.
-        mesh.attributes["position"].data.foreach_get("vector", places)
-        mesh.attributes[".corner_vert"].data.foreach_get("value", corners)
+        attributes: Any = mesh.attributes
+        attributes["position"].data.foreach_get("vector", places)
+        attributes[".corner_vert"].data.foreach_get("value", corners)
         mesh.polygons.foreach_get("loop_start", first)
         first = np.append(first, np.int32(len(corners)))
         found = Mesh(places.reshape(-1, 3), corners, first)

@@ -2,12 +2,14 @@
 """Opaque surfaces that hide and shade volumes."""
 
 from dataclasses import dataclass
+from typing import Any
 
+import bpy
 import numpy as np
 
 from ...inference.scene import SceneError, Surface
 from ..nodes.material import MESHES, materials, only_volume
-from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..nodes.sockets import Source, Unsupported, active_output, input_of, source_of
 from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
@@ -48,7 +50,9 @@ class OpaqueMesh:
         )
 
 
-def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> tuple[OpaqueMesh | None, list[str]]:
+def read_surface(
+    shown: VisibleObject, view_layer: "bpy.types.ViewLayer", known: dict[tuple, Mesh]
+) -> tuple[OpaqueMesh | None, list[str]]:
     """A visible object's surface if it is opaque and affects volumes, and warnings.
 
     known: meshes read so far; instances share them.
@@ -84,7 +88,8 @@ def read_surface(shown: VisibleObject, view_layer, known: dict[tuple, Mesh]) -> 
 def _kind(shown: VisibleObject) -> str:
     """The type of an object as Blender's interface names it, such as "text"."""
     original = shown.object.original
-    return original.bl_rna.properties["type"].enum_items[original.type].name.lower()
+    kinds: Any = original.bl_rna.properties["type"]
+    return kinds.enum_items[original.type].name.lower()
 
 
 def _mean_colour(slots: "bpy.types.bpy_prop_collection", mesh: Mesh) -> SurfaceColour:
@@ -130,7 +135,7 @@ def _names(surfaces: list[OpaqueMesh]) -> str:
     return surfaces[0].name + more
 
 
-def _is_transparent(material) -> bool:
+def _is_transparent(material: "bpy.types.Material") -> bool:
     output = active_output(material) if material else None
     if output is None:
         return False
@@ -140,7 +145,7 @@ def _is_transparent(material) -> bool:
         return False
 
 
-def _transmits(source) -> bool:
+def _transmits(source: Source) -> bool:
     """Whether a shader, or any that it mixes, transmits light. No shader does."""
     node, groups = source.node, source.groups
     if node is None or node.bl_idname in SEE_THROUGH:

@@ -3,7 +3,9 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
+import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
@@ -31,8 +33,15 @@ class VisibleObject:
     name: str
     source: "bpy.types.Object"
 
+    @property
+    def data(self) -> Any:
+        """The object's evaluated data, whose properties depend on the type of the object."""
+        return self.object.data
 
-def visible_objects(depsgraph, space=None) -> Iterator[VisibleObject]:
+
+def visible_objects(
+    depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None" = None
+) -> Iterator[VisibleObject]:
     """All objects and instances of the view layer that renders, or a viewport, show.
 
     space: the viewport's SpaceView3D; None for renders. As in Cycles, a viewport respects the visibility set for it
@@ -70,16 +79,17 @@ def _is_filtered_out(shown_object: "bpy.types.Object", view_layer: "bpy.types.Vi
     return shown_object.type in SURFACES and not view_layer.use_solid
 
 
-def _is_replaced(shown_object) -> bool:
+def _is_replaced(shown_object: "bpy.types.Object") -> bool:
     """Whether geometry nodes leave nothing of a mesh; their instances are objects of their own."""
+    data: Any = shown_object.data
     return (
         shown_object.type == "MESH"
-        and not shown_object.data.polygons
+        and not data.polygons
         and any(modifier.type == "NODES" for modifier in shown_object.modifiers)
     )
 
 
-def visibility_state(depsgraph, space) -> tuple:
+def visibility_state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None") -> tuple:
     """A value that changes when a viewport shows other objects, or shows them differently, although no object has
     changed.
 
@@ -102,7 +112,7 @@ def visibility_state(depsgraph, space) -> tuple:
     )
 
 
-def hidden_from_camera(shown: VisibleObject, view_layer) -> str:
+def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> str:
     """The reason why the camera does not see a volume of the scene; "" where it does."""
     if shown.source.holdout_get(view_layer=view_layer):
         return "is a holdout"
@@ -117,7 +127,7 @@ def ignored_visibility(shown: VisibleObject) -> list[str]:
     return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
 
 
-def render_visible(view_layer) -> set:
+def render_visible(view_layer: "bpy.types.ViewLayer") -> set:
     """The view layer's objects that neither they nor their collections hide in renders."""
     return {
         member
@@ -127,7 +137,7 @@ def render_visible(view_layer) -> set:
     }
 
 
-def _rendered_collections(layer_collection):
+def _rendered_collections(layer_collection: "bpy.types.LayerCollection") -> Iterator[Any]:
     if layer_collection.exclude or layer_collection.collection.hide_render:
         return
     yield layer_collection
@@ -135,7 +145,7 @@ def _rendered_collections(layer_collection):
         yield from _rendered_collections(child)
 
 
-def evaluated_world(depsgraph):
+def evaluated_world(depsgraph: "bpy.types.Depsgraph") -> "bpy.types.World | None":
     """The World of an evaluated scene in this frame; None without one, or where the view layer filters it out.
 
     The evaluated scene refers to the original World, which is not animated during F12.
@@ -144,7 +154,7 @@ def evaluated_world(depsgraph):
     return world.evaluated_get(depsgraph) if world is not None and depsgraph.view_layer.use_sky else None
 
 
-def require_evaluated(depsgraph) -> None:
+def require_evaluated(depsgraph: "bpy.types.Depsgraph") -> None:
     """Raises SceneError where a volume or sun is visible in renders but hidden in the viewport.
 
     Outside a render, Blender evaluates only what the viewport shows, so the image would lack it.
@@ -160,9 +170,10 @@ def require_evaluated(depsgraph) -> None:
             )
 
 
-def _rendered_kind(candidate) -> str | None:
+def _rendered_kind(candidate: "bpy.types.Object") -> str | None:
     if shows_volume(candidate):
         return "volume"
     if candidate.type == "LIGHT":
-        return "sun" if candidate.data.type == "SUN" else "light"
+        data: Any = candidate.data
+        return "sun" if data.type == "SUN" else "light"
     return None

@@ -118,7 +118,9 @@ def _corners(box: Box) -> np.ndarray:
     return (box.matrix[:3, :3] @ corners + box.matrix[:3, 3:]).T
 
 
-def _intervals(boxes, origins, directions, clip_near, clip_far):
+def _intervals(
+    boxes: list[Box], origins: np.ndarray, directions: np.ndarray, clip_near: np.ndarray, clip_far: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distances (N,) where rays enter the first box and leave the last, and optical thickness (N,) at peak density."""
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     thickness = np.zeros(len(origins))

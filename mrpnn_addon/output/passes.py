@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import bpy
 import numpy as np
@@ -26,7 +27,7 @@ class RenderPass:
 
     name: str
     channels: str
-    kind: str
+    kind: Literal["VALUE", "VECTOR", "COLOR"]
     pixels: Callable[[Layer], np.ndarray]
 
 

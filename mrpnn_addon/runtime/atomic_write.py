@@ -3,11 +3,13 @@
 
 import os
 import secrets
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import BinaryIO
 
 
 @contextmanager
-def atomic_write(path: str):
+def atomic_write(path: str) -> Iterator[BinaryIO]:
     """A binary file to write, renamed to `path` when the `with` block ends.
 
     Raises OSError, naming the file and the reason, where it cannot be written. An earlier file at `path` is then

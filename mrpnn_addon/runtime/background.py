@@ -2,7 +2,9 @@
 """Background threads that Blender's main thread polls; imports no bpy."""
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 from ...inference.scene import Cancelled
 
@@ -10,11 +12,13 @@ from ...inference.scene import Cancelled
 class Worker:
     """Runs a subclass's `_work()` on a thread of its own, from `_start` on.
 
-    fraction, message: progress. error: the exception that ended it early, or None. stopped: whether it was asked to
-    stop.
+    fraction, message: progress. number: of pictures so far. error: the exception that ended it early, or
+    None. stopped: whether it was asked to stop.
     """
 
-    fraction, message, error = 0.0, "", None
+    fraction, message = 0.0, ""
+    number = 0
+    error: BaseException | None = None
 
     def _start(self, name: str, awaited: bool) -> None:
         """name: of the thread. awaited: whether Blender waits for the thread when it quits."""
@@ -22,7 +26,10 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name=name, daemon=not awaited)
         self._thread.start()
 
-    def _run(self):
+    def _work(self) -> None:
+        raise NotImplementedError
+
+    def _run(self) -> None:
         try:
             self._work()
         except BaseException as error:  # The main thread shows it.
@@ -44,12 +51,12 @@ class Worker:
         """Ask the thread to stop, which takes at most a second."""
         self._stop.set()
 
-    def wait(self, seconds=None) -> None:
+    def wait(self, seconds: float | None = None) -> None:
         """Block until the thread is done, or for at most so many seconds."""
         self._thread.join(seconds)
 
 
-def in_background(work) -> Future:
+def in_background(work: Callable[[], Any]) -> Future:
     """Run `work()` on a thread of its own; returns the future of its result."""
     pool = ThreadPoolExecutor(1, "mrpnn work")
     found = pool.submit(work)

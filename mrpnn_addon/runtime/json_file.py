@@ -2,12 +2,13 @@
 """JSON files that are complete or absent."""
 
 import json
+from typing import Any
 
 from ...inference.scene import SceneError
 from .atomic_write import atomic_write
 
 
-def write_json(path: str, content) -> None:
+def write_json(path: str, content: Any) -> None:
     """Write `content` to `path` atomically. Raises SceneError where the file cannot be written."""
     try:
         with atomic_write(path) as file:

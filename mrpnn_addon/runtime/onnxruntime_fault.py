@@ -73,4 +73,6 @@ def _kind(error: Exception) -> tuple[str, str]:
 
 def _windows_error(code: int) -> str:
     """What Windows says about an error, in the user's language; "" on other systems."""
-    return ctypes.FormatError(code).strip() if sys.platform == "win32" else ""
+    if sys.platform == "win32":
+        return ctypes.FormatError(code).strip()
+    return ""

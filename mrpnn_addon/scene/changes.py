@@ -3,11 +3,13 @@
 
 import bpy
 
+from ..settings.properties import scene_settings
+
 _HANDLERS = ("depsgraph_update_post", "frame_change_post", "load_post", "undo_post", "redo_post")
 _changes = 0
 
 
-def scene_state(scene) -> tuple:
+def scene_state(scene: "bpy.types.Scene") -> tuple:
     """A value that differs where a render of the scene may differ. Selection does not change it."""
     render = scene.render
     return (
@@ -15,7 +17,7 @@ def scene_state(scene) -> tuple:
         scene.name,
         scene.frame_current,
         scene.camera and scene.camera.name,
-        scene.mrpnn.settings(),
+        scene_settings(scene).settings(),
         scene.world and scene.world.name_full,
         render.resolution_x,
         render.resolution_y,
@@ -29,7 +31,7 @@ def scene_state(scene) -> tuple:
 
 
 @bpy.app.handlers.persistent
-def _changed(_scene=None, depsgraph=None):
+def _changed(_scene: "bpy.types.Scene | None" = None, depsgraph: "bpy.types.Depsgraph | None" = None) -> None:
     # Scene data-blocks change with every selection; `scene_state` includes their relevant properties.
     if depsgraph is not None and all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates):
         return
@@ -37,11 +39,11 @@ def _changed(_scene=None, depsgraph=None):
     _changes += 1
 
 
-def register():
+def register() -> None:
     for name in _HANDLERS:
         getattr(bpy.app.handlers, name).append(_changed)
 
 
-def unregister():
+def unregister() -> None:
     for name in _HANDLERS:
         getattr(bpy.app.handlers, name).remove(_changed)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The background of a render whose film is not transparent."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import bpy
 import numpy as np
 
 from ...inference.scene import Camera
@@ -39,7 +41,9 @@ class Background:
         return self.radiance[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
-def read_background(depsgraph, camera: Camera, check=lambda: None) -> Background:
+def read_background(
+    depsgraph: "bpy.types.Depsgraph", camera: Camera, check: Callable[[], None] = lambda: None
+) -> Background:
     """The World behind a camera's pixels; takes seconds where Cycles renders it for the first time.
 
     check: called often; an exception that it raises stops the work. A World that cannot be rendered becomes black, with
@@ -61,7 +65,7 @@ def read_background(depsgraph, camera: Camera, check=lambda: None) -> Background
         )
 
 
-def world_behind(depsgraph) -> np.ndarray | WorldSource:
+def world_behind(depsgraph: "bpy.types.Depsgraph") -> np.ndarray | WorldSource:
     """The World as cameras see it: radiance, float32 (3,), or the source that Cycles renders."""
     world = evaluated_world(depsgraph)
     if world is None or not _visible_to_camera(world):
@@ -72,14 +76,14 @@ def world_behind(depsgraph) -> np.ndarray | WorldSource:
         return world_source(world, depsgraph.scene)
 
 
-def pixel_filter(scene) -> tuple[str, float]:
+def pixel_filter(scene: "bpy.types.Scene") -> tuple[str, float]:
     """Cycles' filter type and its width in pixels."""
     # Properties of Cycles, absent while Cycles is disabled.
     settings = getattr(scene, "cycles", None)
     return (settings.pixel_filter_type, settings.filter_width) if settings else ("BLACKMAN_HARRIS", 1.5)
 
 
-def _visible_to_camera(world) -> bool:
+def _visible_to_camera(world: "bpy.types.World") -> bool:
     visibility = getattr(world, "cycles_visibility", None)
     return visibility is None or visibility.camera
 

@@ -3,12 +3,16 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...inference.image.layer import Layer
 from ...inference.image.predicted_error import expected_error
 from ...inference.scene import Medium, Surface, Volume
+
+if TYPE_CHECKING:
+    from .reader import SceneDescription
 
 
 @dataclass
@@ -23,10 +27,12 @@ class LightGroups:
         group = next((name for name in groups if name in self.names), "")
         self._groups.update({id(one): group for one in shining})
 
-    def parts(self, description) -> Iterator[tuple[str, list[tuple[Volume, Medium]], list, list[Surface]]]:
+    def parts(
+        self, description: "SceneDescription"
+    ) -> Iterator[tuple[str, list[tuple[Volume, Medium]], list, list[Surface]]]:
         """Each group with any light, and "": its name, volumes, lights and surfaces, as of `inference.render`."""
 
-        def of(one) -> str:
+        def of(one: object) -> str:
             return self._groups.get(id(one), "")
 
         for name in [*self.names, ""]:
@@ -49,9 +55,10 @@ def sum_of_groups(layers: dict[str, Layer]) -> Layer:
     whole, *others = layers.values()
     report = whole.report
     for other in others:
-        for mine, more in ((report.seconds, other.report.seconds), (report.counts, other.report.counts)):
-            for name, value in more.items():
-                mine[name] = mine.get(name, 0) + value
+        for name, seconds in other.report.seconds.items():
+            report.seconds[name] = report.seconds.get(name, 0.0) + seconds
+        for name, count in other.report.counts.items():
+            report.counts[name] = report.counts.get(name, 0) + count
         report.warnings += [text for text in other.report.warnings if text not in report.warnings]
     stated = any(layer.report.expected_error for layer in layers.values())
     added = ("rgb", "single", "multiple", "emission", "uncertainty")

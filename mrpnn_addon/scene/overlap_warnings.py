@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warnings about approximations where volumes overlap or light each other."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...inference.plan.overlap import overlapping, share_light
@@ -32,7 +34,7 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
     return found + _unlit(pairs, groups)
 
 
-def _unlit(pairs, groups) -> list[str]:
+def _unlit(pairs: list[tuple[Volume, Medium]], groups: list[list[int]]) -> list[str]:
     """A warning about a volume whose emission does not light a separate one."""
     for group in groups:
         emitting = [v for v in group if pairs[v][0].emission is not None]
@@ -49,6 +51,6 @@ def _unlit(pairs, groups) -> list[str]:
     return []
 
 
-def _names(pairs, numbers) -> str:
+def _names(pairs: list[tuple[Volume, Medium]], numbers: Sequence[int]) -> str:
     first, second, *others = (f'"{pairs[v][0].name}"' for v in numbers)
     return f"{first} and {second}" + (f" and {len(others)} more" if others else "")

@@ -2,7 +2,11 @@
 """The evaluated scene as plain descriptions for `inference.render`."""
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
 
 from ...inference.scene import (
     Camera,
@@ -19,7 +23,13 @@ from ..objects.ignored_settings import SCENE, VIEW_LAYER, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
-from ..objects.visibility import hidden_from_camera, ignored_visibility, require_evaluated, visible_objects
+from ..objects.visibility import (
+    VisibleObject,
+    hidden_from_camera,
+    ignored_visibility,
+    require_evaluated,
+    visible_objects,
+)
 from ..objects.workload import Box, Workload, estimate_workload
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
@@ -68,7 +78,7 @@ class SceneDescription:
 
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
-        boxes, channels = zip(*self.boxes)
+        boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
         return estimate_workload(boxes, self.camera, len(self.lights), depth_samples, max(channels))
 
     @property
@@ -82,7 +92,9 @@ class SceneDescription:
         return [mesh.surface() for mesh in self.opaque]
 
 
-def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> SceneDescription:
+def read_scene(
+    depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None, check: Callable[[], None] = lambda: None
+) -> SceneDescription:
     """Read everything that a render needs; bpy is not needed afterwards.
 
     An object that cannot be rendered is left out, with a warning that names it.
@@ -111,20 +123,27 @@ def read_scene(depsgraph, reader: VolumeReader = None, check=lambda: None) -> Sc
     return description
 
 
-def read_view(depsgraph, space, reader: VolumeReader = None) -> SceneDescription:
+def read_view(
+    depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D", reader: VolumeReader | None = None
+) -> SceneDescription:
     """What a SpaceView3D's viewport shows of the scene, without a camera; see `read_scene`.
 
     The description may be empty. Without light, volumes are black as in Cycles.
     """
     description = _describe(depsgraph, reader, space=space)
     if description.volumes and not _has_light(description):
-        description.suns.append(Sun((0.0, 0.0, 1.0), 0.0, name="no light"))
+        description.suns.append(Sun(np.array([0.0, 0.0, 1.0]), np.zeros(3), name="no light"))
         description.refused.append(NO_LIGHT)
         description.warnings.append(NO_LIGHT)
     return description
 
 
-def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescription:
+def _describe(
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader | None,
+    check: Callable[[], None] = lambda: None,
+    space: "bpy.types.SpaceView3D | None" = None,
+) -> SceneDescription:
     scene, layer = depsgraph.scene, depsgraph.view_layer
     description = SceneDescription(
         crop=scene.render.use_crop_to_border,
@@ -158,7 +177,7 @@ def _describe(depsgraph, reader, check=lambda: None, space=None) -> SceneDescrip
     return description
 
 
-def _refuse(description: SceneDescription, shown, problem: SceneError) -> None:
+def _refuse(description: SceneDescription, shown: VisibleObject, problem: SceneError) -> None:
     """Leave an object out."""
     description.left_out.add(shown.name)
     if shows_volume(shown.object) and str(problem) not in description.unseen:
@@ -197,24 +216,32 @@ def require_all(description: SceneDescription) -> None:
 def _link(description: SceneDescription, links: LightLinks) -> None:
     """Leave out lights that light nothing which is rendered, by linking or by Cycles' ray visibility."""
     needless = links.link()
-    for lights in (description.suns, description.lamps):
-        lights[:] = [light for light in lights if not any(light is other for other in needless)]
+    unneeded = {id(light) for light in needless}
+    description.suns = [sun for sun in description.suns if id(sun) not in unneeded]
+    description.lamps = [lamp for lamp in description.lamps if id(lamp) not in unneeded]
     names = dict.fromkeys(light.name for light in needless)
     description.warnings += [f"{name} lights nothing that is rendered and is left out" for name in names]
 
 
-def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer, links: LightLinks) -> None:
+def _add(
+    description: SceneDescription,
+    shown: VisibleObject,
+    reader: VolumeReader,
+    view_layer: "bpy.types.ViewLayer",
+    links: LightLinks,
+) -> None:
     kind = shown.object.type
     if shows_volume(shown.object):
         _add_volume(description, shown, reader, view_layer, links)
     elif kind == "LIGHT":
-        if shown.object.data.type == "SUN":
-            lights, warnings = read_suns(shown)
-            description.suns += lights
+        if shown.data.type == "SUN":
+            suns, warnings = read_suns(shown)
+            description.suns += suns
+            lights: list[Sun | Lamp] = [*suns]
         else:
-            light, warnings = read_lamp(shown)
-            lights = [light] if light else []
-            description.lamps += lights
+            lamp, warnings = read_lamp(shown)
+            lights = [lamp] if lamp else []
+            description.lamps += [lamp] if lamp else []
         links.add_light(shown, lights)
         description.groups.add(lights, *_light_groups(shown))
         description.warnings += warnings
@@ -228,12 +255,18 @@ def _add(description: SceneDescription, shown, reader: VolumeReader, view_layer,
         description.warnings += warnings
 
 
-def _light_groups(shown) -> tuple[str, str]:
+def _light_groups(shown: VisibleObject) -> tuple[str, str]:
     """The light group of an object, and of what instances it."""
     return shown.object.lightgroup, shown.source.lightgroup
 
 
-def _add_volume(description: SceneDescription, shown, reader: VolumeReader, view_layer, links: LightLinks) -> None:
+def _add_volume(
+    description: SceneDescription,
+    shown: VisibleObject,
+    reader: VolumeReader,
+    view_layer: "bpy.types.ViewLayer",
+    links: LightLinks,
+) -> None:
     where, unseen = f'volume "{shown.name}"', hidden_from_camera(shown, view_layer)
     if not unseen:
         try:

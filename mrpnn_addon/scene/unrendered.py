@@ -3,6 +3,8 @@
 
 from dataclasses import dataclass, field
 
+import bpy
+
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.visibility import visible_objects
 
@@ -38,12 +40,12 @@ class Unrendered:
         return any(f'"{name}"' in text for name in self.surfaces)
 
 
-def composited(scene) -> bool:
+def composited(scene: "bpy.types.Scene") -> bool:
     """Whether Cycles renders the scene's surfaces: Composite over Cycles made the scene for their volumes."""
-    return scene.mrpnn_composite.surfaces is not None
+    return scene.path_resolve("mrpnn_composite").surfaces is not None
 
 
-def unrendered(depsgraph) -> Unrendered:
+def unrendered(depsgraph: "bpy.types.Depsgraph") -> Unrendered:
     """Search the objects that renders show, without reading volumes or meshes."""
     found = Unrendered()
     for shown in visible_objects(depsgraph):

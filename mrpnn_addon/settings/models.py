@@ -2,11 +2,12 @@
 """The available networks as items of Blender's menus."""
 
 import zlib
+from typing import Any
 
 from ...inference import available_models
 
 # Blender keeps no reference to the strings of a dynamic enum, so this list does.
-_items = []
+_items: list[tuple[str, str, str, str, int]] = []
 
 
 def model_number(name: str) -> int:
@@ -14,7 +15,7 @@ def model_number(name: str) -> int:
     return zlib.crc32(name.encode()) & 0x7FFFFFFF
 
 
-def model_items(_owner=None, _context=None):
+def model_items(_owner: Any = None, _context: Any = None) -> list[tuple[str, str, str, str, int]]:
     """Enum items, one per network in inference/weights."""
     _items[:] = [
         (name, name.upper().replace("_", " "), "Network that predicts multiple scattering", "NONE", model_number(name))

@@ -2,6 +2,7 @@
 """The extension's preferences: settings of this machine, whatever scene is open."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 from bpy.props import EnumProperty, IntProperty
@@ -74,7 +75,7 @@ def machine() -> Machine:
 
     Blender stores no preferences for an extension that a script registered or that `--addons` enabled.
     """
-    entry = bpy.context.preferences.addons.get(EXTENSION)
+    entry: Any = bpy.context.preferences.addons.get(EXTENSION)
     if entry is None or entry.preferences is None:
         return Machine()
     found = entry.preferences

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render settings of a scene: `scene.mrpnn`."""
 
+from typing import Any
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
@@ -32,20 +34,20 @@ _OPTIMIZATION_ITEMS = [
 
 # The scene's choice to follow the preferences.
 AS_PREFERRED = ("PREFERENCES", "From Preferences", "The network chosen in the preferences", "NONE", 0)
-_model_items = []
+_model_items: list[tuple[str, str, str, str, int]] = []
 
 
-def _scene_models(_owner=None, _context=None):
+def _scene_models(_owner: Any = None, _context: "bpy.types.Context | None" = None) -> list[tuple]:
     _model_items[:] = [AS_PREFERRED, *model_items()]
     return _model_items
 
 
-def _preset(settings) -> int:
+def _preset(settings: Any) -> int:
     samples = list(PRESETS.values())
     return samples.index(settings.depth_samples) if settings.depth_samples in samples else len(samples)
 
 
-def _choose_preset(settings, number):
+def _choose_preset(settings: Any, number: int) -> None:
     samples = list(PRESETS.values())
     if number < len(samples):
         settings.depth_samples = samples[number]
@@ -129,9 +131,14 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         )
 
 
-def migrate(scene) -> None:
+def scene_settings(scene: "bpy.types.Scene") -> MRPNN_PG_scene:
+    """`scene.mrpnn`, which the types of bpy do not have."""
+    return scene.path_resolve("mrpnn")
+
+
+def migrate(scene: "bpy.types.Scene") -> None:
     """Bring a scene's properties up to VERSION; those of a newer version stay unchanged."""
-    settings = scene.mrpnn
+    settings = scene_settings(scene)
     if settings.version >= VERSION:
         return
     # Version 0 numbered networks by position, and there was one.
@@ -142,14 +149,15 @@ def migrate(scene) -> None:
     settings.version = VERSION
 
 
-def stored_properties(scene) -> dict:
+def stored_properties(scene: "bpy.types.Scene") -> dict:
     """Values of `scene.mrpnn` as the file holds them, those of properties that are gone included; may be changed."""
     if bpy.app.version >= (5, 0, 0):
-        return scene.mrpnn.bl_system_properties_get(do_create=True)
+        settings: Any = scene_settings(scene)
+        return settings.bl_system_properties_get(do_create=True)
     return scene.get("mrpnn", {})
 
 
-def _hide_world(scene) -> None:
+def _hide_world(scene: "bpy.types.Scene") -> None:
     """Keep the World from lighting volumes: with 0 directions it did not."""
     world = scene.world
     # Properties of Cycles, absent while Cycles is disabled.
@@ -163,32 +171,35 @@ def _hide_world(scene) -> None:
     )
 
 
-def _own_scenes():
+def _own_scenes() -> "list[bpy.types.Scene]":
     # Linked scenes are read-only.
     return [scene for scene in bpy.data.scenes if scene.library is None]
 
 
 @bpy.app.handlers.persistent
-def _after_load(*_):
+def _after_load(*_: Any) -> None:
     for scene in _own_scenes():
         migrate(scene)
 
 
 @bpy.app.handlers.persistent
-def _before_save(*_):
+def _before_save(*_: Any) -> None:
     for scene in _own_scenes():
-        scene.mrpnn.version = max(scene.mrpnn.version, VERSION)
+        settings = scene_settings(scene)
+        settings.version = max(settings.version, VERSION)
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(MRPNN_PG_scene)
-    bpy.types.Scene.mrpnn = PointerProperty(type=MRPNN_PG_scene)
+    scene: Any = bpy.types.Scene
+    scene.mrpnn = PointerProperty(type=MRPNN_PG_scene)
     bpy.app.handlers.load_post.append(_after_load)
     bpy.app.handlers.save_pre.append(_before_save)
 
 
-def unregister():
+def unregister() -> None:
     bpy.app.handlers.save_pre.remove(_before_save)
     bpy.app.handlers.load_post.remove(_after_load)
-    del bpy.types.Scene.mrpnn
+    scene: Any = bpy.types.Scene
+    del scene.mrpnn
     bpy.utils.unregister_class(MRPNN_PG_scene)

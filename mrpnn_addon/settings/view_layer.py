@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render passes of a view layer: `view_layer.mrpnn`."""
 
+from typing import Any
+
 import bpy
 from bpy.props import BoolProperty, PointerProperty
 
@@ -23,11 +25,13 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     )
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(MRPNN_PG_view_layer)
-    bpy.types.ViewLayer.mrpnn = PointerProperty(type=MRPNN_PG_view_layer)
+    view_layer: Any = bpy.types.ViewLayer
+    view_layer.mrpnn = PointerProperty(type=MRPNN_PG_view_layer)
 
 
-def unregister():
-    del bpy.types.ViewLayer.mrpnn
+def unregister() -> None:
+    view_layer: Any = bpy.types.ViewLayer
+    del view_layer.mrpnn
     bpy.utils.unregister_class(MRPNN_PG_view_layer)

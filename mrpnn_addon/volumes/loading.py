@@ -12,10 +12,8 @@ from .source import VolumeSource
 class VolumeLoading(Worker):
     """Reads sources one after the other into a VolumeReader.
 
-    message: the current step. number: of pictures, as of a Preview.
+    message: the current step.
     """
-
-    number = 0
 
     def __init__(self, reader, sources: list[VolumeSource]):
         self.reader, self.sources, self._process = reader, sources, None

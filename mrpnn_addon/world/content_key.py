@@ -2,6 +2,7 @@
 """A World's content as text: equal where it looks the same."""
 
 import os
+from typing import Any
 
 import bpy
 
@@ -33,14 +34,14 @@ IRRELEVANT = {
 MAX_DEPTH = 6
 
 
-def world_key(world) -> str:
+def world_key(world: "bpy.types.World") -> str:
     """The key of an evaluated World: its nodes, their values and links, and those of groups."""
     if world.node_tree is None:
-        return repr(tuple(world.color))
+        return repr((world.color.r, world.color.g, world.color.b))
     return repr(_tree(world.node_tree, {}))
 
 
-def trees(world) -> list:
+def trees(world: "bpy.types.World") -> list:
     """The node trees of a World: its own and its groups'."""
     found = [world.node_tree] if world.node_tree else []
     for tree in found:
@@ -49,7 +50,7 @@ def trees(world) -> list:
     return found
 
 
-def _tree(tree, seen):
+def _tree(tree: "bpy.types.NodeTree", seen: dict[str, bool]) -> list | str:
     if tree.name_full in seen:
         return tree.name_full
     seen[tree.name_full] = True
@@ -60,7 +61,7 @@ def _tree(tree, seen):
     return [tree.name_full, links, [(node.name, _values(node, seen, 0)) for node in tree.nodes]]
 
 
-def _values(struct, seen, depth):
+def _values(struct: Any, seen: dict[str, bool], depth: int) -> list:
     found = [struct.bl_rna.identifier]
     for prop in struct.bl_rna.properties:
         if prop.identifier in IRRELEVANT or depth > MAX_DEPTH:
@@ -80,14 +81,14 @@ def _values(struct, seen, depth):
     return found
 
 
-def _block(block):
+def _block(block: "bpy.types.ID") -> tuple:
     """A data-block that a node refers to: an image, or an object whose coordinates it reads."""
     more = _image(block) if isinstance(block, bpy.types.Image) else getattr(block, "filepath", None)
     matrix = getattr(block, "matrix_world", None)
     return block.name_full, more, [tuple(row) for row in matrix] if matrix is not None else None
 
 
-def _image(image):
+def _image(image: "bpy.types.Image") -> tuple:
     """An image's origin, interpretation and last change."""
     path = bpy.path.abspath(image.filepath, library=image.library)
     try:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The World's light as an environment."""
 
+from collections.abc import Callable
+from typing import Any
+
 import bpy
 import numpy as np
 
@@ -14,7 +17,7 @@ from .process import PictureFailed
 from .sphere import Sphere
 
 
-def wanted_world(depsgraph) -> list[WorldSource]:
+def wanted_world(depsgraph: "bpy.types.Depsgraph") -> list[WorldSource]:
     """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None or not _visible_to_volumes(world):
@@ -26,7 +29,9 @@ def wanted_world(depsgraph) -> list[WorldSource]:
     return []
 
 
-def read_world(depsgraph, check=lambda: None) -> tuple[list[Sun], list[Environment], list[str]]:
+def read_world(
+    depsgraph: "bpy.types.Depsgraph", check: Callable[[], None] = lambda: None
+) -> tuple[list[Sun], list[Environment], list[str]]:
     """The World's light in volumes: suns of its discs, an Environment of the rest, if it shines, and warnings.
 
     check: called often while Cycles renders.
@@ -44,7 +49,8 @@ def read_world(depsgraph, check=lambda: None) -> tuple[list[Sun], list[Environme
         warnings.append(f"{name}: its fog is not rendered")
     if not _visible_to_volumes(world):
         return [], [], warnings
-    sphere, discs = Sphere(), []
+    sphere = Sphere()
+    discs: list[Sun] = []
     try:
         radiance = _radiance(world, output, sphere)
     except Unsupported as problem:
@@ -56,7 +62,9 @@ def read_world(depsgraph, check=lambda: None) -> tuple[list[Sun], list[Environme
     return discs, found, warnings
 
 
-def _picture(world, scene, sphere, name, check):
+def _picture(
+    world: "bpy.types.World", scene: "bpy.types.Scene", sphere: Sphere, name: str, check: Callable[[], None]
+) -> tuple[np.ndarray, list[Sun]]:
     """Radiance (n, 3) at the sphere's directions and the Suns of discs, rendered by Cycles. Raises PictureFailed."""
     picture, discs = world_picture(world, scene, check), []
     for x, y, z, red, green, blue, angle in picture.suns:
@@ -64,7 +72,7 @@ def _picture(world, scene, sphere, name, check):
     return np.maximum(picture.radiance(sphere.directions), 0.0), discs
 
 
-def lights_volumes(world) -> bool:
+def lights_volumes(world: "bpy.types.World") -> bool:
     """Whether a World's light reaches volumes, without reading images: fast enough for a panel."""
     if world is None or not _visible_to_volumes(world):
         return False
@@ -74,13 +82,13 @@ def lights_volumes(world) -> bool:
         return True
 
 
-def _visible_to_volumes(world) -> bool:
+def _visible_to_volumes(world: "bpy.types.World") -> bool:
     # Properties of Cycles, absent while Cycles is disabled.
     visibility = getattr(world, "cycles_visibility", None)
     return visibility is None or visibility.scatter
 
 
-def constant_background(world) -> np.ndarray:
+def constant_background(world: "bpy.types.World") -> np.ndarray:
     """(3,) radiance of an evaluated World that cameras see as one colour.
 
     Raises Unsupported, naming the node, where it is not known to be uniform.
@@ -94,7 +102,7 @@ class _Anywhere(Nowhere):
     directions, visible_to_camera = np.zeros((1, 3)), True
 
 
-def _radiance(world, output, points) -> np.ndarray:
+def _radiance(world: "bpy.types.World", output: Any, points: Any) -> np.ndarray:
     """(n, 3) radiance at the directions of `points`."""
     if output is None:
         # Without nodes, Blender before 5.0 renders the World's colour.
@@ -104,7 +112,7 @@ def _radiance(world, output, points) -> np.ndarray:
     return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
 
 
-def _surface(values: NodeEvaluator, source) -> np.ndarray:
+def _surface(values: NodeEvaluator, source: Any) -> np.ndarray:
     node, groups = source.node, source.groups
     if node is None:
         return np.zeros((1, 3))

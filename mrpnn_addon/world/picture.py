@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures of Worlds, rendered by Cycles: as volumes and as cameras see them."""
 
+import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -31,7 +33,7 @@ class WorldPicture:
     sky: np.ndarray
     suns: np.ndarray
 
-    def radiance(self, directions) -> np.ndarray:
+    def radiance(self, directions: np.ndarray) -> np.ndarray:
         """(n, 3) from directions (n, 3), without the discs."""
         return sampler(self.sky)(directions)
 
@@ -43,11 +45,13 @@ class WorldSource:
     panorama: its cached 360-degree view, set by `engine.backdrop`. Made by `world_source` on Blender's main thread.
     """
 
-    message, panorama = "rendering the sky", None
+    message = "rendering the sky"
+    panorama: np.ndarray | None = None
 
-    def __init__(self, key, world, scene):
+    def __init__(self, key: tuple, world: "bpy.types.World", scene: "bpy.types.Scene") -> None:
         """world: evaluated. scene: gives the frame."""
-        self.key, self._views, self._unsaved = key, {}, _unsaved_image(world)
+        self.key, self._unsaved = key, _unsaved_image(world)
+        self._views: dict[str, np.ndarray] = {}
         links = [link for tree in trees(world) for link in tree.links]
         self.depends_on_view = any(
             link.from_node.bl_idname == "ShaderNodeTexCoord" and link.from_socket.name in VIEW_COORDINATES
@@ -55,11 +59,16 @@ class WorldSource:
         )
         self._process = WorldProcess(world, scene)
 
-    def read(self, started=lambda process: None, check=lambda: None):
+    def read(
+        self,
+        started: Callable[[subprocess.Popen], None] = lambda process: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> "WorldPicture | PictureFailed":
         """The WorldPicture, or a PictureFailed with the reason; cached for `world_picture`.
 
         check: called often; an exception that it raises stops the work.
         """
+        found: WorldPicture | PictureFailed
         try:
             found = WorldPicture(**self._ask({}, check))
         except PictureFailed as failure:
@@ -69,7 +78,9 @@ class WorldSource:
         _known[self.key] = found
         return found
 
-    def view(self, camera: Camera, samples: int, pixel_filter: tuple[str, float], check=lambda: None) -> np.ndarray:
+    def view(
+        self, camera: Camera, samples: int, pixel_filter: tuple[str, float], check: Callable[[], None] = lambda: None
+    ) -> np.ndarray:
         """float32 (h, w, 3): the World in the camera's window at its exposure, rows from the top. Raises PictureFailed.
 
         pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
@@ -96,7 +107,7 @@ class WorldSource:
             self._views[key] = found
         return self._views[key] * np.float32(camera.exposure)
 
-    def _ask(self, job, check, seconds=SECONDS):
+    def _ask(self, job: dict, check: Callable[[], None], seconds: float = SECONDS) -> dict:
         if self._unsaved:
             raise PictureFailed(f'image "{self._unsaved}" has unsaved changes; save or pack it')
         return self._process.ask(job, check, seconds)
@@ -106,10 +117,11 @@ class WorldSource:
         self._process.stop()
 
 
-_known, _sources = {}, {}
+_known: dict[tuple, WorldPicture | PictureFailed] = {}
+_sources: dict[tuple, WorldSource] = {}
 
 
-def world_source(world, scene) -> WorldSource:
+def world_source(world: "bpy.types.World", scene: "bpy.types.Scene") -> WorldSource:
     """The source of an evaluated World in its scene's frame; shared while the World looks the same."""
     key = _key(world, scene)
     source = _sources.pop(key, None) or WorldSource(key, world, scene)
@@ -120,12 +132,14 @@ def world_source(world, scene) -> WorldSource:
     return source
 
 
-def is_known(world, scene) -> bool:
+def is_known(world: "bpy.types.World", scene: "bpy.types.Scene") -> bool:
     """Whether `world_picture` is cached."""
     return _key(world, scene) in _known
 
 
-def world_picture(world, scene, check=lambda: None) -> WorldPicture:
+def world_picture(
+    world: "bpy.types.World", scene: "bpy.types.Scene", check: Callable[[], None] = lambda: None
+) -> WorldPicture:
     """An evaluated World in its scene's frame as volumes see it; rendered on the first request, which takes seconds.
 
     check: as of `WorldSource.read`. Raises PictureFailed.
@@ -144,16 +158,16 @@ def forget() -> None:
     _known.clear()
 
 
-def _key(world, scene) -> tuple:
+def _key(world: "bpy.types.World", scene: "bpy.types.Scene") -> tuple:
     moves = any(image.source in ("SEQUENCE", "MOVIE") for image in _images(world))
     return "world", world_key(world), scene.frame_current if moves else None
 
 
-def _images(world) -> list[bpy.types.Image]:
+def _images(world: "bpy.types.World") -> list[bpy.types.Image]:
     nodes = (node for tree in trees(world) for node in tree.nodes)
     return [node.image for node in nodes if isinstance(getattr(node, "image", None), bpy.types.Image)]
 
 
-def _unsaved_image(world) -> str:
+def _unsaved_image(world: "bpy.types.World") -> str:
     """Name of an image with unsaved changes, or ""."""
     return next((image.name for image in _images(world) if image.is_dirty), "")

@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -31,16 +32,17 @@ class WorldProcess:
     it has ended for lack of requests.
     """
 
-    def __init__(self, world, scene):
+    def __init__(self, world: "bpy.types.World", scene: "bpy.types.Scene") -> None:
         """world: evaluated. scene: gives the frame. Call on Blender's main thread."""
         folder = tempfile.mkdtemp(prefix="mrpnn-")
-        self._folder, self._running, self._turn = Path(folder), [], threading.Lock()
+        self._folder, self._turn = Path(folder), threading.Lock()
+        self._running: list[subprocess.Popen] = []
         weakref.finalize(self, _clean, folder, self._running)
         blend, frame = str(self._folder / "world.blend"), (str(scene.frame_current), f"{scene.frame_subframe:.6f}")
         bpy.data.libraries.write(blend, {world.original}, path_remap="ABSOLUTE", fake_user=True)
         self._command = blender_command(WORKER, [blend, *frame])
 
-    def ask(self, job: dict, check=lambda: None, seconds: float = SECONDS) -> dict:
+    def ask(self, job: dict, check: Callable[[], None] = lambda: None, seconds: float = SECONDS) -> dict:
         """The arrays that answer a job of worker.py. Raises PictureFailed where there are none.
 
         check: called often; an exception that it raises stops the work and the process. seconds: time limit.
@@ -49,15 +51,16 @@ class WorldProcess:
             check()
         try:
             target = self._folder / "picture.npz"
-            # An idle process may have ended just as it was asked: ask again once.
-            for last in (False, True):
+            process = self._send({**job, "target": str(target)})
+            self._wait(process, target, check, seconds)
+            if not target.is_file() and process.poll() == 0:
+                # An idle process may have ended just as it was asked: ask again once.
                 process = self._send({**job, "target": str(target)})
                 self._wait(process, target, check, seconds)
-                if target.is_file():
-                    with np.load(target) as found:
-                        return dict(found)
-                if last or process.poll() != 0:
-                    raise PictureFailed(f"Cycles could not render it: {self._last_words()}")
+            if not target.is_file():
+                raise PictureFailed(f"Cycles could not render it: {self._last_words()}")
+            with np.load(target) as found:
+                return dict(found)
         except BaseException:
             self.stop()
             raise
@@ -69,7 +72,7 @@ class WorldProcess:
         """End the process; the next picture starts another."""
         _end(self._running)
 
-    def _send(self, job):
+    def _send(self, job: dict) -> subprocess.Popen:
         if not self._running or self._running[0].poll() is not None:
             _end(self._running)
             with open(self._folder / "log.txt", "w") as log:
@@ -84,7 +87,7 @@ class WorldProcess:
             pass  # The process has ended; `ask` notices.
         return process
 
-    def _wait(self, process, target, check, seconds):
+    def _wait(self, process: subprocess.Popen, target: Path, check: Callable[[], None], seconds: float) -> None:
         end = time.monotonic() + seconds
         while process.poll() is None and not target.is_file():
             check()
@@ -93,12 +96,12 @@ class WorldProcess:
             time.sleep(POLL_INTERVAL)
         check()
 
-    def _last_words(self):
+    def _last_words(self) -> str:
         lines = (self._folder / "log.txt").read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "no output"
 
 
-def _end(running):
+def _end(running: list[subprocess.Popen]) -> None:
     while running:
         process = running.pop()
         process.kill()
@@ -109,6 +112,6 @@ def _end(running):
             pass  # Unread input is lost.
 
 
-def _clean(folder, running):
+def _clean(folder: str, running: list[subprocess.Popen]) -> None:
     _end(running)
     shutil.rmtree(folder, ignore_errors=True)

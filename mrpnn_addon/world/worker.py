@@ -19,6 +19,8 @@ import math
 import os
 import sys
 import threading
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -40,7 +42,7 @@ DISCLESS_SKIES = {"PREETHAM", "HOSEK_WILKIE"}
 WIDEST, LONGEST = 0.01, 5000.0
 
 
-def main(blend, frame, fraction):
+def main(blend: str, frame: int, fraction: float) -> None:
     shown = {}
     for line in _jobs():
         job = json.loads(line)
@@ -56,7 +58,7 @@ def main(blend, frame, fraction):
         os.replace(target + ".part", target)
 
 
-def _jobs():
+def _jobs() -> Iterator[str]:
     """Lines of standard input, until none arrives for too long."""
     while True:
         idle = threading.Timer(IDLE, os._exit, [0])
@@ -69,10 +71,11 @@ def _jobs():
         yield line
 
 
-def _loaded(blend, frame, fraction):
+def _loaded(blend: str, frame: int, fraction: float) -> "tuple[bpy.types.Scene, list]":
     """A scene with the World, and the World's node trees."""
     groups = set(bpy.data.node_groups)
-    with bpy.data.libraries.load(blend) as (found, wanted):
+    libraries: Any = bpy.data.libraries
+    with libraries.load(blend) as (found, wanted):
         wanted.worlds = found.worlds[:1]
     scene = bpy.data.scenes.new("World")
     bpy.context.window.scene = scene
@@ -81,17 +84,17 @@ def _loaded(blend, frame, fraction):
     for tree in trees:
         _without_fog(tree)
     _set_up(scene)
-    scene.frame_set(int(frame), subframe=float(fraction))
+    scene.frame_set(frame, subframe=fraction)
     return scene, trees
 
 
-def _without_fog(tree):
+def _without_fog(tree: Any) -> None:
     for link in list(tree.links):
         if link.to_node.bl_idname == "ShaderNodeOutputWorld" and link.to_socket.identifier == "Volume":
             tree.links.remove(link)
 
 
-def _light(scene, trees, target):
+def _light(scene: "bpy.types.Scene", trees: list, target: str) -> dict[str, np.ndarray]:
     discs = [
         node
         for tree in trees
@@ -108,7 +111,7 @@ def _light(scene, trees, target):
     return {"sky": sky, "suns": np.array(suns).reshape(-1, 7)}
 
 
-def _as_volumes_see(tree):
+def _as_volumes_see(tree: Any) -> None:
     """Replace light path queries by their values for light that volumes scatter."""
     for link in list(tree.links):
         node, socket = link.from_node, link.to_socket
@@ -121,13 +124,14 @@ def _as_volumes_see(tree):
                 socket.default_value = [value] * len(socket.default_value)
 
 
-def _set_up(scene):
-    scene.render.engine = "CYCLES"
-    scene.render.film_transparent = False
-    scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.image_settings.color_mode, scene.render.image_settings.exr_codec = "RGB", "NONE"
-    scene.render.resolution_percentage = 100
+def _set_up(scene: "bpy.types.Scene") -> None:
+    render: Any = scene.render
+    render.engine = "CYCLES"
+    render.film_transparent = False
+    render.use_compositing = render.use_sequencer = False
+    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
+    render.image_settings.color_mode, render.image_settings.exr_codec = "RGB", "NONE"
+    render.resolution_percentage = 100
     settings = {
         "device": "CPU",
         "use_adaptive_sampling": False,
@@ -144,7 +148,7 @@ def _set_up(scene):
     scene.world.cycles.sampling_method = "NONE"
 
 
-def _view(scene, view, target):
+def _view(scene: "bpy.types.Scene", view: dict, target: str) -> np.ndarray:
     """Radiance (h, w, 3) in a camera's window, rows from the bottom."""
     width, height = view["resolution"]
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = view["filter"]
@@ -159,7 +163,7 @@ def _view(scene, view, target):
     return pixels
 
 
-def _uneven(pixels):
+def _uneven(pixels: np.ndarray) -> list:
     """Bands of an image (h, w, 3) whose pixels differ from their neighbours: ends of rows, then of columns."""
     level = np.maximum(np.abs(pixels).max(axis=2), 1e-3 * np.abs(pixels).mean())
     uneven = np.zeros(level.shape, bool)
@@ -185,10 +189,10 @@ def _uneven(pixels):
     return np.array(bands if len(bands) <= MAX_BANDS else [(0, height, 0, width)]).tolist()
 
 
-def _aimed(scene, view):
+def _aimed(scene: "bpy.types.Scene", view: dict) -> "bpy.types.Object":
     """The scene's camera with the fields of an `inference.Camera`."""
     camera = _camera(scene)
-    lens = camera.data
+    lens: Any = camera.data
     camera.matrix_world = Matrix(view["matrix"])
     lens.type = {"perspective": "PERSP", "orthographic": "ORTHO", "equirectangular": "PANO"}[view["projection"]]
     lens.sensor_fit = "HORIZONTAL"
@@ -208,7 +212,7 @@ def _aimed(scene, view):
     return camera
 
 
-def _panorama(scene):
+def _panorama(scene: "bpy.types.Scene") -> "bpy.types.Object":
     """The scene's camera as a panorama, +X at its centre and +Z up."""
     turn = Matrix.Rotation(-math.pi / 2.0, 4, "Z") @ Matrix.Rotation(math.pi / 2.0, 4, "X")
     return _aimed(
@@ -225,14 +229,21 @@ def _panorama(scene):
     )
 
 
-def _camera(scene):
+def _camera(scene: "bpy.types.Scene") -> "bpy.types.Object":
     if scene.camera is None:
         scene.camera = bpy.data.objects.new("World", bpy.data.cameras.new("World"))
         scene.collection.objects.link(scene.camera)
     return scene.camera
 
 
-def _rendered(scene, camera, size, samples, target, region=None):
+def _rendered(
+    scene: "bpy.types.Scene",
+    camera: "bpy.types.Object",
+    size: tuple[int, int],
+    samples: int,
+    target: str,
+    region: Sequence[int] | None = None,
+) -> np.ndarray:
     """Radiance (h, w, 3), rows from the bottom.
 
     region: (x0, y0, x1, y1) in pixels from the upper left, as `inference.Camera.region`; None for the whole image.
@@ -252,14 +263,15 @@ def _rendered(scene, camera, size, samples, target, region=None):
     image = bpy.data.images.load(render.filepath)
     image.colorspace_settings.is_data = True
     pixels = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
+    values: Any = image.pixels
+    values.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)[..., :3].copy()
     bpy.data.images.remove(image)
     os.unlink(render.filepath)
     return np.nan_to_num(pixels)
 
 
-def _disc(scene, node, sky, target):
+def _disc(scene: "bpy.types.Scene", node: Any, sky: np.ndarray, target: str) -> list:
     """The disc of one Sky Texture: direction, irradiance and angular diameter; none where it is not visible."""
     size = node.sun_size
     node.sun_disc, node.sun_size = True, max(size, LOCATING_SIZE)
@@ -299,10 +311,10 @@ def _disc(scene, node, sky, target):
     return [[*middle, *np.maximum(irradiance, 0.0), 2.0 * math.asin(min(math.sqrt(2.0 * max(spread, 0.0)), 1.0))]]
 
 
-def _directions(x, y, z):
+def _directions(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     directions = np.stack([x, y, z], axis=-1)
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[-3:])
+    main(sys.argv[-3], int(sys.argv[-2]), float(sys.argv[-1]))

@@ -31,13 +31,13 @@ def test_modules_state_their_licence():
 def test_pre_commit_runs_the_versions_of_the_requirements():
     pinned = set(
         re.findall(
-            r"^[\w-]+==[\w.]+",
+            r"^[\w.-]+==[\w.]+",
             "".join((ROOT / name).read_text() for name in ("requirements.txt", "requirements-dev.txt")),
             re.MULTILINE,
         )
     )
-    hooks = set(re.findall(r"[\w-]+==[\w.]+", (ROOT / ".pre-commit-config.yaml").read_text()))
-    assert len(hooks) == 3 and hooks <= pinned
+    hooks = set(re.findall(r"[\w.-]+==[\w.]+", (ROOT / ".pre-commit-config.yaml").read_text()))
+    assert len(hooks) == 4 and hooks <= pinned
 
 
 def test_the_version_is_that_of_the_manifest():
