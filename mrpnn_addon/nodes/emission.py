@@ -5,8 +5,14 @@ Measured in Cycles 4.5: emission is radiance per world unit and does not depend 
 """
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from .sockets import Groups, Node
+
+if TYPE_CHECKING:
+    from .evaluation import NodeEvaluator
 
 # Emission strengths and blackbody intensities up to this count as 0.
 NEGLIGIBLE = 1e-5
@@ -29,7 +35,7 @@ def blackbody_colour(temperature: np.ndarray) -> np.ndarray:
     return np.stack([red, green, blue], axis=1)
 
 
-def strength_and_colour(values, node, strength: str, colour: str, groups) -> np.ndarray:
+def strength_and_colour(values: "NodeEvaluator", node: Node, strength: str, colour: str, groups: Groups) -> np.ndarray:
     """(n, 3) product of two sockets; 0 where the strength is not positive."""
     amount = values.number(node, strength, groups)
     if amount.max() <= NEGLIGIBLE and not values.is_linked(node, strength, groups):
@@ -37,7 +43,7 @@ def strength_and_colour(values, node, strength: str, colour: str, groups) -> np.
     return np.where(amount > NEGLIGIBLE, amount * values.colour(node, colour, groups), 0.0)
 
 
-def blackbody(values, node, groups, attribute: str) -> np.ndarray:
+def blackbody(values: "NodeEvaluator", node: Node, groups: Groups, attribute: str) -> np.ndarray:
     """(n, 3) blackbody emission of Principled Volume.
 
     attribute: name of the grid that scales its Temperature, if it exists.
@@ -46,19 +52,21 @@ def blackbody(values, node, groups, attribute: str) -> np.ndarray:
     if share.max() <= NEGLIGIBLE and not values.is_linked(node, "Blackbody Intensity", groups):
         return np.zeros((1, 3))
     temperature = np.maximum(values.number(node, "Temperature", groups), 0.0)
-    if attribute and values.points.has(attribute):
-        found = values.points.attribute(attribute, node).mean(axis=1, keepdims=True)
+    points: Any = values.points
+    if attribute and points.has(attribute):
+        found = points.attribute(attribute, node).mean(axis=1, keepdims=True)
         temperature = temperature * np.maximum(found, 0.0)
     intensity = STEFAN_BOLTZMANN * (1.0 - share + share * temperature**4)
     intensity = np.where((share > NEGLIGIBLE) & (intensity > NEGLIGIBLE), intensity, 0.0)
     return intensity * values.colour(node, "Blackbody Tint", groups) * blackbody_colour(temperature)
 
 
-def reads_temperature(values, node, groups, attribute: str) -> bool:
+def reads_temperature(values: "NodeEvaluator", node: Node, groups: Groups, attribute: str) -> bool:
     """Whether a grid that Principled Volume reads itself drives its blackbody's temperature."""
     share = values.number(node, "Blackbody Intensity", groups)
+    points: Any = values.points
     return (
         bool(attribute)
-        and values.points.has(attribute)
+        and points.has(attribute)
         and (share.max() > NEGLIGIBLE or values.is_linked(node, "Blackbody Intensity", groups))
     )

@@ -2,7 +2,10 @@
 """Pixels of images, and equirectangular ones at the low resolution that lighting from all directions needs."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
+import bpy
 import numpy as np
 
 from ..textures.image import ImagePixels
@@ -11,7 +14,7 @@ ROWS = 128
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 
 
-def environment_image(image):
+def environment_image(image: "bpy.types.Image") -> Callable[[np.ndarray], np.ndarray]:
     """A function from directions (n, 3) to linear colours (n, 3) of an equirectangular image.
 
     Raises ValueError, with the reason, where the image cannot be read.
@@ -20,7 +23,7 @@ def environment_image(image):
     return sampler(_downsampled(_downsampled(colours, 0, ROWS), 1, 2 * ROWS).astype(np.float64))
 
 
-def linear_pixels(image) -> np.ndarray:
+def linear_pixels(image: "bpy.types.Image") -> np.ndarray:
     """Linear colours float32 (rows, columns, 3) of an image. Raises ValueError, with the reason, if it has none."""
     read = read_pixels(image)
     colours = read.pixels[..., :3]
@@ -29,7 +32,7 @@ def linear_pixels(image) -> np.ndarray:
     return colours
 
 
-def read_pixels(image) -> ImagePixels:
+def read_pixels(image: "bpy.types.Image") -> ImagePixels:
     """The pixels of an image. Raises ValueError, with the reason, if it has none."""
     if image is None or not image.size[0] or not image.size[1]:
         raise ValueError("the image is missing or empty")
@@ -37,7 +40,8 @@ def read_pixels(image) -> ImagePixels:
         raise ValueError(f"an image of source {image.source}")
     width, height = image.size
     pixels = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
+    values: Any = image.pixels
+    values.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)
     colours = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
     alpha = pixels[..., 3:] if image.channels == 4 else np.ones_like(colours[..., :1])
@@ -48,15 +52,15 @@ def read_pixels(image) -> ImagePixels:
     return ImagePixels(np.concatenate([colours, alpha], axis=2), srgb)
 
 
-def sampler(small):
+def sampler(small: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """A function from directions (n, 3) to bilinear samples (n, 3) of pixels (rows, columns, 3)."""
 
-    def colour(directions):
+    def colour(directions: np.ndarray) -> np.ndarray:
         x, y, z = directions.T
         u = (0.5 - np.arctan2(y, x) / (2.0 * math.pi)) * small.shape[1] - 0.5
         v = (np.arctan2(z, np.hypot(x, y)) / math.pi + 0.5) * small.shape[0] - 0.5
         left, low = np.floor(u).astype(int), np.floor(v).astype(int)
-        total = 0.0
+        total = np.zeros((len(x), small.shape[2]))
         for i, share in ((left, 1.0 - (u - left)), (left + 1, u - left)):
             for j, part in ((low, 1.0 - (v - low)), (low + 1, v - low)):
                 total = total + (share * part)[:, None] * small[np.clip(j, 0, len(small) - 1), i % small.shape[1]]
@@ -65,7 +69,7 @@ def sampler(small):
     return colour
 
 
-def _downsampled(values, axis: int, most: int):
+def _downsampled(values: np.ndarray, axis: int, most: int) -> np.ndarray:
     """Box-filtered to at most `most` cells along an axis, so that no bright pixel is lost."""
     count = values.shape[axis]
     if count <= most:

@@ -5,41 +5,52 @@ A value is a float64 array (n, k): one row per point, or one row where it is uni
 colour or vector.
 """
 
+from typing import NoReturn, Protocol
+
 import numpy as np
 
 from .functions import FUNCTIONS
-from .sockets import Source, Unsupported, input_of, source_of
+from .sockets import Groups, Node, Socket, Source, Unsupported, input_of, source_of
 
 LUMA = np.array([[0.2126], [0.7152], [0.0722]])
+
+
+class Points(Protocol):
+    """What nodes read besides other nodes, at n points; raises Unsupported for what is not known there."""
+
+    def attribute(self, name: str, node: Node) -> np.ndarray:
+        """(n, k)."""
+
+    def coordinates(self, kind: str, node: Node) -> np.ndarray:
+        """(n, 3)."""
 
 
 class NodeEvaluator:
     """Evaluates sockets at one set of points, each output once.
 
-    points: what nodes read besides other nodes, `attribute(name, node)` (n, 1) and `coordinates(kind, node)` (n, 3);
-    see `volumes.voxel_points`.
+    points: see `volumes.voxel_points`.
     """
 
-    def __init__(self, points):
+    def __init__(self, points: Points) -> None:
         self.points = points
-        self._known = {}
+        self._known: dict[tuple, np.ndarray] = {}
 
-    def number(self, node, identifier: str, groups=()) -> np.ndarray:
+    def number(self, node: Node, identifier: str, groups: Groups = ()) -> np.ndarray:
         """(n, 1) value of an input socket, converted to a number as in Cycles.
 
         Raises Unsupported, naming the node, where it cannot be evaluated.
         """
         return as_number(*self._value(input_of(node, identifier), groups))
 
-    def colour(self, node, identifier: str, groups=()) -> np.ndarray:
+    def colour(self, node: Node, identifier: str, groups: Groups = ()) -> np.ndarray:
         """(n, 3) value of an input socket as a colour or vector. Raises as `number`."""
         return as_colour(self._value(input_of(node, identifier), groups)[0])
 
-    def is_linked(self, node, identifier: str, groups=()) -> bool:
+    def is_linked(self, node: Node, identifier: str, groups: Groups = ()) -> bool:
         """Whether another node drives the socket."""
         return source_of(input_of(node, identifier), groups).node is not None
 
-    def _value(self, socket, groups):
+    def _value(self, socket: Socket, groups: Groups) -> tuple[np.ndarray, str]:
         """The value of a socket and its type."""
         source = source_of(socket, groups)
         if source.node is not None:
@@ -87,7 +98,7 @@ def _converted(value: np.ndarray, kind: str, passed: str) -> np.ndarray:
     return number if passed == "VALUE" else np.trunc(number)
 
 
-def _own_value(socket) -> np.ndarray:
+def _own_value(socket: Socket) -> np.ndarray:
     if not hasattr(socket, "default_value"):
         raise Unsupported(f'socket {socket.name} of node "{socket.node.name}" holds no value')
     value = socket.default_value
@@ -96,7 +107,7 @@ def _own_value(socket) -> np.ndarray:
     return np.array(value, dtype=np.float64)[None, :3]
 
 
-def constant(socket, groups=()) -> np.ndarray:
+def constant(socket: Socket, groups: Groups = ()) -> np.ndarray:
     """(k,) uniform value of a socket.
 
     Raises Unsupported, naming the node, where the value depends on position or cannot be evaluated.
@@ -108,11 +119,11 @@ def constant(socket, groups=()) -> np.ndarray:
 class Nowhere:
     """Points without positions or attributes: nodes that read either cannot be evaluated."""
 
-    def attribute(self, name, node):
+    def attribute(self, name: str, node: Node) -> NoReturn:
         raise Unsupported(
             f'node "{node.name}" ({node.bl_label}) varies in space, which is not supported here; '
             "unlink it and enter a value"
         )
 
-    def coordinates(self, kind, node):
+    def coordinates(self, kind: str, node: Node) -> NoReturn:
         self.attribute(kind, node)

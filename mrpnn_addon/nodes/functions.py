@@ -5,36 +5,41 @@ Each function takes (values, node, output, groups), with `values` a NodeEvaluato
 Measured against Cycles in tests/mrpnn_addon/test_nodes.py.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from .colour_operations import BLENDS, from_hsl, from_hsv, to_hsl, to_hsv
 from .emission import blackbody_colour
 from .math_operations import MATH, VECTOR_MATH, about_axis, clamp, divide, euler_matrices, rotated, smoothstep
-from .sockets import unsupported
+from .sockets import Groups, Node, Socket, unsupported
 from .texture_nodes import TEXTURES
+
+if TYPE_CHECKING:
+    from .evaluation import NodeEvaluator
 
 RAMP_CELLS = 256
 CURVE_CELLS = 256
 
 
-def _value_node(values, node, output, groups):
+def _value_node(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     value = output.default_value
     return np.full((1, 1), value) if isinstance(value, float) else np.array(value)[None, :3]
 
 
-def _math(values, node, output, groups):
+def _math(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     operands = [values.number(node, socket.identifier, groups) for socket in node.inputs]
     result = MATH[node.operation](*operands)
     return clamp(result, 0.0, 1.0) if node.use_clamp else result
 
 
-def _vector_math(values, node, output, groups):
+def _vector_math(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     operation = VECTOR_MATH[node.operation]
     vectors = [values.colour(node, name, groups) for name in ("Vector", "Vector_001", "Vector_002")]
     return operation(*vectors, values.number(node, "Scale", groups))
 
 
-def _map_range(values, node, output, groups):
+def _map_range(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if node.data_type == "FLOAT":
         names, read = ("Value", "From Min", "From Max", "To Min", "To Max", "Steps"), values.number
     else:
@@ -58,18 +63,18 @@ def _map_range(values, node, output, groups):
     return np.where(low == high, 0.0, result)
 
 
-def _clamp(values, node, output, groups):
+def _clamp(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     value, low, high = (values.number(node, name, groups) for name in ("Value", "Min", "Max"))
     if node.clamp_type == "RANGE":
         low, high = np.minimum(low, high), np.maximum(low, high)
     return clamp(value, low, high)
 
 
-def _blackbody(values, node, output, groups):
+def _blackbody(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     return np.maximum(blackbody_colour(values.number(node, "Temperature", groups)), 0.0)
 
 
-def _color_ramp(values, node, output, groups):
+def _color_ramp(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     ramp = node.color_ramp
     table = np.array([ramp.evaluate(n / (RAMP_CELLS - 1)) for n in range(RAMP_CELLS)])
     table = table[:, 3:] if output.identifier == "Alpha" else table[:, :3]
@@ -77,13 +82,13 @@ def _color_ramp(values, node, output, groups):
     return _look_up(table, place, stepped=ramp.interpolation == "CONSTANT")
 
 
-def _float_curve(values, node, output, groups):
+def _float_curve(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     value, factor = values.number(node, "Value", groups), values.number(node, "Factor", groups)
     (curve,), low, high = curve_tables(node.mapping, 1)
     return value + factor * (_curved(curve, value, low, high, node.mapping) - value)
 
 
-def _colour_curves(values, node, output, groups):
+def _colour_curves(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     name = "Color" if node.bl_idname == "ShaderNodeRGBCurve" else "Vector"
     value, factor = values.colour(node, name, groups), values.number(node, "Fac", groups)
     curves, low, high = curve_tables(node.mapping, 4 if name == "Color" else 3)
@@ -91,7 +96,7 @@ def _colour_curves(values, node, output, groups):
     return value + factor * (np.concatenate(columns, axis=1) - value)
 
 
-def curve_tables(mapping, count: int):
+def curve_tables(mapping: Any, count: int) -> tuple[list[np.ndarray], float, float]:
     """Tables (CURVE_CELLS + 1, 1) of the first `count` curves of a mapping, and the values of their ends.
 
     A fourth curve is applied before each of the others.
@@ -108,7 +113,7 @@ def curve_tables(mapping, count: int):
     return [np.array([[mapping.evaluate(curve, place)] for place in places]) for curve in curves[:3]], low, high
 
 
-def _curved(table, value, low, high, mapping):
+def _curved(table: np.ndarray, value: np.ndarray, low: float, high: float, mapping: Any) -> np.ndarray:
     """Values (n, 1) of a curve."""
     share = divide(value - low, np.float64(high - low))
     curved = _look_up(table, clamp(share, 0.0, 1.0))
@@ -120,7 +125,7 @@ def _curved(table, value, low, high, mapping):
     return curved
 
 
-def _look_up(table, place, stepped=False):
+def _look_up(table: np.ndarray, place: np.ndarray, stepped: bool = False) -> np.ndarray:
     """Rows of a table (m, k) at positions (n, 1) in [0, 1], linearly interpolated unless stepped."""
     position = place[:, 0] * (len(table) - 1)
     first = np.minimum(position.astype(np.int64), len(table) - 1)
@@ -130,7 +135,7 @@ def _look_up(table, place, stepped=False):
     return table[first] + (position - first)[:, None] * (table[second] - table[first])
 
 
-def _mix(values, node, output, groups):
+def _mix(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     kind = {"FLOAT": "Float", "VECTOR": "Vector", "RGBA": "Color"}.get(node.data_type)
     if kind is None:
         raise unsupported(node, f"data type {node.data_type}")
@@ -150,7 +155,7 @@ def _mix(values, node, output, groups):
     )
 
 
-def _mix_rgb(values, node, output, groups):
+def _mix_rgb(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     factor = clamp(values.number(node, "Fac", groups), 0.0, 1.0)
     return _blend(
         node.blend_type,
@@ -161,7 +166,7 @@ def _mix_rgb(values, node, output, groups):
     )
 
 
-def _blend(blend, factor, first, second, clamp_result):
+def _blend(blend: str, factor: np.ndarray, first: np.ndarray, second: np.ndarray, clamp_result: bool) -> np.ndarray:
     result = BLENDS[blend](factor, *np.broadcast_arrays(first, second))
     return clamp(result, 0.0, 1.0) if clamp_result else result
 
@@ -170,19 +175,19 @@ SEPARATED = {"RGB": lambda rgb: rgb, "HSV": to_hsv, "HSL": to_hsl}
 COMBINED = {"RGB": lambda rgb: rgb, "HSV": from_hsv, "HSL": from_hsl}
 
 
-def _separate(values, node, output, groups):
+def _separate(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     name = "Vector" if node.bl_idname == "ShaderNodeSeparateXYZ" else "Color"
     parts = SEPARATED[getattr(node, "mode", "RGB")](values.colour(node, name, groups))
     return parts[:, [list(node.outputs).index(output)]]
 
 
-def _combine(values, node, output, groups):
+def _combine(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     parts = [values.number(node, socket.identifier, groups) for socket in node.inputs]
     parts = np.concatenate(np.broadcast_arrays(*parts), axis=1)
     return COMBINED[getattr(node, "mode", "RGB")](parts)
 
 
-def _hue_saturation(values, node, output, groups):
+def _hue_saturation(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     colour = values.colour(node, "Color", groups)
     hue, saturation, value, factor = (
         values.number(node, name, groups) for name in ("Hue", "Saturation", "Value", "Fac")
@@ -193,27 +198,27 @@ def _hue_saturation(values, node, output, groups):
     return np.maximum(colour + factor * (changed - colour), 0.0)
 
 
-def _rgb_to_bw(values, node, output, groups):
+def _rgb_to_bw(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     return values.colour(node, "Color", groups) @ np.array([[0.2126], [0.7152], [0.0722]])
 
 
-def _gamma(values, node, output, groups):
+def _gamma(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     colour, power = values.colour(node, "Color", groups), values.number(node, "Gamma", groups)
     return np.where(colour > 0.0, np.power(np.maximum(colour, 0.0), power), colour)
 
 
-def _invert(values, node, output, groups):
+def _invert(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     colour, factor = values.colour(node, "Color", groups), values.number(node, "Fac", groups)
     return colour + factor * (1.0 - 2.0 * colour)
 
 
-def _bright_contrast(values, node, output, groups):
+def _bright_contrast(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     contrast = values.number(node, "Contrast", groups)
     bright = values.number(node, "Bright", groups)
     return np.maximum(values.colour(node, "Color", groups) * (1.0 + contrast) + bright - contrast * 0.5, 0.0)
 
 
-def _attribute(values, node, output, groups):
+def _attribute(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if node.attribute_type != "GEOMETRY" or output.identifier == "Alpha":
         raise unsupported(node, f"{output.name} of type {node.attribute_type}")
     found = values.points.attribute(node.attribute_name, node)
@@ -221,11 +226,11 @@ def _attribute(values, node, output, groups):
     return found.mean(axis=1, keepdims=True) if output.type == "VALUE" else found
 
 
-def _volume_info(values, node, output, groups):
+def _volume_info(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     return values.points.attribute(output.identifier.lower(), node)
 
 
-def _texture_coordinate(values, node, output, groups):
+def _texture_coordinate(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if output.identifier == "Object" and node.object is None:
         return values.points.coordinates("object", node)
     if output.identifier == "Object":
@@ -236,13 +241,13 @@ def _texture_coordinate(values, node, output, groups):
     raise unsupported(node, f"output {output.name}")
 
 
-def _geometry(values, node, output, groups):
+def _geometry(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if output.identifier != "Position":
         raise unsupported(node, f"output {output.name}")
     return values.points.coordinates("world", node)
 
 
-def _light_path(values, node, output, groups):
+def _light_path(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     # Only a World knows which ray evaluates it.
     seen = getattr(values.points, "visible_to_camera", None)
     if seen is None or output.identifier != "Is Camera Ray":
@@ -250,7 +255,7 @@ def _light_path(values, node, output, groups):
     return np.full((1, 1), float(seen))
 
 
-def _mapping(values, node, output, groups):
+def _mapping(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     vector, scale = values.colour(node, "Vector", groups), values.colour(node, "Scale", groups)
     turn = euler_matrices(values.colour(node, "Rotation", groups))
     if node.vector_type == "VECTOR":
@@ -267,18 +272,18 @@ def _mapping(values, node, output, groups):
 AXES = {"X_AXIS": (1.0, 0.0, 0.0), "Y_AXIS": (0.0, 1.0, 0.0), "Z_AXIS": (0.0, 0.0, 1.0)}
 
 
-def _vector_rotate(values, node, output, groups):
+def _vector_rotate(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     vector, centre = (values.colour(node, name, groups) for name in ("Vector", "Center"))
     if node.rotation_type == "EULER_XYZ":
         turn = euler_matrices(values.colour(node, "Rotation", groups))
         return rotated(turn.swapaxes(1, 2) if node.invert else turn, vector - centre) + centre
-    axis = AXES.get(node.rotation_type)
-    axis = values.colour(node, "Axis", groups) if axis is None else np.array([axis])
+    fixed = AXES.get(node.rotation_type)
+    axis = values.colour(node, "Axis", groups) if fixed is None else np.array([fixed])
     angle = values.number(node, "Angle", groups)
     return about_axis(vector - centre, axis, -angle if node.invert else angle) + centre
 
 
-def _normal(values, node, output, groups):
+def _normal(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     # Its output's value is the direction that the node shows.
     shown = next(socket for socket in node.outputs if socket.identifier == "Normal")
     direction = np.array(shown.default_value, np.float64)[None, :3]

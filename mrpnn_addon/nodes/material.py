@@ -2,7 +2,9 @@
 """Volume materials: scattering, absorption and emission at points, with Cycles' meaning of each shader."""
 
 from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
+import bpy
 import numpy as np
 
 from ...inference.scene import SceneError
@@ -11,7 +13,7 @@ from .emission import blackbody, reads_temperature, strength_and_colour
 from .evaluation import NodeEvaluator
 from .phase_functions import phase_function
 from .snapshot import snapshot
-from .sockets import Unsupported, active_output, input_of, source_of
+from .sockets import Groups, Node, Source, Unsupported, active_output, input_of, source_of
 
 #: Custom property of objects that show baked light.
 LIGHT_MARK = "mrpnn_light"
@@ -69,7 +71,7 @@ class VolumeMaterial:
     Raises SceneError, naming object, material and node, for anything that cannot be rendered, when made or evaluated.
     """
 
-    def __init__(self, material, where: str):
+    def __init__(self, material: "bpy.types.Material | None", where: str) -> None:
         self.where = where if material is None else f'{where}, material "{material.name}"'
         self.output = None
         if material is None:
@@ -83,11 +85,11 @@ class VolumeMaterial:
             self.refuse("displacement of volumes is not supported; unlink it")
         self.output = snapshot(material.node_tree, self.output)
 
-    def refuse(self, problem, kind=SceneError):
+    def refuse(self, problem: Exception | str, kind: type[SceneError] = SceneError) -> NoReturn:
         """Raise SceneError, or a subclass, naming object and material."""
         raise kind(f"{self.where}: {problem}") from None
 
-    def at(self, points) -> Shading:
+    def at(self, points: Any) -> Shading:
         """The shading at `points`, an instance of one of the classes of `volumes.voxel_points`."""
         shading = Shading()
         try:
@@ -107,10 +109,11 @@ def materials(shown: "bpy.types.Object") -> list["bpy.types.Material | None"]:
 
     Geometry nodes put an empty slot before the material that they set.
     """
-    found = [slot.material for slot in shown.material_slots] or list(shown.data.materials)
+    data: Any = shown.data
+    found = [slot.material for slot in shown.material_slots] or list(data.materials)
     if len(found) < 2 or shown.type != "MESH":
         return found
-    of_faces = shown.data.attributes.get("material_index")
+    of_faces = data.attributes.get("material_index")
     if of_faces is None:
         return found[:1]
     numbers = np.empty(len(of_faces.data), np.int32)
@@ -125,9 +128,9 @@ def first_material(shown: "bpy.types.Object") -> "bpy.types.Material | None":
     return next(iter(materials(shown)), None)
 
 
-def is_animated(material) -> bool:
+def is_animated(material: "bpy.types.Material | None") -> bool:
     """Whether keyframes or drivers change the nodes of a material or of its groups."""
-    trees = [material and material.node_tree]
+    trees: list[Any] = [material and material.node_tree]
     for tree in filter(None, trees):
         found = tree.animation_data
         if found is not None and (found.action is not None or len(found.drivers) or len(found.nla_tracks)):
@@ -136,25 +139,25 @@ def is_animated(material) -> bool:
     return False
 
 
-def shows_volume(shown) -> bool:
+def shows_volume(shown: "bpy.types.Object") -> bool:
     """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
     surface. Baked light is none: it belongs to a volume.
     """
     if shown.type == "VOLUME":
-        return LIGHT_MARK not in shown
+        return shown.get(LIGHT_MARK) is None
     return shown.type in MESHES and only_volume(shown)
 
 
 def only_volume(shown: "bpy.types.Object") -> bool:
     """Whether an object has materials and all of them have a volume and no surface."""
-    outputs = [material and active_output(material) for material in materials(shown)]
+    outputs: list[Node | None] = [material and active_output(material) for material in materials(shown)]
     return bool(outputs) and all(
         output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked
         for output in outputs
     )
 
 
-def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
+def _add(shading: Shading, values: NodeEvaluator, source: Source, weight: np.ndarray) -> None:
     node, groups = source.node, source.groups
     if node is None:
         return
@@ -181,7 +184,7 @@ def _add(shading: Shading, values: NodeEvaluator, source, weight) -> None:
         )
 
 
-def _principled(shading, values, node, groups):
+def _principled(shading: Shading, values: NodeEvaluator, node: Node, groups: Groups) -> Closure:
     density = np.maximum(values.number(node, "Density", groups), 0.0)
     names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
     emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
@@ -191,7 +194,7 @@ def _principled(shading, values, node, groups):
     if not shaped and not density.max() > 0.0:
         return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, hot=hot)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
-    points = values.points
+    points: Any = values.points
     if names["Color"] and points.has(names["Color"]):
         colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
     # A missing attribute leaves Density unchanged. In a Volume object that would fill the boxes that Cycles draws
@@ -212,7 +215,7 @@ def _principled(shading, values, node, groups):
     return Closure(weight, scatter, absorb, phase, grid, emission, hot, varies)
 
 
-def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
+def principled_coefficients(colour: np.ndarray, absorption: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(scatter, absorb) (n, 3) of Principled Volume at density 1, as Cycles 4.5 and 5.0 render it:
 
     scatter = colour
@@ -221,30 +224,30 @@ def principled_coefficients(colour: np.ndarray, absorption: np.ndarray):
     return colour, np.maximum(1.0 - colour, 0.0) * np.maximum(1.0 - np.sqrt(absorption), 0.0)
 
 
-def _text(node, identifier, groups) -> str:
+def _text(node: Node, identifier: str, groups: Groups) -> str:
     source = source_of(input_of(node, identifier), groups)
     if source.node is not None:
         raise Unsupported(f'node "{source.node.name}" linked to {identifier} of "{node.name}" is not supported')
     return source.socket.default_value if source.socket is not None else ""
 
 
-def _density(values, node, groups):
+def _density(values: NodeEvaluator, node: Node, groups: Groups) -> np.ndarray:
     return np.maximum(values.number(node, "Density", groups), 0.0)
 
 
-def _scatter(shading, values, node, groups):
+def _scatter(shading: Shading, values: NodeEvaluator, node: Node, groups: Groups) -> Closure:
     # Volume Scatter does not absorb.
     colour, density = np.maximum(values.colour(node, "Color", groups), 0.0), _density(values, node, groups)
     phase, varies = _phase(shading, values, node, groups, density * colour)
     return Closure(density, colour, np.zeros((1, 3)), phase, phase_varies=varies)
 
 
-def _absorption(shading, values, node, groups):
+def _absorption(shading: Shading, values: NodeEvaluator, node: Node, groups: Groups) -> Closure:
     colour = values.colour(node, "Color", groups)
     return Closure(_density(values, node, groups), np.zeros((1, 3)), np.maximum(1.0 - colour, 0.0))
 
 
-def _coefficients(shading, values, node, groups):
+def _coefficients(shading: Shading, values: NodeEvaluator, node: Node, groups: Groups) -> Closure:
     scatter, absorb, emission = (
         np.maximum(values.colour(node, f"{kind} Coefficients", groups), 0.0)
         for kind in ("Scatter", "Absorption", "Emission")
@@ -253,7 +256,7 @@ def _coefficients(shading, values, node, groups):
     return Closure(np.ones((1, 1)), scatter, absorb, phase, emission=emission, phase_varies=varies)
 
 
-def _emission(shading, values, node, groups):
+def _emission(shading: Shading, values: NodeEvaluator, node: Node, groups: Groups) -> Closure:
     emission = strength_and_colour(values, node, "Strength", "Color", groups)
     return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission)
 
@@ -267,7 +270,9 @@ CLOSURES = {
 }
 
 
-def _phase(shading, values, node, groups, scattered) -> tuple[PhaseFunction, bool]:
+def _phase(
+    shading: Shading, values: NodeEvaluator, node: Node, groups: Groups, scattered: np.ndarray
+) -> tuple[PhaseFunction, bool]:
     """The node's phase function, and whether it varies in space: then that of the mean over what points scatter, (n, 3)
     or (1, 3). Adds a note where it does, or is not Henyey-Greenstein.
     """

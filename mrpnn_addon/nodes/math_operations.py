@@ -1,51 +1,54 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operations of the Math and Vector Math nodes, with Cycles' results where the mathematical result is undefined."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 
-def divide(a, b):
+def divide(a: Any, b: Any) -> Any:
     """a / b, 0 where b is 0."""
     return np.where(b != 0.0, a / np.where(b != 0.0, b, 1.0), 0.0)
 
 
-def clamp(value, low, high):
+def clamp(value: Any, low: Any, high: Any) -> Any:
     return np.minimum(np.maximum(value, low), high)
 
 
-def smoothstep(value, low, high, smoother=False):
+def smoothstep(value: np.ndarray, low: np.ndarray, high: np.ndarray, smoother: bool = False) -> np.ndarray:
     """Hermite step from 0 at `low` to 1 at `high`; `smoother` with a continuous second derivative."""
     x = clamp(divide(value - low, high - low), 0.0, 1.0)
     return x**3 * (x * (x * 6.0 - 15.0) + 10.0) if smoother else x * x * (3.0 - 2.0 * x)
 
 
-def _power(a, b):
+def _power(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where((a < 0.0) & (b != np.floor(b)), 0.0, np.nan_to_num(np.power(a, b), posinf=0.0, neginf=0.0))
 
 
-def _logarithm(a, b):
+def _logarithm(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     valid = (a > 0.0) & (b > 0.0)
     return np.where(valid, divide(np.log(np.where(valid, a, 1.0)), np.log(np.where(valid, b, 1.0))), 0.0)
 
 
-def _smooth_minimum(a, b, c):
+def _smooth_minimum(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     near = divide(np.maximum(c - np.abs(a - b), 0.0), c)
     return np.minimum(a, b) - near**3 * c / 6.0
 
 
-def _wrap(value, high, low):
+def _wrap(value: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.ndarray:
     return np.where(high != low, value - (high - low) * np.floor(divide(value - low, high - low)), low)
 
 
-def _ping_pong(a, b):
+def _ping_pong(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.abs((divide(a - b, 2.0 * b) % 1.0) * b * 2.0 - b) * (b != 0.0)
 
 
-def _truncated_modulo(a, b):
+def _truncated_modulo(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(b != 0.0, np.fmod(a, np.where(b != 0.0, b, 1.0)), 0.0)
 
 
-MATH = {
+MATH: dict[str, Callable[..., np.ndarray]] = {
     "ADD": lambda a, b, c: a + b,
     "SUBTRACT": lambda a, b, c: a - b,
     "MULTIPLY": lambda a, b, c: a * b,
@@ -90,26 +93,26 @@ MATH = {
 }
 
 
-def _dot(a, b):
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(axis=1, keepdims=True)
 
 
-def _length(a):
+def _length(a: np.ndarray) -> np.ndarray:
     return np.sqrt(_dot(a, a))
 
 
-def _normalized(a):
+def _normalized(a: np.ndarray) -> np.ndarray:
     return divide(a, _length(a))
 
 
-def _refract(a, b, ratio):
+def _refract(a: np.ndarray, b: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     normal = _normalized(b)
     cosine = _dot(normal, a)
     under = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
     return np.where(under >= 0.0, ratio * a - (ratio * cosine + np.sqrt(np.maximum(under, 0.0))) * normal, 0.0)
 
 
-def euler_matrices(angles):
+def euler_matrices(angles: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) of XYZ Euler angles (n, 3)."""
     found = np.eye(3)
     for axis, angle in enumerate(angles.T):
@@ -123,12 +126,12 @@ def euler_matrices(angles):
     return found
 
 
-def rotated(matrices, vectors):
+def rotated(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Vectors (n, 3) turned by matrices (n, 3, 3); one of either serves all of the other."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
-def about_axis(vectors, axis, angle):
+def about_axis(vectors: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Vectors (n, 3) turned about axes (n, 3) by angles (n, 1); unchanged where an axis is 0."""
     unit = _normalized(axis)
     cosine = np.cos(angle)
@@ -137,7 +140,7 @@ def about_axis(vectors, axis, angle):
 
 
 # Operations on vectors a, b, c (n, 3) and a number s (n, 1).
-VECTOR_MATH = {
+VECTOR_MATH: dict[str, Callable[..., np.ndarray]] = {
     "ADD": lambda a, b, c, s: a + b,
     "SUBTRACT": lambda a, b, c, s: a - b,
     "MULTIPLY": lambda a, b, c, s: a * b,

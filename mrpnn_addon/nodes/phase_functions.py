@@ -20,7 +20,7 @@ def phase_function(kind: str, *parameters: float) -> PhaseFunction:
     return PhaseFunction(((1.0, kind.lower(), tuple(parameters)),))
 
 
-def mie_parameters(diameter: float):
+def mie_parameters(diameter: float) -> tuple[float, float, float, float]:
     """(g of Henyey-Greenstein, g and alpha of Draine, Draine's share) fitted to water droplets.
 
     diameter: micrometres, clamped to the fit's maximum of 50; below 5, its fits for haze. Jendersie and d'Eon, "An

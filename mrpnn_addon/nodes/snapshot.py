@@ -5,13 +5,14 @@ Nodes and sockets keep their property names, so the same code evaluates Blender'
 curves, colour ramps, groups and object transforms that a node refers to.
 """
 
-import types
+from typing import Any
 
 import bpy
 import numpy as np
 
 from .environment_image import read_pixels
 from .functions import RAMP_CELLS, curve_tables
+from .sockets import Node, Socket
 
 PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
 # Curves of nodes that have some.
@@ -20,11 +21,11 @@ CURVES = {"ShaderNodeFloatCurve": 1, "ShaderNodeRGBCurve": 4, "ShaderNodeVectorC
 VALUED = {"VALUE", "INT", "BOOLEAN", "VECTOR", "RGBA", "ROTATION", "STRING"}
 
 
-class Copy(types.SimpleNamespace):
-    """A node, a socket or a link."""
+class Copy:
+    """A node, a socket or a link; compared by identity, as Blender's objects are."""
 
-    # Compared by identity, as Blender's objects are.
-    __eq__, __hash__ = object.__eq__, object.__hash__
+    def __init__(self, **values: Any) -> None:
+        vars(self).update(values)
 
     def as_pointer(self) -> int:
         return id(self)
@@ -33,18 +34,21 @@ class Copy(types.SimpleNamespace):
 class Ramp(Copy):
     """A colour ramp, tabulated."""
 
-    def evaluate(self, place):
+    table: list[tuple[float, ...]]
+
+    def evaluate(self, place: float) -> tuple[float, ...]:
         return self.table[round(place * (RAMP_CELLS - 1))]
 
 
-def snapshot(tree, node) -> Copy:
+def snapshot(tree: Any, node: Node) -> Copy:
     """A copy of one node of a tree, with all nodes that it is linked to."""
     return _tree(tree, {})[node.as_pointer()]
 
 
-def _tree(tree, groups):
+def _tree(tree: Any, groups: dict[int, dict[int, Node]]) -> dict[int, Node]:
     """Copies of a tree's nodes, by pointer. groups: copies of group trees made so far, by pointer."""
-    nodes, sockets = {}, {}
+    nodes: dict[int, Node] = {}
+    sockets: dict[int, Socket] = {}
     for node in tree.nodes:
         copy = Copy(**_plain(node), name=node.name, bl_idname=node.bl_idname, bl_label=node.bl_label, mute=node.mute)
         for side in ("inputs", "outputs"):
@@ -62,7 +66,7 @@ def _tree(tree, groups):
     return nodes
 
 
-def _plain(node):
+def _plain(node: Node) -> dict[str, Any]:
     """Numbers, strings and choices that are specific to this type of node."""
     common = bpy.types.Node.bl_rna.properties
     return {
@@ -72,23 +76,23 @@ def _plain(node):
     }
 
 
-def _value(value):
+def _value(value: Any) -> Any:
     return value if isinstance(value, (bool, int, float, str)) else tuple(np.array(value, float).ravel().tolist())
 
 
-def _socket(socket, node) -> Copy:
-    copy = Copy(node=node, name=socket.name, identifier=socket.identifier, type=socket.type, links=[])
+def _socket(socket: Socket, node: Copy) -> Copy:
+    copy: Socket = Copy(node=node, name=socket.name, identifier=socket.identifier, type=socket.type, links=[])
     if socket.type in VALUED and hasattr(socket, "default_value"):
         copy.default_value = _value(socket.default_value)
     return copy
 
 
-def _link(link, sockets) -> Copy:
+def _link(link: Any, sockets: dict[int, Socket]) -> Copy:
     start, end = (sockets[socket.as_pointer()] for socket in (link.from_socket, link.to_socket))
     return Copy(is_muted=link.is_muted, is_valid=link.is_valid, from_node=start.node, from_socket=start, to_socket=end)
 
 
-def _copy_references(copy, node, groups):
+def _copy_references(copy: Node, node: Node, groups: dict[int, dict[int, Node]]) -> None:
     """Copy what a node refers to."""
     if hasattr(node, "color_ramp"):
         ramp = node.color_ramp

@@ -2,15 +2,22 @@
 """Follows the links of node sockets through reroutes, groups and muted nodes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
+
+# Nodes and sockets of Blender, or their copies by `snapshot`; what they hold depends on their type.
+Node = Any
+Socket = Any
+# The group nodes around a node, outermost first.
+Groups = tuple[Node, ...]
 
 
 class Unsupported(Exception):
     """A node or link that cannot be evaluated; the message names it."""
 
 
-def unsupported(node, what: str) -> Unsupported:
+def unsupported(node: Node, what: str) -> Unsupported:
     """The exception for something that a node has."""
     return Unsupported(f'node "{node.name}" ({node.bl_label}): {what} cannot be evaluated')
 
@@ -26,32 +33,32 @@ class Source:
     passed: types of the sockets that convert the value in turn; the last is the socket's that is driven.
     """
 
-    # Quoted: see `objects.visibility.VisibleObject`.
-    node: "bpy.types.Node | None"
-    output: "bpy.types.NodeSocket | None"
-    socket: "bpy.types.NodeSocket | None"
-    groups: tuple = ()
+    node: Node | None
+    output: Socket | None
+    socket: Socket | None
+    groups: Groups = ()
     passed: tuple[str, ...] = ()
 
 
-def always_has_nodes(block) -> bool:
+def always_has_nodes(block: Any) -> bool:
     """Whether materials, Worlds or lights always have nodes; querying `use_nodes` of them is then deprecated."""
     return bpy.app.version >= (5, 0, 0) and not isinstance(block, bpy.types.Light)
 
 
-def has_nodes(block) -> bool:
+def has_nodes(block: Any) -> bool:
     """Whether a material, World or light is shaded by nodes."""
     return block.node_tree is not None and (always_has_nodes(block) or block.use_nodes)
 
 
-def active_output(block):
+def active_output(block: Any) -> Node | None:
     """The output node that Cycles uses for a material, World or light; None without nodes."""
     return block.node_tree.get_output_node("CYCLES") if has_nodes(block) else None
 
 
-def source_of(socket, groups=()) -> Source:
+def source_of(socket: Socket, groups: Groups = ()) -> Source:
     """Follow the links of an input socket, through reroutes, muted nodes and groups."""
-    passed, holds_value = [socket.type], True
+    passed: list[str] = [socket.type]
+    holds_value = True
     while socket.is_linked:
         link = socket.links[0]
         if link.is_muted or not link.is_valid:
@@ -77,11 +84,11 @@ def source_of(socket, groups=()) -> Source:
     return Source(None, None, socket if holds_value else None, groups, tuple(reversed(passed)))
 
 
-def _same(sockets, wanted):
+def _same(sockets: Any, wanted: Socket) -> Socket:
     return next(socket for socket in sockets if socket.identifier == wanted.identifier)
 
 
-def _group_output(group):
+def _group_output(group: Node) -> Node:
     nodes = group.node_tree.nodes if group.node_tree else ()
     for node in nodes:
         if node.bl_idname == "NodeGroupOutput" and node.is_active_output:
@@ -89,11 +96,11 @@ def _group_output(group):
     raise Unsupported(f'group "{group.name}" has no output')
 
 
-def linked_node(socket):
+def linked_node(socket: Socket) -> Node | None:
     """The node linked to an input socket, or None."""
     return source_of(socket).node
 
 
-def input_of(node, identifier: str):
+def input_of(node: Node, identifier: str) -> Socket:
     """A node's input socket by its identifier, which is unique where its name is not."""
     return next(socket for socket in node.inputs if socket.identifier == identifier)

@@ -2,12 +2,14 @@
 """The mean reflectance and emission of surface materials: what of them lights volumes."""
 
 from dataclasses import dataclass, field
+from typing import NoReturn
 
+import bpy
 import numpy as np
 
 from .environment_image import linear_pixels
 from .evaluation import NodeEvaluator, as_colour
-from .sockets import Source, Unsupported, active_output, input_of, source_of
+from .sockets import Groups, Node, Source, Unsupported, active_output, input_of, source_of
 
 # Points at which textures are evaluated, at random in the unit cube; and texels of images, which are evenly spaced.
 POINTS, SEED = 1024, 5
@@ -39,7 +41,7 @@ class SurfaceColour:
     notes: set[str] = field(default_factory=set)
 
 
-def surface_colour(material) -> SurfaceColour:
+def surface_colour(material: "bpy.types.Material | None") -> SurfaceColour:
     """Mean reflectance and emission of a material, or of none. Call on Blender's main thread or in a render."""
     if material is None:
         return SurfaceColour(np.full(3, GREY))
@@ -61,11 +63,11 @@ def surface_colour(material) -> SurfaceColour:
 class _OnSurface(NodeEvaluator):
     """Evaluates sockets at random points; notes which of them vary."""
 
-    def __init__(self, notes: set[str]):
+    def __init__(self, notes: set[str]) -> None:
         super().__init__(_RandomPoints())
         self.notes = notes
 
-    def mean(self, node, identifier: str, groups=()) -> np.ndarray:
+    def mean(self, node: Node, identifier: str, groups: Groups = ()) -> np.ndarray:
         """Mean colour (3,) of an input socket, or its own colour where what drives it cannot be evaluated."""
         try:
             values = self.colour(node, identifier, groups)
@@ -87,13 +89,13 @@ class _OnSurface(NodeEvaluator):
 class _RandomPoints:
     """Points of nodes that read coordinates; attributes are not known."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._places = np.random.default_rng(SEED).random((POINTS, 3))
 
-    def coordinates(self, kind, node) -> np.ndarray:
+    def coordinates(self, kind: str, node: Node) -> np.ndarray:
         return self._places
 
-    def attribute(self, name, node):
+    def attribute(self, name: str, node: Node) -> NoReturn:
         raise Unsupported(f'node "{node.name}" ({node.bl_label}) reads an attribute')
 
 
@@ -130,7 +132,7 @@ def _shader(source: Source, notes: set[str]) -> SurfaceColour:
     return found
 
 
-def _image_mean(image) -> np.ndarray:
+def _image_mean(image: "bpy.types.Image") -> np.ndarray:
     """Mean colour (3,) of an image. Raises Unsupported where it cannot be read."""
     if image is None:
         raise Unsupported("the image is missing")

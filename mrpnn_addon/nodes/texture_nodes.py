@@ -4,6 +4,8 @@
 Functions as in `functions`.
 """
 
+from typing import TYPE_CHECKING
+
 import bpy
 import numpy as np
 
@@ -13,20 +15,23 @@ from ..textures.noise import Fractal, noise_texture
 from ..textures.voronoi import Voronoi
 from .environment_image import environment_image, read_pixels
 from .math_operations import divide
-from .sockets import unsupported
+from .sockets import Groups, Node, Socket, unsupported
+
+if TYPE_CHECKING:
+    from .evaluation import NodeEvaluator
 
 # Whether Voronoi cells are hashed by PCG rather than lookup3.
 PCG = bpy.app.version >= (5, 0, 0)
 
 
-def texture_vector(values, node, groups):
+def texture_vector(values: "NodeEvaluator", node: Node, groups: Groups) -> np.ndarray:
     """(n, 3) coordinates of a texture; Generated where none are linked."""
     if values.is_linked(node, "Vector", groups):
         return values.colour(node, "Vector", groups)
     return values.points.coordinates("generated", node)
 
 
-def _points(values, node, groups, dimensions: str, scaled=True):
+def _points(values: "NodeEvaluator", node: Node, groups: Groups, dimensions: str, scaled: bool = True) -> np.ndarray:
     """Coordinates (n, d) of a texture in "1D" to "4D", scaled by its socket."""
     parts = []
     if dimensions != "1D":
@@ -38,18 +43,18 @@ def _points(values, node, groups, dimensions: str, scaled=True):
     return points * values.number(node, "Scale", groups) if scaled else points
 
 
-def _numbers(values, node, groups, *names):
+def _numbers(values: "NodeEvaluator", node: Node, groups: Groups, *names: str) -> dict[str, np.ndarray]:
     return {name.lower().replace(" ", "_"): values.number(node, name, groups) for name in names}
 
 
-def _noise(values, node, output, groups):
+def _noise(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     settings = _numbers(values, node, groups, "Detail", "Roughness", "Lacunarity", "Offset", "Gain")
     fractal = Fractal(node.noise_type, **settings, normalize=node.normalize)
     points = _points(values, node, groups, node.noise_dimensions)
     return noise_texture(points, fractal, values.number(node, "Distortion", groups), output.type == "RGBA")
 
 
-def _voronoi(values, node, output, groups):
+def _voronoi(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     settings = _numbers(
         values, node, groups, "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness"
     )
@@ -71,11 +76,11 @@ def _voronoi(values, node, output, groups):
     return np.pad(position, ((0, 0), (0, 3 - position.shape[1])))
 
 
-def _gradient(values, node, output, groups):
+def _gradient(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     return patterns.gradient(texture_vector(values, node, groups), node.gradient_type)
 
 
-def _wave(values, node, output, groups):
+def _wave(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     rings = node.wave_type == "RINGS"
     wave = patterns.Wave(
         rings,
@@ -88,20 +93,20 @@ def _wave(values, node, output, groups):
     return wave.at(_points(values, node, groups, "3D"))
 
 
-def _magic(values, node, output, groups):
+def _magic(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     points, distortion = _points(values, node, groups, "3D"), values.number(node, "Distortion", groups)
     colour = patterns.magic(points, node.turbulence_depth, distortion)
     return colour if output.identifier == "Color" else colour.mean(axis=1, keepdims=True)
 
 
-def _checker(values, node, output, groups):
+def _checker(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     first = patterns.checker(_points(values, node, groups, "3D"))
     if output.identifier == "Fac":
         return first
     return np.where(first > 0.0, values.colour(node, "Color1", groups), values.colour(node, "Color2", groups))
 
 
-def _brick(values, node, output, groups):
+def _brick(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     sockets = _numbers(values, node, groups, "Mortar Size", "Mortar Smooth", "Bias", "Brick Width", "Row Height")
     brick = patterns.Brick(node.offset, node.offset_frequency, node.squash, node.squash_frequency, *sockets.values())
     tint, mortar = brick.at(_points(values, node, groups, "3D"))
@@ -112,12 +117,12 @@ def _brick(values, node, output, groups):
     return colour + mortar * (between - colour)
 
 
-def _white_noise(values, node, output, groups):
+def _white_noise(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     points = _points(values, node, groups, node.noise_dimensions, scaled=False)
     return patterns.white_noise(points, output.identifier == "Color")
 
 
-def _gabor(values, node, output, groups):
+def _gabor(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if node.gabor_type == "2D":
         orientation = values.number(node, "Orientation 2D", groups)
     else:
@@ -127,7 +132,7 @@ def _gabor(values, node, output, groups):
     return found[("Value", "Phase", "Intensity").index(output.identifier)]
 
 
-def _image(values, node, output, groups):
+def _image(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     try:
         # Copies of nodes hold what was read.
         pixels = node.image if isinstance(node.image, image.ImagePixels) else read_pixels(node.image)
@@ -142,7 +147,7 @@ def _image(values, node, output, groups):
     return found[:, :3] if output.identifier == "Color" else found[:, 3:]
 
 
-def _environment(values, node, output, groups):
+def _environment(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     if not getattr(values.points, "images", False):
         raise unsupported(node, "an image here")
     if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
