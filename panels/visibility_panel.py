@@ -27,10 +27,11 @@ def _rays(shown):
     """Ray types whose setting has an effect for an object."""
     if shown is None:
         return ()
+    # What instances objects may instance surfaces and lights.
+    if shown.type in SURFACES and not shows_volume(shown) or shown.is_instancer:
+        return "camera", "volume_scatter", "shadow"
     if shows_volume(shown):
         return ("camera",)
-    if shown.type in SURFACES:
-        return "camera", "volume_scatter", "shadow"
     return ("volume_scatter",) if shown.type == "LIGHT" else ()
 
 

@@ -72,8 +72,8 @@ def volumes_and_lights(depsgraph, left_out=frozenset()) -> list:
     """
     sources, others = {}, {}
     for shown in visible_objects(depsgraph):
-        volume = shows_volume(shown.object) and shown.object.visible_camera
-        light = shown.object.type == "LIGHT" and shown.object.visible_volume_scatter
+        volume = shows_volume(shown.object) and shown.visible_to("camera")
+        light = shown.object.type == "LIGHT" and shown.visible_to("volume_scatter")
         if (volume or light) and shown.name not in left_out:
             sources[shown.source.name] = shown.source
         elif shown.object.type in SURFACES or shown.object.type == "LIGHT" or shown.name in left_out:

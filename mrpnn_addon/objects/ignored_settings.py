@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings that change Cycles' picture and not this one, each with the warning that names it.
 
-`tests/mrpnn_addon/scene/test_settings_of_cycles.py` lists every other setting of lights, Worlds, scenes and view
-layers, and why it needs no warning.
+`tests/mrpnn_addon/scene/test_settings_of_cycles.py` lists every other setting of objects, lights, Worlds, scenes and
+view layers, and why it needs no warning.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,16 @@ class IgnoredSetting:
 
 # Cycles' own before 4.3, where `use_shadow` is EEVEE's.
 _CAST_SHADOW = "data.use_shadow" if bpy.app.version >= (4, 3, 0) else "data.cycles.cast_shadow"
-#: Of objects whose data is a light.
-LIGHT = (
-    IgnoredSetting(_CAST_SHADOW, "casts no shadow; it is rendered with shadows"),
+#: Of objects that shine: lamps and meshes.
+SHINING = (
     IgnoredSetting(
         "light_linking.blocker_collection", "is shadowed by some objects only; it is rendered as shadowed by all"
     ),
+)
+#: Of objects whose data is a light.
+LIGHT = (
+    *SHINING,
+    IgnoredSetting(_CAST_SHADOW, "casts no shadow; it is rendered with shadows"),
     IgnoredSetting("data.cycles.max_bounces", "has a limit of bounces; its light is rendered with all of them"),
 )
 CAMERA = (IgnoredSetting("dof.use_dof", "depth of field is not rendered"),)

@@ -36,7 +36,7 @@ class LightLinks:
         """The lights that a lamp or a mesh is."""
         collection = shown.object.light_linking.receiver_collection
         states = {} if collection is None else dict(_states(collection))
-        of_volumes, of_surfaces = shown.object.visible_volume_scatter, shown.object.visible_diffuse
+        of_volumes, of_surfaces = shown.visible_to("volume_scatter"), shown.visible_to("diffuse")
         if states or not (of_volumes and of_surfaces):
             self._lights += [_LinkedLight(light, states, of_volumes, of_surfaces) for light in lights]
 

@@ -11,6 +11,7 @@ from ...inference.scene import SceneError, Surface
 from ..nodes.material import MESHES, materials, only_volume
 from ..nodes.sockets import Source, Unsupported, active_output, input_of, source_of
 from ..nodes.surface_colour import SurfaceColour, surface_colour
+from .ignored_settings import SHINING, ignored_settings
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
 from .visibility import VisibleObject
@@ -64,8 +65,8 @@ def read_surface(
         if only_volume(shown.object):
             return None, [f"{where} has a volume material, which Cycles renders in meshes only; convert it to a mesh"]
         return None, [f"{where} is a surface and not rendered"]
-    covers = shown.object.visible_camera and not shown.source.indirect_only_get(view_layer=view_layer)
-    shades, stops = shown.object.visible_shadow, shown.object.visible_volume_scatter
+    covers = shown.visible_to("camera") and not shown.source.indirect_only_get(view_layer=view_layer)
+    shades, stops = shown.visible_to("shadow"), shown.visible_to("volume_scatter")
     if not (covers or shades or stops):
         return None, []
     if any(_is_transparent(material) for material in materials(shown.object)):
@@ -82,7 +83,8 @@ def read_surface(
         return None, []
     # Light that volumes scatter, or that they gather, does not know surfaces that are hidden from volume scattering.
     colour = _mean_colour(shown.object.material_slots, mesh) if stops else SurfaceColour()
-    return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), []
+    ignored = ignored_settings(shown.object, SHINING, where) if colour.emission.any() else []
+    return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), ignored
 
 
 def _kind(shown: VisibleObject) -> str:

@@ -24,6 +24,7 @@ class VisibleObject:
     matrix: float64 (4, 4), object to world.
     name: for messages.
     source: the original object, or the one that instances it.
+    host: evaluated, what instances it, such as an Empty, or the object itself; valid as long as `object`.
     """
 
     # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then
@@ -32,6 +33,14 @@ class VisibleObject:
     matrix: np.ndarray
     name: str
     source: "bpy.types.Object"
+    host: "bpy.types.Object"
+
+    def visible_to(self, rays: str) -> bool:
+        """Whether rays of a kind meet it, such as "camera", "shadow", "diffuse" or "volume_scatter".
+
+        As in Cycles, an instance is hidden from them by its own *Ray Visibility* or by that of what instances it.
+        """
+        return all(getattr(one, f"visible_{rays}") for one in (self.object, self.host))
 
     @property
     def data(self) -> Any:
@@ -66,8 +75,13 @@ def visible_objects(
             from_nodes = instance.is_instance and source.instance_type == "NONE"
             if source.original not in in_render or instanced.original.hide_render and not from_nodes:
                 continue
+            # Renders show the instances only.
+            holder = None if instance.is_instance else instanced.parent
+            if holder is not None and holder.instance_type in ("VERTS", "FACES"):
+                continue
         if instance.show_self and not _is_filtered_out(instanced, depsgraph.view_layer) and not _is_replaced(instanced):
-            yield VisibleObject(instanced, np.array(instance.matrix_world, dtype=np.float64), name, source.original)
+            matrix = np.array(instance.matrix_world, dtype=np.float64)
+            yield VisibleObject(instanced, matrix, name, source.original, source)
 
 
 def _is_filtered_out(shown_object: "bpy.types.Object", view_layer: "bpy.types.ViewLayer") -> bool:
@@ -118,13 +132,18 @@ def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") 
         return "is a holdout"
     if shown.source.indirect_only_get(view_layer=view_layer):
         return "is in an indirect-only collection"
-    return "" if shown.object.visible_camera else "is hidden from the camera"
+    if shown.object.is_shadow_catcher or shown.host.is_shadow_catcher:
+        return "is a shadow catcher"
+    return "" if shown.visible_to("camera") else "is hidden from the camera"
 
 
 def ignored_visibility(shown: VisibleObject) -> list[str]:
     """Ray visibility settings of a volume that have no effect here."""
-    rays = (("shadow", shown.object.visible_shadow), ("volume scatter", shown.object.visible_volume_scatter))
-    return [f"is hidden from {name} rays, which is not respected" for name, visible in rays if not visible]
+    return [
+        f"is hidden from {rays.replace('_', ' ')} rays, which is not respected"
+        for rays in ("shadow", "volume_scatter")
+        if not shown.visible_to(rays)
+    ]
 
 
 def render_visible(view_layer: "bpy.types.ViewLayer") -> set:

@@ -69,7 +69,7 @@ def forecast(depsgraph) -> Forecast:
                     box, different = box_around(shown)
                     boxes.append(box)
                     channels = max(channels, different)
-            elif shown.object.type == "LIGHT" and shown.object.visible_volume_scatter:
+            elif shown.object.type == "LIGHT" and shown.visible_to("volume_scatter"):
                 suns, others, noted = _read_light(shown)
                 lamps += bool(suns or others)
                 lights += suns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every setting of lights, Worlds, film, light paths and view layers is rendered, has no effect, or is named.
+"""Every setting of objects, lights, Worlds, film, light paths and view layers is rendered, has no effect, or is named.
 
 A setting that a new version of Blender brings is in none of the lists, and fails the first test.
 """
@@ -14,6 +14,28 @@ bpy = pytest.importorskip("bpy")
 from tests.support import blender_scenes
 
 # Regular expressions of names, by why no warning names them.
+OBJECT = {
+    "rendered or named: test_visibility, test_surfaces, test_light_linking, test_light_groups": "visible_(camera|shadow"
+    "|volume_scatter|diffuse)|is_(holdout|shadow_catcher)|hide_render|lightgroup|light_linking|show_instancer_.*",
+    "of surfaces' own reflections": "visible_(glossy|transmission|raycast)|shadow_terminator_.*",
+    "of nodes, which name it: test_nodes": "color|pass_index",
+    "Blender evaluates it": "(delta_)?(location|rotation|scale).*|matrix_.*|parent.*"
+    "|dimensions|use_instance.*|instance_.*|constraints|modifiers|particle_systems|pose|soft_body|rigid_body.*|field"
+    "|collision|shader_effects|.*shape_key.*|.*simulation.*|track_axis|up_axis|is_(instancer|from_.*)|vertex_groups"
+    "|use_parent_final_indices|add_rest_position_attribute|animation_.*|motion_path|bound_box",
+    "the interface's": "show_.*|display.*|hide_(select|viewport|surface_pick)|lock_.*|empty_.*|use_empty.*|image_user"
+    "|mode|use_camera_lock_parent|use_mesh_mirror.*|use_dynamic.*|selection_sets|active_.*|lineart|use_grease_pencil_lights",
+    "other engines'": "hide_probe.*",
+    "a reference": "cycles|data|type|material_slots",
+}
+OBJECT_CYCLES = {
+    "belongs to a setting of the scene that is named": "use_(camera|distance)_cull|use_(deform_)?motion.*|motion_steps"
+    "|ao_distance",
+    "of surfaces": "shadow_terminator.*|is_caustics.*|dicing_rate|use_adaptive_subdivision",
+}
+LAYER_COLLECTION = {
+    "rendered or named: test_visibility": "exclude|holdout|indirect_only|hide_viewport|is_visible|children|collection"
+}
 LIGHT = {
     "rendered: test_lights, test_lamps": "type|color|energy|exposure|normalize|angle|shape|size|size_y|spread"
     "|use_temperature|temperature|temperature_color|use_nodes|node_tree|spot_size|spot_blend|shadow_soft_size"
@@ -90,7 +112,11 @@ def settings():
     tables = importlib.import_module("mrpnn.mrpnn_addon.objects.ignored_settings")
     lamp, world, scene = bpy.data.lights.new("Any", "POINT"), bpy.data.worlds.new("Any"), bpy.context.scene
     lights = [getattr(bpy.types, f"{kind}Light").bl_rna for kind in ("Point", "Spot", "Area", "Sun")]
+    box = bpy.data.objects.new("Any", bpy.data.meshes.new("Any"))
     return {
+        "object": ([bpy.types.Object.bl_rna], "", tables.SHINING, OBJECT),
+        "object.cycles": ([box.cycles.bl_rna], "cycles.", (), OBJECT_CYCLES),
+        "layer collection": ([bpy.types.LayerCollection.bl_rna], "", (), LAYER_COLLECTION),
         "light": (lights, "data.", tables.LIGHT, LIGHT),
         "light.cycles": ([lamp.cycles.bl_rna], "data.cycles.", tables.LIGHT, LIGHT_CYCLES),
         "world": ([bpy.types.World.bl_rna], "", tables.WORLD, WORLD),

@@ -56,6 +56,93 @@ def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, wo
     assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
 
+def instanced(scene, how):
+    """The fog of the scene, shown by another object; gives both."""
+    bpy.ops.mesh.primitive_cube_add(size=1.0)
+    fog = bpy.context.object
+    fog.name = "Fog"
+    blender_scenes.add_fog(fog.data, "Fog", "ShaderNodeVolumePrincipled", Density=1.0)
+    mesh = bpy.data.meshes.new("Host")
+    mesh.from_pydata([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [], [(0, 1, 2)] if how == "particles" else [])
+    host = blender_scenes.add_object(scene, "Host", None if how == "collection" else mesh)
+    host.show_instancer_for_render, fog.hide_render = False, how in ("nodes", "particles")
+    if how == "collection":
+        host.instance_type, host.instance_collection = "COLLECTION", bpy.data.collections.new("Fogs")
+        host.instance_collection.objects.link(fog)
+        scene.collection.objects.unlink(fog)
+    elif how == "vertices":
+        fog.parent, host.instance_type = host, "VERTS"
+    elif how == "particles":
+        host.modifiers.new("Particles", "PARTICLE_SYSTEM")
+        particles = host.particle_systems[0].settings
+        particles.type, particles.count, particles.use_advanced_hair = "HAIR", 1, True
+        particles.render_type, particles.instance_object = "OBJECT", fog
+        particles.hair_length = particles.particle_size = 1.0
+    else:
+        tree = bpy.data.node_groups.new("Fogs", "GeometryNodeTree")
+        tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+        node = tree.nodes.new("GeometryNodeObjectInfo")
+        node.inputs[0].default_value, node.inputs["As Instance"].default_value = fog, True
+        tree.links.new(node.outputs["Geometry"], tree.nodes.new("NodeGroupOutput").inputs[0])
+        host.modifiers.new("Nodes", "NODES").node_group = tree
+    return fog, host
+
+
+@pytest.mark.parametrize("how", ["collection", "vertices", "particles", "nodes"])
+def test_the_visibility_of_an_instancer_is_that_of_its_instances(addon, scene, tmp_path, how):
+    scene.render.resolution_x = scene.render.resolution_y = 5
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene, ortho_scale=3.0)
+    fog, host = instanced(scene, how)
+    assert len(read(addon).volumes) == 3 if how == "vertices" else 1
+    host.visible_shadow = host.visible_volume_scatter = False
+    said = " ".join(read(addon).warnings)
+    assert '"Fog in Host" is hidden from shadow rays' in said and "from volume scatter rays" in said
+    for owner, setting, reason in [
+        (host, "visible_camera", "hidden from the camera"),
+        (host, "is_shadow_catcher", "shadow catcher"),
+        (fog, "is_shadow_catcher", "shadow catcher"),
+    ]:
+        before = getattr(owner, setting)
+        setattr(owner, setting, not before)
+        with pytest.raises(SceneError, match=f'"Fog in Host" is .*{reason}'):
+            read(addon)
+        assert not blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., 3].any()
+        setattr(owner, setting, before)
+    assert blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., 3].max() > 0.3
+
+
+@pytest.mark.parametrize("light", ["lamp", "mesh"])
+def test_an_instancer_that_volumes_do_not_see_gives_them_no_light(addon, scene, tmp_path, light):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    if light == "lamp":
+        lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    else:
+        mesh = bpy.data.meshes.new("Lamp")
+        mesh.from_pydata([(4, 0, 0), (4, 1, 0), (4, 0, 1)], [], [(0, 1, 2)])
+        glow = bpy.data.materials.new("Glow")
+        glow.use_nodes = True
+        glow.node_tree.nodes.clear()
+        tree = glow.node_tree
+        tree.links.new(
+            tree.nodes.new("ShaderNodeEmission").outputs[0],
+            tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"],
+        )
+        mesh.materials.append(glow)
+        lamp = bpy.data.objects.new("Lamp", mesh)
+    host = blender_scenes.add_object(scene, "Host", None)
+    host.instance_type, host.instance_collection = "COLLECTION", bpy.data.collections.new("Lamps")
+    host.instance_collection.objects.link(lamp)
+
+    def shining():
+        found = read(addon)
+        return len(found.lamps) + sum(bool(mesh.colour.emission.any()) for mesh in found.opaque)
+
+    assert shining() == 1
+    host.visible_volume_scatter = False
+    assert shining() == 0
+
+
 def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, two):
     second, layer = two
     layer.holdout = True
