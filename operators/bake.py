@@ -11,7 +11,7 @@ from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
-from ..mrpnn_addon.scene.reader import SceneDescription, read_scene
+from ..mrpnn_addon.scene.reader import SceneDescription, read_frame, require_light
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
 from .waiting import SceneLoading
@@ -52,7 +52,8 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
     def execute(self, context):
         """Bake while Blender waits."""
         try:
-            description = read_scene(context.evaluated_depsgraph_get())
+            description = read_frame(context.evaluated_depsgraph_get())
+            require_light(description)
             baked = bake_scene(description, self._settings(context), self._target(context.scene))
         except (SceneError, OSError) as error:
             return self._fail(error)
@@ -81,7 +82,8 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
             self._loading = SceneLoading(context)
             if self._loading.worker is not None:
                 return self._loading.worker
-        self._description = read_scene(context.evaluated_depsgraph_get(), self._loading.reader)
+        self._description = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
+        require_light(self._description)
         self._loading = None
         return BakeJob(self._description, self._settings(context), self._target(context.scene))
 
@@ -145,7 +147,9 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
             self.report(
                 {"WARNING"}, "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends"
             )
-        if not baked.volumes:
+        if not baked.names:
+            self.report({"INFO"}, f"frame {baked.frame} shows no volume, so there is no light to bake")
+        elif not baked.volumes:
             self.report({"INFO"}, "the light of every volume is up to date")
         else:
             self.report(

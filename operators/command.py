@@ -19,6 +19,7 @@ from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
 from .bake import FOLDER
+from .command_frames import error_message
 from .console import Console
 
 COMMAND = "mrpnn"
@@ -112,8 +113,8 @@ def _parser() -> argparse.ArgumentParser:
             "--strict",
             action=argparse.BooleanOptionalAction,
             default=False,
-            help="exit status 1 where an object cannot be rendered, and a message that names it, instead of leaving it "
-            "out; the frame gets no file",
+            help="exit status 1 where an object cannot be rendered, or no volume or light is left, and a message that "
+            "says so, instead of a picture; the command stops there",
         )
     for action in (compare, report):
         action.add_argument("--frame", type=int, metavar="N", help="the file's current frame without it")
@@ -200,6 +201,8 @@ def main(arguments) -> int:
         error = f"a number is too large ({problem})"
     except KeyboardInterrupt:
         error = "stopped"
+    except Exception as bug:
+        error = error_message(bug)
     found.update(error=error, seconds=time.perf_counter() - start)
     if options is not None and options.json:
         try:

@@ -2,21 +2,23 @@
 """The actions of the command line: render frames, bake their light, compare one with Cycles, report on a scene."""
 
 import os
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
 
 import bpy
 
-from ..inference.plan.plan import make_plan
-from ..inference.scene import SceneError
+from ..inference.scene import SceneError, Settings
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
-from ..mrpnn_addon.scene.reader import read_scene, require_all, require_volumes
+from ..mrpnn_addon.scene.reader import SceneDescription
 from .bake import bake_warnings, light_folder, make_fast
+from .command_frames import each_frame, frame_reader, require_none
+from .console import Console
 
 ENDINGS = (".exr", ".png")
 
@@ -27,25 +29,26 @@ def render(options, console, found: dict) -> None:
     if os.path.splitext(options.output)[1].lower() not in ENDINGS:
         raise SceneError(f"--output must end in .exr or .png, not {options.output!r}")
     frames = parse_frames(options.frames) if options.frames else [scene.frame_current]
-    found["frames"] = []
+    paths = {frame: frame_path(options.output, frame, many=len(frames) > 1) for frame in frames}
+
     with _overridden(options) as settings:
-        for frame in frames:
-            path = frame_path(options.output, frame, many=len(frames) > 1)
+
+        def work(frame: int) -> dict:
+            path = paths[frame]
             if options.skip_existing and os.path.exists(path):
-                found["frames"].append({"frame": frame, "file": path, "skipped": True})
                 console.event("skipped", f"frame {frame}: {path} is there already", frame=frame, file=path)
-                continue
-            found["frames"].append(_render_frame(frame, path, settings, console, options.strict))
+                return {"frame": frame, "file": path, "skipped": True}
+            return _render_frame(frame, path, settings, console, frame_reader(options, frames))
+
+        failed = each_frame(frames, work, console, found, options.strict)
+    require_none(failed, frames)
 
 
-def _render_frame(frame: int, path: str, settings, console, strict: bool) -> dict:
+def _render_frame(
+    frame: int, path: str, settings: Settings, console: Console, read: Callable[[int], SceneDescription]
+) -> dict:
     """Render one frame to `path`; returns its facts."""
-    scene = bpy.context.scene
-    # Even for the current frame: an override may change what is evaluated.
-    scene.frame_set(frame)
-    description = read_scene(bpy.context.evaluated_depsgraph_get())
-    if strict:
-        require_all(description)
+    scene, description = bpy.context.scene, read(frame)
     # As Blender does, once the scene is known to be valid.
     os.makedirs(os.path.dirname(path), exist_ok=True)
     exr = path.lower().endswith(".exr")
@@ -77,14 +80,11 @@ def bake(options, console, found: dict) -> None:
     if frames[0] < 0:
         raise SceneError("files of baked light cannot have negative frames; shift the animation")
     target, baked = BakeTarget(light_folder(options.folder)), []
-    found["frames"] = []
     with _overridden(options) as settings:
-        settings = replace(settings, directional=not options.no_directions)
-        for frame in sorted(frames):
-            scene.frame_set(frame)
-            description = read_scene(bpy.context.evaluated_depsgraph_get())
-            if options.strict:
-                require_all(description)
+        settings, read = replace(settings, directional=not options.no_directions), frame_reader(options, frames)
+
+        def work(frame: int) -> dict:
+            description = read(frame)
             one = bake_scene(description, settings, target, console.progress(frame))
             baked.append(one)
             for warning in dict.fromkeys(one.warnings + bake_warnings(description)):
@@ -93,11 +93,13 @@ def bake(options, console, found: dict) -> None:
             facts = {"frame": frame, "files": files, "seconds": one.seconds, "warnings": one.warnings}
             lines = [f"baked frame {frame} in {one.seconds:.1f} s", *(f"Saved: '{path}'" for path in files.values())]
             console.event("frame", "\n".join(lines), **facts)
-            found["frames"].append(facts)
+            return facts
+
+        failed = each_frame(sorted(frames), work, console, found, options.strict)
     if options.save:
-        if len(baked) == 1:
+        if len(frames) == 1:
             show_light(scene, baked[0])
-        else:
+        elif any(one.volumes for one in baked):
             show_sequence(scene, baked)
         if options.fast and scene.render.engine == "CYCLES":
             console.event("fast", make_fast(bpy.context.evaluated_depsgraph_get()))
@@ -105,6 +107,7 @@ def bake(options, console, found: dict) -> None:
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
         found["save"] = path
         console.event("saved", f"Saved: '{path}'", file=path)
+    require_none(failed, frames)
 
 
 def compare(options, console, found: dict) -> None:
@@ -144,36 +147,28 @@ def report(options, console, found: dict) -> None:
     if options.frame is not None:
         scene.frame_set(options.frame)
     with _overridden(options) as settings:
-        description = read_scene(bpy.context.evaluated_depsgraph_get())
-        require_volumes(description)
-        if options.strict:
-            require_all(description)
-        plan = make_plan(
-            description.volumes,
-            description.lights,
-            description.camera,
-            settings,
-            surfaces=description.surfaces,
-        )
+        description = frame_reader(options, [scene.frame_current])(scene.frame_current)
+        plan = description.plan(settings)
     width, height = description.camera.resolution
     found["plan"] = {
         "frame": description.frame,
         "resolution": [width, height],
         "volumes": [{"name": volume.name, "voxels": list(volume.density.shape)} for volume, _ in description.volumes],
         "suns": [light.name for light in description.lights],
-        "planned": plan.planned,
-        "left_out": plan.left_out,
+        "planned": plan.planned if plan else [],
+        "left_out": plan.left_out if plan else [],
         "warnings": description.warnings,
-        "memory": plan.memory,
+        "memory": plan.memory if plan else 0,
     }
-    lines = [f"frame {description.frame}, {width} x {height} pixels, about {plan.memory / 2**30:.1f} GiB of memory"]
+    memory = f"{found['plan']['memory'] / 2**30:.1f} GiB of memory"
+    lines = [f"frame {description.frame}, {width} x {height} pixels, about {memory}"]
     lines += [
         f'  volume "{volume.name}": {" x ".join(map(str, volume.density.shape))} voxels'
         for volume, _ in description.volumes
     ]
     lines += [f"  {light.name}" for light in description.lights]
-    lines += [f"  renders {sentence}" for sentence in plan.planned]
-    lines += [f"  leaves out {sentence}" for sentence in plan.left_out]
+    lines += [f"  renders {sentence}" for sentence in found["plan"]["planned"]]
+    lines += [f"  leaves out {sentence}" for sentence in found["plan"]["left_out"]]
     for warning in description.warnings:
         console.event("warning", warning, message=warning)
     console.event("report", "\n".join(lines), **found["plan"])

@@ -5,6 +5,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..mrpnn_addon.nodes.material import shows_volume
+from ..mrpnn_addon.objects.animation import with_instanced
 from ..mrpnn_addon.output.composite import composite, remove_composite
 
 
@@ -32,7 +33,7 @@ class MRPNN_OT_composite(bpy.types.Operator):
         if surfaces is not None:
             self.report({"ERROR"}, f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
             return {"CANCELLED"}
-        if not any(shows_volume(shown) for shown in _objects(scene)):
+        if not any(shows_volume(shown) for shown in with_instanced(scene.collection.all_objects)):
             self.report({"ERROR"}, "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
             return {"CANCELLED"}
         try:
@@ -89,20 +90,6 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
 def _composited(scene):
     """The composited scene: this one, or the one whose volumes it renders; else None."""
     return scene if scene.mrpnn_composite.active else scene.mrpnn_composite.surfaces
-
-
-def _objects(scene):
-    """All objects of a scene, including those of its collection instances."""
-    ahead, seen = [scene.collection], set()
-    while ahead:
-        collection = ahead.pop()
-        if collection in seen:
-            continue
-        seen.add(collection)
-        for shown in collection.all_objects:
-            yield shown
-            if shown.instance_type == "COLLECTION" and shown.instance_collection is not None:
-                ahead.append(shown.instance_collection)
 
 
 classes = (MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene)

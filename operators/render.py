@@ -10,7 +10,7 @@ from bpy.props import StringProperty
 from ..inference.scene import SceneError
 from ..mrpnn_addon.engine.render_job import RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import show_in_image
-from ..mrpnn_addon.scene.reader import read_scene
+from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
 from .waiting import SceneLoading
@@ -39,7 +39,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         """Render while Blender waits."""
         try:
             finished = render_scene(
-                read_scene(context.evaluated_depsgraph_get()),
+                read_frame(context.evaluated_depsgraph_get()),
                 context.scene.mrpnn.settings(),
                 self._exr_path(context.scene),
             )
@@ -72,7 +72,7 @@ class MRPNN_OT_render(bpy.types.Operator):
             if self._loading.worker is not None:
                 return self._loading.worker
         # The scene may change from here on.
-        found = read_scene(context.evaluated_depsgraph_get(), self._loading.reader)
+        found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
         self._loading = None
         return RenderJob(found, context.scene.mrpnn.settings(), exr_path)
 

@@ -245,9 +245,6 @@ def make_plan(
     """
     if not volumes:
         raise SceneError("there is no volume to render")
-    shine = any(surface.emission.any() for surface in surfaces)
-    if not lights and not shine and not any(emits(*pair) for pair in volumes):
-        raise SceneError("there is no sun, no lamp and no environment: without light the image would be black")
     planned: list[str] = []
     left_out: list[str] = []
     volumes = [in_range(volume, medium) for volume, medium in volumes]

@@ -17,7 +17,7 @@ from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..runtime.background import Worker
 from ..scene.film import Background, read_background
-from ..scene.reader import SceneDescription, read_scene
+from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
 from ..settings.properties import scene_settings
 from ..status.last_render import remember_finished
@@ -59,17 +59,29 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
     def render(self, depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender for each view layer, on its render thread or, in background, on the main thread."""
-        # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
-        # would continue and write an empty image.
         try:
             self._render(depsgraph)
         except Cancelled:
             pass
         except (SceneError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            self._fail(depsgraph, str(error))
         except Exception as error:
             traceback.print_exc()
-            self.report({"ERROR"}, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
+            self._fail(depsgraph, f"MRPNN failed, which is a bug: {type(error).__name__}: {error}")
+
+    def _fail(self, depsgraph: "bpy.types.Depsgraph", message: str) -> None:
+        """Report why a frame cannot be rendered. An animation goes on behind an empty picture of it."""
+        if self.is_animation:
+            try:
+                self._write_empty(depsgraph)
+                return self.report({"WARNING"}, f"frame {depsgraph.scene.frame_current} is an empty picture: {message}")
+            except Cancelled:
+                return
+            except Exception as error:
+                message = f"{message}; {error}"
+        # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
+        # would continue and write an empty image.
+        self.report({"ERROR"}, message)
 
     def view_update(self, context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender when something in the viewport's scene has changed."""
@@ -135,7 +147,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         parts = None if bpy.app.background else result
         try:
             finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
-        except Cancelled:
+        except BaseException:
             self.stop_reading_ahead()
             result.end()
             raise
@@ -158,7 +170,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self._finish(loading)
         if loading.error is not None:
             raise loading.error
-        scene = read_scene(depsgraph, reader, self._check)
+        # Blender renders the scene of composited volumes as a still, whose picture is Cycles' with or without volumes.
+        goes_on = self.is_animation or composited(frames) or len(frames.view_layers) > 1
+        scene = read_frame(depsgraph, reader, self._check, goes_on)
         if self.is_animation and frames.frame_current + frames.frame_step <= frames.frame_end:
             cls._ahead = ReadAhead(sources, frames.frame_step)
         return scene

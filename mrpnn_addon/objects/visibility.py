@@ -148,12 +148,13 @@ def ignored_visibility(shown: VisibleObject) -> list[str]:
 
 def render_visible(view_layer: "bpy.types.ViewLayer") -> set:
     """The view layer's objects that neither they nor their collections hide in renders."""
-    return {
-        member
-        for layer_collection in _rendered_collections(view_layer.layer_collection)
-        for member in layer_collection.collection.objects
-        if not member.hide_render
-    }
+    return {member for member in render_objects(view_layer) if not member.hide_render}
+
+
+def render_objects(view_layer: "bpy.types.ViewLayer") -> "Iterator[bpy.types.Object]":
+    """The view layer's objects that their collections do not hide in renders."""
+    for layer_collection in _rendered_collections(view_layer.layer_collection):
+        yield from layer_collection.collection.objects
 
 
 def _rendered_collections(layer_collection: "bpy.types.LayerCollection") -> Iterator[Any]:
@@ -173,20 +174,23 @@ def evaluated_world(depsgraph: "bpy.types.Depsgraph") -> "bpy.types.World | None
     return world.evaluated_get(depsgraph) if world is not None and depsgraph.view_layer.use_sky else None
 
 
-def require_evaluated(depsgraph: "bpy.types.Depsgraph") -> None:
-    """Raises SceneError where a volume or sun is visible in renders but hidden in the viewport.
+def unevaluated(depsgraph: "bpy.types.Depsgraph") -> "list[tuple[bpy.types.Object, SceneError]]":
+    """Volumes and lights that are visible in renders but hidden in the viewport, and what to do about each.
 
-    Outside a render, Blender evaluates only what the viewport shows, so the image would lack it.
+    Outside a render, Blender evaluates only what the viewport shows, so the image lacks them.
     """
     if depsgraph.mode == "RENDER":
-        return
-    for candidate in render_visible(depsgraph.view_layer):
+        return []
+    found = []
+    for candidate in sorted(render_visible(depsgraph.view_layer), key=lambda one: one.name):
         kind = _rendered_kind(candidate)
         if kind and not candidate.visible_get(view_layer=depsgraph.view_layer):
-            raise SceneError(
+            problem = (
                 f'{kind} "{candidate.name}" is hidden in the viewport but not in renders; show it, '
                 "or hide it in renders too"
             )
+            found.append((candidate, SceneError(problem)))
+    return found
 
 
 def _rendered_kind(candidate: "bpy.types.Object") -> str | None:

@@ -30,11 +30,14 @@ class LightGroups:
     def parts(
         self, description: "SceneDescription"
     ) -> Iterator[tuple[str, list[tuple[Volume, Medium]], list, list[Surface]]]:
-        """Each group with any light, and "": its name, volumes, lights and surfaces, as of `inference.render`."""
+        """Each group with any light, or "" without light: its name, volumes, lights and surfaces, as of
+        `inference.render`.
+        """
 
         def of(one: object) -> str:
             return self._groups.get(id(one), "")
 
+        lit = False
         for name in [*self.names, ""]:
             lights = [light for light in description.lights if of(light) == name]
             volumes = [
@@ -47,7 +50,11 @@ class LightGroups:
             ]
             emits = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in volumes)
             if lights or emits or any(surface.emission.any() for surface in surfaces):
+                lit = True
                 yield name, volumes, lights, surfaces
+        if not lit:
+            # The volumes have their alpha all the same.
+            yield "", description.volumes, [], description.surfaces
 
 
 def sum_of_groups(layers: dict[str, Layer]) -> Layer:

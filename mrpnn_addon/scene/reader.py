@@ -2,22 +2,25 @@
 """The evaluated scene as plain descriptions for `inference.render`."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
+from ...inference.plan.plan import Plan, make_plan
 from ...inference.scene import (
     Camera,
     Environment,
     Medium,
     SceneError,
+    Settings,
     Sun,
     Surface,
     Volume,
 )
 from ..nodes.material import SURFACES, shows_volume
+from ..objects.animation import changes, volumes_change, with_instanced
 from ..objects.camera import read_camera
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, ignored_settings
 from ..objects.light_linking import LightLinks
@@ -27,7 +30,8 @@ from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
     ignored_visibility,
-    require_evaluated,
+    render_objects,
+    unevaluated,
     visible_objects,
 )
 from ..objects.workload import Box, Workload, estimate_workload
@@ -37,6 +41,10 @@ from ..world.lighting import read_world
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
 
+NO_VOLUME = (
+    "the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a closed mesh a material with "
+    "a volume and no surface"
+)
 NO_LIGHT = "the scene shows no sun and no lamp, and its World gives no light; add a sun (Add > Light > Sun)"
 
 
@@ -76,6 +84,12 @@ class SceneDescription:
     boxes: list[tuple[Box, int]] = field(default_factory=list)
     groups: LightGroups = field(default_factory=LightGroups)
 
+    def plan(self, settings: Settings) -> Plan | None:
+        """The plan of a render; None without volumes. Raises as `make_plan`."""
+        if not self.volumes:
+            return None
+        return make_plan(self.volumes, self.lights, self.camera, settings, surfaces=self.surfaces)
+
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
         boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
@@ -92,50 +106,104 @@ class SceneDescription:
         return [mesh.surface() for mesh in self.opaque]
 
 
-def read_scene(
-    depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None, check: Callable[[], None] = lambda: None
+def read_frame(
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader | None = None,
+    check: Callable[[], None] = lambda: None,
+    goes_on: bool = False,
 ) -> SceneDescription:
-    """Read everything that a render needs; bpy is not needed afterwards.
+    """Read everything that a picture needs; bpy is not needed afterwards.
 
-    An object that cannot be rendered is left out, with a warning that names it.
+    An object that cannot be rendered is left out, with a warning that names it. A frame without a volume is an empty
+    picture and one without light is black, with a warning that names the frame.
 
     reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
-    that it raises stops the reading.
+    that it raises stops the reading. goes_on: whether a frame without a volume is a picture for whatever reason, as in
+    animations; in a still it is one where volumes change in time.
 
-    Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or where no volume or no light
+    Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or in a still where no volume
     is left.
     """
-    require_evaluated(depsgraph)
+    missing = unevaluated(depsgraph)
+    for hidden, problem in missing:
+        if not goes_on and not changes(hidden):
+            raise problem
     camera, warnings = read_camera(depsgraph)
     description = _describe(depsgraph, reader, check)
     description.camera, description.warnings = camera, warnings + description.warnings
+    for hidden, problem in missing:
+        description.left_out.add(hidden.name)
+        if shows_volume(hidden):
+            description.unseen.append(str(problem))
+        description.warnings += _refused(description, problem)
     description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
-    if not description.volumes and description.empty:
-        return description
-    require_volumes(description)
     if not description.volumes:
-        raise SceneError(
-            "the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a "
-            "closed mesh a material with a volume and no surface"
+        if not (goes_on or description.empty or volumes_change(_objects(depsgraph))):
+            require_volumes(description)
+        _tell_empty(description, _objects(depsgraph))
+    elif not _has_light(description):
+        description.refused.append(NO_LIGHT)
+        description.warnings.append(
+            f"frame {description.frame} is black: {_why_dark(description, _objects(depsgraph))}"
         )
-    if not _has_light(description):
-        raise SceneError("; ".join([NO_LIGHT, *description.refused]))
+    return description
+
+
+def read_scene(
+    depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None, check: Callable[[], None] = lambda: None
+) -> SceneDescription:
+    """As `read_frame`, for what needs light.
+
+    Raises SceneError, with the reasons, also where no light is left, and where no volume is, unless all are empty in
+    this frame.
+    """
+    description = read_frame(depsgraph, reader, check)
+    if not description.volumes and not description.empty:
+        require_volumes(description)
+    require_light(description)
     return description
 
 
 def read_view(
     depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D", reader: VolumeReader | None = None
 ) -> SceneDescription:
-    """What a SpaceView3D's viewport shows of the scene, without a camera; see `read_scene`.
+    """What a SpaceView3D's viewport shows of the scene, without a camera; see `read_frame`.
 
     The description may be empty. Without light, volumes are black as in Cycles.
     """
     description = _describe(depsgraph, reader, space=space)
     if description.volumes and not _has_light(description):
-        description.suns.append(Sun(np.array([0.0, 0.0, 1.0]), np.zeros(3), name="no light"))
         description.refused.append(NO_LIGHT)
         description.warnings.append(NO_LIGHT)
     return description
+
+
+def _objects(depsgraph: "bpy.types.Depsgraph") -> "Iterator[bpy.types.Object]":
+    """The original objects that a render shows in some frame, with those that they instance."""
+    return with_instanced(render_objects(depsgraph.scene.original.view_layers[depsgraph.view_layer.name]))
+
+
+def _tell_empty(description: SceneDescription, objects: "Iterable[bpy.types.Object]") -> None:
+    """Warn of a frame without a volume. Volumes that have a warning which names the frame need no other."""
+    unseen = [reason for reason in description.unseen if reason not in description.empty]
+    if not unseen and description.empty:
+        return
+    # Told once.
+    description.warnings = [
+        warning for warning in description.warnings if not any(warning.startswith(reason) for reason in unseen)
+    ]
+    hidden = sorted({f'"{shown.name}"' for shown in objects if shows_volume(shown)})
+    reasons = unseen or ([f"volume {' and '.join(hidden)} shows nothing"] if hidden else [NO_VOLUME])
+    description.warnings.append(f"frame {description.frame} is an empty picture: {'; '.join(reasons)}")
+
+
+def _why_dark(description: SceneDescription, objects: "Iterable[bpy.types.Object]") -> str:
+    """Why a frame has no light, naming lights that are black or hidden."""
+    problems = [problem for problem in description.refused if problem != NO_LIGHT]
+    problems += [f"{name} has no strength" for name in dict.fromkeys(light.name for light in description.lights)]
+    lights = sorted({f'"{shown.name}"' for shown in objects if shown.type == "LIGHT"})
+    problems += [f"light {name} is hidden" for name in lights if not any(name in problem for problem in problems)]
+    return "; ".join(problems) or NO_LIGHT
 
 
 def _describe(
@@ -195,22 +263,41 @@ def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
 
 def _has_light(description: SceneDescription) -> bool:
     return (
-        bool(description.lights)
+        any(np.any(_power(light)) for light in description.lights)
         or any(volume.emission is not None for volume, _ in description.volumes)
         or any(mesh.colour.emission.any() for mesh in description.opaque)
     )
 
 
+def _power(light: "Sun | Lamp | Environment") -> np.ndarray:
+    """What a light's strength multiplies."""
+    if isinstance(light, Sun):
+        return light.irradiance
+    return light.radiance if isinstance(light, Environment) else light.power
+
+
+def require_light(description: SceneDescription) -> None:
+    """Raises SceneError, with the reasons, where volumes have no light."""
+    if NO_LIGHT in description.refused:
+        raise SceneError("; ".join(dict.fromkeys([NO_LIGHT, *description.refused])))
+
+
 def require_volumes(description: SceneDescription) -> None:
-    """Raises SceneError, with the reasons, where all volumes are left out."""
-    if not description.volumes and description.unseen:
-        raise SceneError("no volume is left to render: " + "; ".join(description.unseen))
+    """Raises SceneError, with the reasons, where no volume is left."""
+    if not description.volumes:
+        reasons = "; ".join(description.unseen)
+        raise SceneError(f"no volume is left to render: {reasons}" if reasons else NO_VOLUME)
 
 
 def require_all(description: SceneDescription) -> None:
-    """Raises SceneError, with the reasons, where visible objects cannot be rendered."""
+    """Raises SceneError, with the reasons, where visible objects cannot be rendered, or no volume or no light is left.
+
+    Volumes that are empty in this frame are as they should be.
+    """
     if description.refused:
         raise SceneError("; ".join(description.refused))
+    if not description.empty:
+        require_volumes(description)
 
 
 def _link(description: SceneDescription, links: LightLinks) -> None:

@@ -3,12 +3,11 @@
 
 from dataclasses import dataclass, field
 
-from ...inference.plan.plan import make_plan
 from ...inference.scene import SceneError
 from ..baking.baked_scene import stale_light
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.changes import scene_state
-from ..scene.reader import read_scene, require_volumes
+from ..scene.reader import read_frame
 
 
 @dataclass
@@ -35,22 +34,21 @@ _last = None
 
 
 def check_scene(depsgraph, reader=None) -> SceneCheck:
-    """Read the scene and plan its render; stored as `last_check`. reader: as of `read_scene`."""
+    """Read the scene and plan its render; stored as `last_check`. reader: as of `read_frame`."""
     global _last
     # The evaluated scene's name and camera are those of the original.
     state, settings = scene_state(depsgraph.scene), depsgraph.scene.mrpnn.settings()
     try:
         warnings = check_runtime()
-        scene = read_scene(depsgraph, reader)
-        require_volumes(scene)
-        plan = make_plan(scene.volumes, scene.lights, scene.camera, settings, surfaces=scene.surfaces)
+        scene = read_frame(depsgraph, reader)
+        plan = scene.plan(settings)
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(
             state,
             warnings=[*scene.warnings, *warnings, *stale_light(depsgraph.scene.original, scene)],
-            planned=plan.planned,
-            left_out=plan.left_out,
-            memory=plan.memory,
+            planned=plan.planned if plan else [],
+            left_out=plan.left_out if plan else [],
+            memory=plan.memory if plan else 0,
             voxels=voxels,
         )
     except SceneError as error:

@@ -142,9 +142,18 @@ def why_empty(shown: VisibleObject) -> str:
     data, domain = shown.object.data, gas_domain(shown.object)
     if not placement_problem(shown.matrix) and has_zero_scale(shown.matrix):
         return "has scale 0 in"
-    if shown.object.type == "VOLUME" and data.is_sequence and data.grids.load() and not len(data.grids):
+    if shown.object.type == "VOLUME" and data.is_sequence and load_grids(data) and not len(data.grids):
         return "has no file for"
     return "has no smoke in" if domain and is_empty(domain) else ""
+
+
+def load_grids(data: "bpy.types.Volume") -> bool:
+    """Read which grids a volume's file has; returns whether it could be read."""
+    if data.grids.load():
+        return True
+    # In frames after one whose file is missing, Blender tells of that one until the grids are unloaded.
+    data.grids.unload()
+    return data.grids.load()
 
 
 def _varies(volume_object) -> bool:
@@ -155,7 +164,7 @@ def _varies(volume_object) -> bool:
 
 def _file_source(shown: VisibleObject, where: str) -> FileSource:
     data = shown.object.data
-    if not data.grids.load() or not len(data.grids):
+    if not load_grids(data) or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
     path, folder = _own_file(shown.object), None
     is_sequence = data.is_sequence and path is not None

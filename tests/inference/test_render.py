@@ -19,6 +19,7 @@ from inference import (
     Settings,
     Sun,
     Volume,
+    bake,
     predict_multiple,
     render,
 )
@@ -226,6 +227,16 @@ def test_a_black_sun_leaves_alpha_unchanged():
     assert np.all(layer.rgb == 0.0) and layer.alpha.max() > 0.5
 
 
+def test_without_light_volumes_are_black_and_as_opaque_as_ever():
+    volumes, settings = [(cloud(), Medium(30.0, 0.9))], Settings(depth_samples=2)
+    dark, lit = (render(volumes, lights, camera(), settings) for lights in ([], [SUN]))
+    assert not dark.rgb.any() and lit.rgb.any()
+    np.testing.assert_array_equal(dark.alpha, lit.alpha)
+    np.testing.assert_array_equal(dark.depth, lit.depth)
+    (baked,) = bake(volumes, [])
+    assert not baked.scattered.any()
+
+
 def test_rendering_can_be_cancelled():
     calls = []
     with pytest.raises(Cancelled):
@@ -244,7 +255,6 @@ def test_progress_grows_to_one():
     "change, message",
     [
         (dict(volumes=[]), "no volume"),
-        (dict(lights=[]), "no sun"),
         (dict(settings=Settings(model="nothing")), "no network called 'nothing'"),
         (dict(settings=Settings(memory_limit=1)), "raise the limit"),
         (dict(volumes=[(box(density=0.0, name="fog"), BLACK)]), "fog: .* zero everywhere"),

@@ -66,7 +66,7 @@ def test_sequence_modes(addon, scene, tmp_path, mode, offset, expected):
 
 
 def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
-    """As in Cycles, so that an animation does not end there. What needs a volume states why there is none."""
+    """As in Cycles, so that an animation does not end there."""
     sequence(scene, tmp_path, (1, 2, 3)).data.sequence_mode = "CLIP"
     lit(scene)
     scene.frame_set(9)
@@ -77,7 +77,7 @@ def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
     width, height = described.camera.resolution
     assert finished.layer.rgb.shape == (height, width, 3) and not finished.layer.alpha.any()
     checked = addon.mrpnn_addon.status.scene_check.check_scene(blender_scenes.depsgraph())
-    assert 'no volume is left to render: volume "Cloud" has no file for frame 9' in checked.error
+    assert not checked.error and checked.warnings[:1] == described.warnings
     # Hidden, it is an error.
     scene.frame_set(10)
     assert read(addon).volumes
