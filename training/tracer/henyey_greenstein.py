@@ -28,7 +28,12 @@ def scatter(dx, dy, dz, g, state):
     else:
         s = (_F1 - g * g) / (_F1 - g + _F2 * g * u)
         cosine = (_F1 + g * g - s * s) / (_F2 * g)
-    cosine = min(max(cosine, -_F1), _F1)
+    return turn(dx, dy, dz, min(max(cosine, -_F1), _F1), state)
+
+
+@numba.njit(cache=True, fastmath=True)
+def turn(dx, dy, dz, cosine, state):
+    """A direction at an angle of given cosine to (dx, dy, dz), of random azimuth: (x, y, z, state)."""
     sine = np.sqrt(_F1 - cosine * cosine)
     # Azimuth without trigonometry: a uniform point of the disc, projected to its rim.
     while True:

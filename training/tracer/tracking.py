@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from .density_grid import BLOCK, stochastic_density
-from .random_numbers import draw, two_uniforms
+from .random_numbers import draw, three_uniforms, two_uniforms
 
 _F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _TINY, _HUGE = np.float32(1e-9), np.float32(1e9)
@@ -99,9 +99,35 @@ def _next_block(block, face, ray, blocks):
     return inside, _BlockStep(i, j, k, next_x, next_y, next_z, step_x, step_y, step_z, leave)
 
 
+class Glow(NamedTuple):
+    """Emission along flights of `delta_track`.
+
+    padded: float32 (N + 2, N + 2, N + 2, E), emitted radiance per cell of path length, padded like the density.
+    gathered: float32 (E,), to which a flight adds what it meets.
+    """
+
+    padded: np.ndarray
+    gathered: np.ndarray
+
+
 @numba.njit(cache=True, fastmath=True)
-def delta_track(ray, medium, state):
-    """Delta tracking to the next real collision, from inside the cube: (collided, ray moved there, state)."""
+def _gather(glow, scale, x, y, z, state):
+    """Add `scale` times the emission at a position to what is gathered; returns the state."""
+    state, bits = draw(state)
+    a, b, c = three_uniforms(bits)
+    i, j, k = int(x + _HALF + a), int(y + _HALF + b), int(z + _HALF + c)
+    for e in range(glow.gathered.shape[0]):
+        glow.gathered[e] += scale * glow.padded[i, j, k, e]
+    return state
+
+
+@numba.njit(cache=True, fastmath=True)
+def delta_track(ray, medium, state, glow=None):
+    """Delta tracking to the next real collision, from inside the cube: (collided, ray moved there, state).
+
+    glow: a Glow, or None. In expectation it gathers the emission that reaches the ray's origin from all of the ray.
+    Where the medium emits, the majorant must be above 0.
+    """
     padded, majorant, sigma, _ = medium
     blocks = majorant.shape[0]
     block = _first_block(ray, padded.shape[0] - 2, blocks)
@@ -117,6 +143,9 @@ def delta_track(ray, medium, state):
         if need < supply:
             t += need / bound
             x, y, z = ray.x + ray.dx * t, ray.y + ray.dy * t, ray.z + ray.dz * t
+            if glow is not None:
+                # Real and null collisions together are as frequent as the majorant says.
+                state = _gather(glow, inverse_sigma / bound, x, y, z, state)
             density, state = stochastic_density(x, y, z, padded, state)
             if density > v * bound:
                 return True, Ray(x, y, z, ray.dx, ray.dy, ray.dz), state
@@ -134,11 +163,15 @@ def delta_track(ray, medium, state):
 
 
 @numba.njit(cache=True, fastmath=True)
-def ratio_track(ray, medium, state):
-    """Unbiased transmittance from inside the cube out along a ray, by ratio tracking: (transmittance, state)."""
+def ratio_track(ray, medium, state, reach=_HUGE):
+    """Unbiased transmittance from inside the cube along a ray, by ratio tracking: (transmittance, state).
+
+    reach: distance in cells at which the ray ends, where it has not left the cube.
+    """
     padded, majorant, sigma, _ = medium
     blocks = majorant.shape[0]
     block = _first_block(ray, padded.shape[0] - 2, blocks)
+    end = min(block.exit, reach)
     inverse_sigma = _F1 / sigma
     state, bits = draw(state)
     u, v = two_uniforms(bits)
@@ -147,7 +180,7 @@ def ratio_track(ray, medium, state):
     transmittance = _F1
     while True:
         bound = majorant[block.i, block.j, block.k]
-        face = min(min(block.next_x, block.next_y), min(block.next_z, block.exit))
+        face = min(min(block.next_x, block.next_y), min(block.next_z, end))
         supply = (face - t) * bound
         if need < supply:
             t += need / bound
@@ -166,7 +199,7 @@ def ratio_track(ray, medium, state):
         else:
             need -= supply
             t = face
-            if face >= block.exit:
+            if face >= end:
                 return transmittance, state
             inside, block = _next_block(block, face, ray, blocks)
             if not inside:
