@@ -2,6 +2,7 @@
 """The actions of the command line: render frames, bake their light, compare one with Cycles, report on a scene."""
 
 import os
+import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
@@ -48,11 +49,13 @@ def _render_frame(
     frame: int, path: str, settings: Settings, console: Console, read: Callable[[int], SceneDescription]
 ) -> dict:
     """Render one frame to `path`; returns its facts."""
-    scene, description = bpy.context.scene, read(frame)
+    scene, started = bpy.context.scene, time.perf_counter()
+    description = read(frame)
     # As Blender does, once the scene is known to be valid.
     os.makedirs(os.path.dirname(path), exist_ok=True)
     exr = path.lower().endswith(".exr")
-    finished = render_scene(description, settings, path if exr else None, console.progress(frame))
+    exr_path = path if exr else None
+    finished = render_scene(description, settings, exr_path, console.progress(frame), started=started)
     if not exr:
         image = show_in_image(finished.layer)
         try:

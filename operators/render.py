@@ -3,6 +3,7 @@
 
 import functools
 import os
+import time
 
 import bpy
 from bpy.props import StringProperty
@@ -34,14 +35,17 @@ class MRPNN_OT_render(bpy.types.Operator):
     _job = None
     _loading = None
     _timer = None
+    _started = 0.0
 
     def execute(self, context):
         """Render while Blender waits."""
+        started = time.perf_counter()
         try:
             finished = render_scene(
                 read_frame(context.evaluated_depsgraph_get()),
                 context.scene.mrpnn.settings(),
                 self._exr_path(context.scene),
+                started=started,
             )
         except (SceneError, OSError) as error:
             return self._fail(error)
@@ -54,6 +58,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         if MRPNN_OT_render._job is not None:
             self.report({"WARNING"}, "MRPNN is rendering already; Esc stops it")
             return {"CANCELLED"}
+        self._started = time.perf_counter()
         try:
             MRPNN_OT_render._job = self._next(context)
         except SceneError as error:
@@ -74,7 +79,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         # The scene may change from here on.
         found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
         self._loading = None
-        return RenderJob(found, context.scene.mrpnn.settings(), exr_path)
+        return RenderJob(found, context.scene.mrpnn.settings(), exr_path, self._started)
 
     def modal(self, context, event):
         job = MRPNN_OT_render._job

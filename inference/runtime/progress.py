@@ -21,6 +21,8 @@ SECONDS_PER_UNIT = {
 }
 # Seconds of a stage after which its rate is its own.
 ENOUGH = 0.2
+# Until all stages are known, a fraction that nears UNKNOWN_SHARE, half of it after so many seconds.
+UNKNOWN_SHARE, UNKNOWN_SECONDS = 0.2, 5.0
 
 _measured: dict[str, float] = {}
 _measuring = threading.Lock()
@@ -97,10 +99,11 @@ class Progress:
     def _tell(self) -> None:
         if self._callback is None:
             return
-        elapsed, fraction = time.perf_counter() - self._start, 0.0
-        # Until every stage is known, nothing can be said.
+        elapsed = time.perf_counter() - self._start
         if len(self._expected) == len(SECONDS_PER_UNIT):
             fraction = elapsed / max(elapsed + self._remaining(), 1e-9)
+        else:
+            fraction = UNKNOWN_SHARE * elapsed / (elapsed + UNKNOWN_SECONDS)
         # Estimates are revised; what is shown never goes back, and the end is told by `finish`.
         self._fraction = max(self._fraction, min(fraction, 0.999))
         self._callback(self._fraction, self._message)

@@ -87,6 +87,12 @@ class Report:
             self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + part.cpu_seconds[name]
         self.warn(part.warnings)
 
+    def add_seconds(self, before: "Report") -> None:
+        """Add the time of a render before this one, whose results it uses."""
+        for mine, other in ((self.seconds, before.seconds), (self.cpu_seconds, before.cpu_seconds)):
+            for name, seconds in other.items():
+                mine[name] = mine.get(name, 0.0) + seconds
+
     def warn(self, warnings: Iterable[str]) -> None:
         """Add the warnings that are not there yet."""
         for warning in warnings:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN as a render engine: F12 writes the layer to the render result."""
 
+import threading
 import time
 import traceback
 from dataclasses import replace
@@ -30,7 +31,8 @@ from .render_result import RenderResult
 from .viewport import Viewport, viewport_camera
 from .viewport_region import WHOLE, render_region
 
-POLL_INTERVAL = 0.05
+# Seconds between two looks at a thread, and between two updates of the clock.
+POLL_INTERVAL, CLOCK_INTERVAL = 0.05, 0.5
 
 
 class MRPNNRenderEngine(bpy.types.RenderEngine):
@@ -48,6 +50,10 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
     # Set when Blender draws a viewport with this engine.
     _viewport: Viewport | None = None
+    # The last message shown, and when.
+    _said = ("", 0.0)
+    # Of the class, since each view layer has an engine of its own: when the first one was begun.
+    _asked = 0.0
     # Of the class, since each frame has an engine of its own: what reads the files of an animation's next frame.
     _ahead: ReadAhead | None = None
 
@@ -132,7 +138,10 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             shown.close()
 
     def _render(self, depsgraph: "bpy.types.Depsgraph") -> None:
-        view_layer = depsgraph.view_layer
+        cls, view_layer, started = type(self), depsgraph.view_layer, time.perf_counter()
+        first = next((layer.name for layer in depsgraph.scene.view_layers if layer.use), view_layer.name)
+        if view_layer.name == first or depsgraph.scene.render.use_single_layer:
+            cls._asked = started
         if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
             self.report({"INFO"}, f'view layer "{view_layer.name}" shows no Volume object and stays empty')
             return self._write_empty(depsgraph)
@@ -145,18 +154,20 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         result = RenderResult(self, view_layer, scene.camera, background)
         # Background renders need no intermediate pictures.
         parts = None if bpy.app.background else result
+        progress = _Progress(self, started)
         try:
-            finished = render_scene(scene, settings, progress=_Progress(self), cancelled=self.test_break, parts=parts)
+            finished = render_scene(scene, settings, None, progress, progress.cancelled, parts, started)
         except BaseException:
             self.stop_reading_ahead()
             result.end()
             raise
-        remember_finished(finished)
         # Blender's window shows the last report only.
         missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
             self.report({"WARNING"}, warning)
-        result.finish(finished.layer, stamp(settings, finished.layer.report))
+        result.finish(finished.layer, stamp(settings, finished.layer.report, time.perf_counter() - started))
+        finished.seconds = time.perf_counter() - cls._asked
+        remember_finished(finished)
 
     def _read(self, depsgraph: "bpy.types.Depsgraph") -> SceneDescription:
         """The scene; a thread reads its volumes first, which Esc stops."""
@@ -187,18 +198,32 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     def _finish(self, worker: Worker) -> None:
         """Wait for a thread, which Esc stops."""
         while not worker.done:
-            self.update_stats("", worker.message.capitalize())
+            self.say(worker.message.capitalize())
             worker.wait(POLL_INTERVAL)
             if self.test_break():
                 worker.stop()
 
     def _background(self, depsgraph: "bpy.types.Depsgraph", camera: Camera) -> Background:
         """The Background of a camera's pixels; reports its warnings."""
-        self.update_stats("", "Rendering the sky")
-        found = read_background(depsgraph, camera, self._check)
+
+        def check() -> None:
+            # Called where Cycles renders it.
+            self.say("Rendering the sky")
+            self._check()
+
+        found = read_background(depsgraph, camera, check)
         for warning in found.warnings:
             self.report({"WARNING"}, warning)
         return found
+
+    def say(self, message: str, before: str = "") -> None:
+        """Show what is done, and Blender's clock beside it, which stands still between two messages. before: text in
+        front that is no news.
+        """
+        now = time.perf_counter()
+        if message != self._said[0] or now - self._said[1] > CLOCK_INTERVAL and not bpy.app.background:
+            self._said = message, now
+            self.update_stats("", before + message)
 
     def _check(self) -> None:
         if self.test_break():
@@ -211,19 +236,32 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
 
 class _Progress:
-    """Shows a render's progress in Blender's progress bar and statistics line."""
+    """Shows a render's progress in Blender's progress bar and statistics line.
 
-    def __init__(self, engine: "bpy.types.RenderEngine") -> None:
-        self.engine, self.start = engine, 0.0
+    engine: that renders, on the thread that makes this. started: `time.perf_counter()` when the render was asked for.
+    """
+
+    def __init__(self, engine: MRPNNRenderEngine, started: float) -> None:
+        self._engine, self._started, self._thread = engine, started, threading.get_ident()
+        self._fraction, self._message = 0.0, "Preparing"
 
     def __call__(self, fraction: float, message: str) -> None:
-        # Fractions count from the first call: a coarse picture comes before.
-        self.start = self.start or time.monotonic()
-        self.engine.update_progress(fraction)
-        seconds = time.monotonic() - self.start
+        self._fraction, self._message = fraction, f"{message[:1].upper()}{message[1:]}"
+        self._engine.update_progress(fraction)
+        self._tell()
+
+    def cancelled(self) -> bool:
+        """Whether Esc was pressed; asked several times a second, which keeps the clock going."""
+        if threading.get_ident() == self._thread:
+            self._tell()
+        return self._engine.test_break()
+
+    def _tell(self) -> None:
+        seconds, fraction = time.perf_counter() - self._started, self._fraction
         # The first seconds do not predict the rest.
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
-        self.engine.update_stats("", f"{left}{message[:1].upper()}{message[1:]}, {fraction:.0%}")
+        # The seconds left differ at every call.
+        self._engine.say(f"{self._message}, {fraction:.0%}", left)
 
 
 def _keeps_volumes(update: "bpy.types.DepsgraphUpdate") -> bool:

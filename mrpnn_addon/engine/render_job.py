@@ -2,6 +2,7 @@
 """One render of a scene that has been read, in the calling thread or on a worker thread."""
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from ..runtime.onnxruntime_version import check_runtime
 from ..scene.light_groups import sum_of_groups
 from ..scene.reader import SceneDescription
 from .render_result import RenderResult
+from .steps import Steps, Tell
 
 # Pixels of the first picture, which appears within about a second.
 COARSE_PIXELS = 8000
@@ -26,7 +28,7 @@ COARSE_PIXELS = 8000
 
 @dataclass
 class Finished:
-    """layer: in the frame of Blender's image. seconds: of the whole render. warnings: of reading and rendering.
+    """layer: in the frame of Blender's image. seconds: since the render was asked for. warnings: of all of it.
     workload: None without volumes.
     """
 
@@ -40,19 +42,21 @@ def render_scene(
     scene: SceneDescription,
     settings: Settings,
     exr_path: str | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Tell | None = None,
     cancelled: Callable[[], bool] | None = None,
     parts: RenderResult | None = None,
+    started: float | None = None,
 ) -> Finished:
     """Render a scene. Calls no bpy, so any thread may call this.
 
     exr_path: absolute path of a multi-layer EXR to write, or None. parts: its `show_coarse(layer)` and
-    `show_part(window, layer)`, see RenderResult, are called with a coarse picture and with finished parts.
+    `show_part(window, layer)`, see RenderResult, are called with a coarse picture and with finished parts. started:
+    `time.perf_counter()` when the render was asked for, before the scene was read; now by default.
 
     Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` returns True, and OSError where the file
     cannot be written.
     """
-    runtime_warnings = check_runtime()
+    runtime_warnings, started = check_runtime(), time.perf_counter() if started is None else started
 
     def check() -> None:
         if cancelled and cancelled():
@@ -73,37 +77,51 @@ def render_scene(
         ) from None
     warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
     workload = scene.workload(settings.depth_samples) if scene.volumes else None
-    return Finished(layer, layer.report.seconds["total"], warnings, workload)
+    return Finished(layer, time.perf_counter() - started, warnings, workload)
 
 
 def _render(
     scene: SceneDescription,
     settings: Settings,
-    progress: Callable[[float, str], None] | None,
+    progress: Tell | None,
     cancelled: Callable[[], bool] | None,
     parts: RenderResult | None,
 ) -> Layer:
     # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
     cache = inference.RenderCache(any_view=False)
+    groups = list(scene.groups.parts(scene)) if scene.groups.names else []
+    steps, first = Steps(progress, max(len(groups), 1), parts is not None), None
     if parts is not None:
-        coarse = replace(settings, depth_samples=1)
-        parts.show_coarse(
-            inference.render(
-                scene.volumes, scene.lights, coarse_camera(scene.camera), coarse, None, cancelled, cache, scene.surfaces
-            )
+        settings_of_first, camera = replace(settings, depth_samples=1), coarse_camera(scene.camera)
+        first = inference.render(
+            scene.volumes, scene.lights, camera, settings_of_first, steps.coarse, cancelled, cache, scene.surfaces
         )
-    if scene.groups.names:
-        return sum_of_groups(
+        parts.show_coarse(first)
+    if groups:
+        layer = sum_of_groups(
             {
-                name: inference.render(volumes, lights, scene.camera, settings, progress, cancelled, cache, surfaces)
-                for name, volumes, lights, surfaces in scene.groups.parts(scene)
+                name: inference.render(
+                    volumes, lights, scene.camera, settings, steps.picture(number), cancelled, cache, surfaces
+                )
+                for number, (name, volumes, lights, surfaces) in enumerate(groups)
             }
         )
-    for window, layer in inference.render_tiles(
-        scene.volumes, scene.lights, scene.camera, settings, progress, cancelled, cache, scene.surfaces
-    ):
-        if parts is not None and layer.report is None:
-            parts.show_part(window, layer)
+    else:
+        for window, layer in inference.render_tiles(
+            scene.volumes,
+            scene.lights,
+            scene.camera,
+            settings,
+            steps.picture(0),
+            cancelled,
+            cache,
+            scene.surfaces,
+        ):
+            if parts is not None and layer.report is None:
+                parts.show_part(window, layer)
+    if first is not None:
+        # What the coarse picture has computed for the whole.
+        layer.report.add_seconds(first.report)
     return layer
 
 
@@ -133,28 +151,31 @@ def metadata(scene: SceneDescription, settings: Settings, report: Report) -> dic
     return found
 
 
-def stamp(settings: Settings, report: Report) -> dict:
-    """Metadata of files that Blender writes, as text."""
+def stamp(settings: Settings, report: Report, seconds: float) -> dict:
+    """Metadata of files that Blender writes, as text. seconds: since the render was asked for."""
     return {
         "depthSamples": str(settings.depth_samples),
         "seed": str(settings.seed),
         "model": report.model or "none",
         "modelChecksum": report.checksum,
         "provider": report.provider,
-        "seconds": f"{report.seconds['total']:.2f}",
+        "seconds": f"{seconds:.2f}",
     }
 
 
 class RenderJob(Worker):
     """render_scene on a worker thread. result: a Finished when done, or None with `error` set."""
 
-    def __init__(self, scene: SceneDescription, settings: Settings, exr_path: str | None) -> None:
+    def __init__(
+        self, scene: SceneDescription, settings: Settings, exr_path: str | None, started: float | None = None
+    ) -> None:
+        """started: as of `render_scene`."""
         self.result: Finished | None = None
-        self._task = scene, settings, exr_path
+        self._task, self._asked = (scene, settings, exr_path), started
         self._start("mrpnn render", awaited=True)
 
     def _work(self) -> None:
-        self.result = render_scene(*self._task, self._progress, lambda: self.stopped)
+        self.result = render_scene(*self._task, self._progress, lambda: self.stopped, started=self._asked)
 
     def _progress(self, fraction: float, message: str) -> None:
         self.fraction, self.message = fraction, message
