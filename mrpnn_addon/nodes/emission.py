@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .colour_space import from_rec709
 from .sockets import Groups, Node
 
 if TYPE_CHECKING:
@@ -28,11 +29,11 @@ LUMA = 0.2126, 0.7152, 0.0722
 
 
 def blackbody_colour(temperature: np.ndarray) -> np.ndarray:
-    """Linear Rec.709 colours (n, 3) of luminance 1 for temperatures (n, 1) in K."""
+    """Scene linear colours (n, 3) of luminance 1 for temperatures (n, 1) in K."""
     inverse = 1000.0 / np.clip(temperature[:, 0], COLDEST, HOTTEST)
     red, blue = np.polyval(RED, inverse), np.polyval(BLUE, inverse)
     green = (1.0 - LUMA[0] * red - LUMA[2] * blue) / LUMA[1]
-    return np.stack([red, green, blue], axis=1)
+    return from_rec709(np.stack([red, green, blue], axis=1))
 
 
 def strength_and_colour(values: "NodeEvaluator", node: Node, strength: str, colour: str, groups: Groups) -> np.ndarray:

@@ -9,9 +9,11 @@ import bpy
 import numpy as np
 
 from ..textures.image import ImagePixels
+from .colour_space import from_rec709
 
 ROWS = 128
-LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
+# Colour spaces of linear Rec. 709, by their names in several versions, and those whose values are not converted.
+REC709, AS_THEY_ARE = {"Linear Rec.709", "Linear"}, {"Non-Color", "Raw"}
 
 
 def environment_image(image: "bpy.types.Image") -> Callable[[np.ndarray], np.ndarray]:
@@ -29,7 +31,7 @@ def linear_pixels(image: "bpy.types.Image") -> np.ndarray:
     colours = read.pixels[..., :3]
     if read.srgb:
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    return colours
+    return colours @ read.from_file.astype(np.float32)
 
 
 def read_pixels(image: "bpy.types.Image") -> ImagePixels:
@@ -47,9 +49,12 @@ def read_pixels(image: "bpy.types.Image") -> ImagePixels:
     alpha = pixels[..., 3:] if image.channels == 4 else np.ones_like(colours[..., :1])
     space = image.colorspace_settings.name
     srgb = space == "sRGB" and not image.is_float
-    if not srgb and space not in LINEAR and not image.is_float:
+    if not srgb and space not in REC709 | AS_THEY_ARE and not image.is_float:
         raise ValueError(f"colour space {space}")
-    return ImagePixels(np.concatenate([colours, alpha], axis=2), srgb)
+    # Blender converts images of floats when it reads them.
+    converted = image.is_float or space in AS_THEY_ARE
+    from_file = np.eye(3) if converted else from_rec709(np.eye(3))
+    return ImagePixels(np.concatenate([colours, alpha], axis=2), srgb, from_file)
 
 
 def sampler(small: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

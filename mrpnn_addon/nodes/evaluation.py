@@ -9,10 +9,9 @@ from typing import NoReturn, Protocol
 
 import numpy as np
 
+from .colour_space import luminance
 from .functions import FUNCTIONS
 from .sockets import Groups, Node, Socket, Source, Unsupported, input_of, source_of
-
-LUMA = np.array([[0.2126], [0.7152], [0.0722]])
 
 
 class Points(Protocol):
@@ -82,7 +81,7 @@ def as_number(value: np.ndarray, kind: str) -> np.ndarray:
     """(n, 1): the luminance of a colour, the mean component of a vector."""
     if value.shape[1] == 1:
         return value
-    return value @ LUMA if kind == "RGBA" else value.mean(axis=1, keepdims=True)
+    return luminance(value) if kind == "RGBA" else value.mean(axis=1, keepdims=True)
 
 
 def as_colour(value: np.ndarray) -> np.ndarray:

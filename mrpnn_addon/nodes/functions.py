@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .colour_operations import BLENDS, from_hsl, from_hsv, to_hsl, to_hsv
+from .colour_space import luminance
 from .emission import blackbody_colour
 from .math_operations import MATH, VECTOR_MATH, about_axis, clamp, divide, euler_matrices, rotated, smoothstep
 from .sockets import Groups, Node, Socket, unsupported
@@ -199,7 +200,7 @@ def _hue_saturation(values: "NodeEvaluator", node: Node, output: Socket, groups:
 
 
 def _rgb_to_bw(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
-    return values.colour(node, "Color", groups) @ np.array([[0.2126], [0.7152], [0.0722]])
+    return luminance(values.colour(node, "Color", groups))
 
 
 def _gamma(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:

@@ -8,10 +8,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ImagePixels:
-    """pixels: float32 (rows, columns, 4), rows from the bottom. srgb: whether colours are encoded as sRGB."""
+    """pixels: float32 (rows, columns, 4), rows from the bottom. srgb: whether colours are encoded as sRGB. from_file:
+    float64 (3, 3), from the colours as rows, once they are linear, to scene linear ones.
+    """
 
     pixels: np.ndarray
     srgb: bool
+    from_file: np.ndarray
 
     # Compared by identity, since arrays are not true or false.
     __eq__, __hash__ = object.__eq__, object.__hash__
@@ -51,6 +54,7 @@ def sample(image: ImagePixels, uv: np.ndarray, interpolation: str, extension: st
         found[:, :3] = np.where(
             colours < 0.04045, np.maximum(colours, 0.0) / 12.92, ((np.maximum(colours, 0.0) + 0.055) / 1.055) ** 2.4
         )
+    found[:, :3] = found[:, :3] @ image.from_file
     return found
 
 

@@ -160,7 +160,8 @@ def forget() -> None:
 
 def _key(world: "bpy.types.World", scene: "bpy.types.Scene") -> tuple:
     moves = any(image.source in ("SEQUENCE", "MOVIE") for image in _images(world))
-    return "world", world_key(world), scene.frame_current if moves else None
+    space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "")
+    return "world", world_key(world), space, scene.frame_current if moves else None
 
 
 def _images(world: "bpy.types.World") -> list[bpy.types.Image]:

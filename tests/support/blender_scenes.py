@@ -161,6 +161,8 @@ def rendered(scene, folder, transparent=True):
     scene.render.filepath = path
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(path)
+    # As they are in the file: scene linear.
+    image.colorspace_settings.is_data = True
     pixels = np.empty(image.size[0] * image.size[1] * 4, np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.reshape(image.size[1], image.size[0], 4)[::-1]
