@@ -11,6 +11,7 @@ from ..inference.scene import SceneError
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
+from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame, require_light
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
@@ -64,7 +65,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         if MRPNN_OT_bake_light._job is not None:
-            self.report({"WARNING"}, "MRPNN is baking already; Esc stops it")
+            report(self, "WARNING", "MRPNN is baking already; Esc stops it")
             return {"CANCELLED"}
         try:
             MRPNN_OT_bake_light._job = self._next(context)
@@ -95,7 +96,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         context.window_manager.progress_update(int(100 * job.fraction))
-        context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
+        status_bar(context, f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
             return {"PASS_THROUGH"}
         if self._loading is not None and job.error is None and not job.stopped:
@@ -108,7 +109,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         self._end(context)
         # Esc may come too late for the worker to notice it.
         if job.stopped:
-            self.report({"INFO"}, "MRPNN bake stopped")
+            report(self, "INFO", "MRPNN bake stopped")
             return {"CANCELLED"}
         if isinstance(job.error, (SceneError, OSError)):
             return self._fail(job.error)
@@ -127,7 +128,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         MRPNN_OT_bake_light._job = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
-        context.workspace.status_text_set(None)
+        status_bar(context, None)
 
     def _settings(self, context):
         return replace(context.scene.mrpnn.settings(), directional=self.directional)
@@ -136,24 +137,27 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         return BakeTarget(light_folder(self.folder), {} if self.everything else baked_keys(scene))
 
     def _fail(self, error):
-        self.report({"ERROR"}, str(error))
+        report(self, "ERROR", error)
         return {"CANCELLED"}
 
     def _deliver(self, context, description: SceneDescription, baked):
         show_light(context.scene, baked)
         for warning in baked.warnings + bake_warnings(description):
-            self.report({"WARNING"}, warning)
+            report(self, "WARNING", warning)
         if not bpy.data.filepath and self.folder.startswith("//"):
-            self.report(
-                {"WARNING"}, "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends"
+            report(
+                self,
+                "WARNING",
+                "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends",
             )
         if not baked.names:
-            self.report({"INFO"}, f"frame {baked.frame} shows no volume, so there is no light to bake")
+            report(self, "INFO", f"frame {baked.frame} shows no volume, so there is no light to bake")
         elif not baked.volumes:
-            self.report({"INFO"}, "the light of every volume is up to date")
+            report(self, "INFO", "the light of every volume is up to date")
         else:
-            self.report(
-                {"INFO"},
+            report(
+                self,
+                "INFO",
                 f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s; volume bounces are 0 now"
                 f"{' and volumes biased (ray marching)' if chooses_ray_marching(context.scene) else ''}, for the whole "
                 "scene",
@@ -191,7 +195,7 @@ class MRPNN_OT_bake_light_fast(bpy.types.Operator):
         return context.scene.mrpnn_light.active and context.scene.render.engine == "CYCLES"
 
     def execute(self, context):
-        self.report({"INFO"}, make_fast(context.evaluated_depsgraph_get()))
+        report(self, "INFO", make_fast(context.evaluated_depsgraph_get()))
         return {"FINISHED"}
 
 

@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..mrpnn_addon.runtime.text import report
 from ..mrpnn_addon.status.scene_check import check_scene
 from .waiting import WaitsForVolumes
 
@@ -29,12 +30,12 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
     def execute(self, context):
         check = check_scene(context.evaluated_depsgraph_get(), self.reader)
         if check.error:
-            self.report({"ERROR"}, check.error)
+            report(self, "ERROR", check.error)
             return {"CANCELLED"}
         for warning in check.warnings:
-            self.report({"WARNING"}, warning)
+            report(self, "WARNING", warning)
         if not check.warnings:
-            self.report({"INFO"}, "Everything in the scene is rendered")
+            report(self, "INFO", "Everything in the scene is rendered")
         return {"FINISHED"}
 
 

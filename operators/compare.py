@@ -12,6 +12,7 @@ from ..mrpnn_addon.comparison.pictures import view_png
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER, ComparisonRun, Options
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_image
 from ..mrpnn_addon.runtime.background import in_background
+from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.last_comparison import remember
 from .waiting import WaitsForVolumes
@@ -123,7 +124,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
 
     def execute(self, context):
         if MRPNN_OT_compare._run is not None:
-            self.report({"WARNING"}, "a comparison is running already; Esc stops it")
+            report(self, "WARNING", "a comparison is running already; Esc stops it")
             return {"CANCELLED"}
         if self._modal and self.wait_for_volumes(context):
             return {"RUNNING_MODAL"}
@@ -163,13 +164,13 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             self.cancel(context)
             raise
         context.window_manager.progress_update(int(100 * run.job.fraction))
-        context.workspace.status_text_set(
-            f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)"
+        status_bar(
+            context, f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)"
         )
         if not run.job.done:
             return {"PASS_THROUGH"}
         self._steps = _finish(run)
-        context.workspace.status_text_set("Comparing: figures and report")
+        status_bar(context, "Comparing: figures and report")
         return {"RUNNING_MODAL"}
 
     def _step(self, context):
@@ -193,7 +194,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         MRPNN_OT_compare._run = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
-        context.workspace.status_text_set(None)
+        status_bar(context, None)
 
     def _options(self) -> Options:
         return Options(
@@ -210,7 +211,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         )
 
     def _fail(self, error):
-        self.report({"ERROR"}, str(error))
+        report(self, "ERROR", error)
         return {"CANCELLED"}
 
     def _failed(self, problem):
@@ -229,8 +230,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         remember(comparison, page)
         _keep_as_text(comparison.table())
         for warning in comparison.warnings:
-            self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"{comparison.table()}\nreport: {page}")
+            report(self, "WARNING", warning)
+        report(self, "INFO", f"{comparison.table()}\nreport: {page}")
         if not bpy.app.background:
             bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}

@@ -7,6 +7,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..mrpnn_addon.nodes.material import shows_volume
 from ..mrpnn_addon.objects.animation import with_instanced
 from ..mrpnn_addon.output.composite import composite, remove_composite
+from ..mrpnn_addon.runtime.text import report
 
 
 class MRPNN_OT_composite(bpy.types.Operator):
@@ -31,18 +32,18 @@ class MRPNN_OT_composite(bpy.types.Operator):
         scene = context.scene
         surfaces = scene.mrpnn_composite.surfaces
         if surfaces is not None:
-            self.report({"ERROR"}, f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
+            report(self, "ERROR", f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
             return {"CANCELLED"}
         if not any(shows_volume(shown) for shown in with_instanced(scene.collection.all_objects)):
-            self.report({"ERROR"}, "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
+            report(self, "ERROR", "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
             return {"CANCELLED"}
         try:
             composite(scene, self.shadows)
         except ValueError as error:
-            self.report({"ERROR"}, str(error))
+            report(self, "ERROR", error)
             return {"CANCELLED"}
         volumes = scene.mrpnn_composite.volumes
-        self.report({"INFO"}, f'F12 renders the volumes of scene "{volumes.name}" over this one')
+        report(self, "INFO", f'F12 renders the volumes of scene "{volumes.name}" over this one')
         return {"FINISHED"}
 
 
@@ -81,7 +82,7 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
     def execute(self, context):
         found = bpy.data.scenes.get(self.scene)
         if found is None:
-            self.report({"ERROR"}, f'there is no scene "{self.scene}"')
+            report(self, "ERROR", f'there is no scene "{self.scene}"')
             return {"CANCELLED"}
         context.window.scene = found
         return {"FINISHED"}

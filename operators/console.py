@@ -4,6 +4,8 @@
 import json
 import sys
 
+from ..mrpnn_addon.runtime.text import safe_text
+
 
 class Console:
     """Writes to stdout; warnings and errors of the text form go to stderr.
@@ -23,7 +25,8 @@ class Console:
             print(json.dumps({"event": kind, **facts}), flush=True)
         elif text:
             loud = kind in ("warning", "error")
-            print(f"mrpnn: {f'{kind}: ' if loud else ''}{text}", file=sys.stderr if loud else sys.stdout, flush=True)
+            line = safe_text(f"mrpnn: {f'{kind}: ' if loud else ''}{text}")
+            print(line, file=sys.stderr if loud else sys.stdout, flush=True)
 
     def progress(self, frame: int):
         """A progress(fraction, message) for one frame that writes at each tenth."""

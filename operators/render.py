@@ -11,6 +11,7 @@ from bpy.props import StringProperty
 from ..inference.scene import SceneError
 from ..mrpnn_addon.engine.render_job import RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import show_in_image
+from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
@@ -56,7 +57,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         if MRPNN_OT_render._job is not None:
-            self.report({"WARNING"}, "MRPNN is rendering already; Esc stops it")
+            report(self, "WARNING", "MRPNN is rendering already; Esc stops it")
             return {"CANCELLED"}
         self._started = time.perf_counter()
         try:
@@ -89,7 +90,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         context.window_manager.progress_update(int(100 * job.fraction))
-        context.workspace.status_text_set(f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
+        status_bar(context, f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
         if not job.done:
             return {"PASS_THROUGH"}
         if self._loading is not None and job.error is None and not job.stopped:
@@ -102,7 +103,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         self._end(context)
         # Esc may come too late for the worker to notice it.
         if job.stopped:
-            self.report({"INFO"}, "MRPNN render stopped")
+            report(self, "INFO", "MRPNN render stopped")
             return {"CANCELLED"}
         if isinstance(job.error, (SceneError, OSError)):
             return self._fail(job.error)
@@ -121,7 +122,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         MRPNN_OT_render._job = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
-        context.workspace.status_text_set(None)
+        status_bar(context, None)
 
     def _exr_path(self, scene):
         path = self.filepath or (scene.mrpnn.exr_path if scene.mrpnn.use_exr else "")
@@ -142,7 +143,7 @@ class MRPNN_OT_render(bpy.types.Operator):
 
     def _fail(self, error):
         remember(LastRender(error=str(error)))
-        self.report({"ERROR"}, str(error))
+        report(self, "ERROR", error)
         return {"CANCELLED"}
 
     def _deliver(self, context, finished):
@@ -152,9 +153,10 @@ class MRPNN_OT_render(bpy.types.Operator):
             bpy.app.timers.register(functools.partial(_display, image.name))
         remember_finished(finished)
         for warning in finished.warnings:
-            self.report({"WARNING"}, warning)
-        self.report(
-            {"INFO"},
+            report(self, "WARNING", warning)
+        report(
+            self,
+            "INFO",
             f"MRPNN rendered {image.size[0]} x {image.size[1]} pixels in {finished.seconds:.1f} s "
             f'into image "{image.name}"',
         )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that wait for a thread to read the scene's volumes; Blender stays usable meanwhile."""
 
+from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.volumes.loading import VolumeLoading
 from ..mrpnn_addon.volumes.reader import VolumeReader
@@ -61,19 +62,19 @@ class WaitsForVolumes:
         self.stop_waiting(context)
         if error is None:
             return None
-        self.report({"INFO"} if worker.cancelled else {"ERROR"}, "stopped" if worker.cancelled else str(error))
+        report(self, "INFO" if worker.cancelled else "ERROR", "stopped" if worker.cancelled else str(error))
         return {"CANCELLED"}
 
     def _show_status(self, context):
         if self._loading.worker is not None:
-            context.workspace.status_text_set(f"{self._loading.worker.message.capitalize()}  (Esc stops)")
+            status_bar(context, f"{self._loading.worker.message.capitalize()}  (Esc stops)")
 
     def stop_waiting(self, context) -> None:
         """Stop reading and remove the timer."""
         if self._reading_timer is None:
             return
         context.window_manager.event_timer_remove(self._reading_timer)
-        context.workspace.status_text_set(None)
+        status_bar(context, None)
         self._reading_timer = None
         if self._loading.worker is not None:
             self._loading.worker.stop()

@@ -4,6 +4,7 @@
 import bpy
 
 from ..mrpnn_addon.nodes.material import shows_volume
+from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.status.scene_check import last_check
 from .engine_panel import EnginePanel
 from .text import draw_text
@@ -25,7 +26,7 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
         column = layout.column()
         column.active = not check.outdated(context.scene)
         if shown.name in check.voxels:
-            column.label(text=f"{' x '.join(map(str, check.voxels[shown.name]))} voxels", icon="OUTLINER_DATA_VOLUME")
+            label(column, f"{' x '.join(map(str, check.voxels[shown.name]))} voxels", icon="OUTLINER_DATA_VOLUME")
         for text in (check.error, *check.warnings):
             if f'"{shown.name}"' in text:
                 draw_text(context, column, text, "INFO")

@@ -5,6 +5,7 @@ import bpy
 
 from ..inference.scene import SceneError
 from ..mrpnn_addon.runtime.onnxruntime_version import check_runtime, missing_provider, runtime_version
+from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.settings.preferences import EXTENSION, PreferenceProperties
 from ..operators.documentation import MRPNN_OT_documentation
 from .text import draw_text
@@ -23,7 +24,7 @@ class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
         column.prop(self, "provider")
         try:
             problems = check_runtime() + missing_provider(self.provider)
-            layout.label(text=f"onnxruntime {runtime_version()}", icon="CHECKMARK")
+            label(layout, f"onnxruntime {runtime_version()}", icon="CHECKMARK")
         except SceneError as error:
             problems = [str(error)]
         for problem in problems:

@@ -4,6 +4,7 @@
 import bpy
 
 from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
+from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.scene.unrendered import composited, unrendered
 from ..mrpnn_addon.settings.preferences import machine
@@ -243,11 +244,11 @@ def _draw_comparison(context, layout, last):
     box = layout.box()
     table = box.grid_flow(row_major=True, columns=3, align=True)
     for title in ("Samples", TIMES[comparison.clock], "Error"):
-        table.label(text=title)
+        label(table, title)
     for rung in comparison.rungs:
-        table.label(text=f"{rung.samples}, {rung.method}")
-        table.label(text=f"{getattr(rung, comparison.clock):.2g} s")
-        table.label(text=f"{rung.error:.3f}")
+        label(table, f"{rung.samples}, {rung.method}")
+        label(table, f"{getattr(rung, comparison.clock):.2g} s")
+        label(table, f"{rung.error:.3f}")
     for sentence in (*comparison.sentences(), *comparison.marks):
         draw_text(context, box, sentence, "INFO")
     if not comparison.verdict.good:

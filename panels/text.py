@@ -3,6 +3,8 @@
 
 import blf
 
+from ..mrpnn_addon.runtime.text import label, safe_text
+
 # Margins of panel and box, icon and label padding, in pixels at scale 1.
 MARGIN = 72
 
@@ -14,8 +16,8 @@ def draw_text(context, layout, text: str, icon: str = "NONE") -> None:
     column = layout.column(align=True)
     column.scale_y = 0.8
     width = context.region.width - MARGIN * scale
-    for index, line in enumerate(wrapped(text, width, lambda part: blf.dimensions(0, part)[0])):
-        column.label(text=line, icon=icon if index == 0 else "BLANK1")
+    for index, line in enumerate(wrapped(safe_text(text), width, lambda part: blf.dimensions(0, part)[0])):
+        label(column, line, icon=icon if index == 0 else "BLANK1")
 
 
 def wrapped(text: str, width: float, measure) -> list:

@@ -13,6 +13,7 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..cycles.choices import REFERENCE
 from ..runtime.atomic_write import atomic_write
+from ..runtime.text import safe_text
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
 from .pictures import display_png, view_png
@@ -141,6 +142,6 @@ def _processor() -> str:
 def _replace(path: Path, text: str) -> None:
     try:
         with atomic_write(str(path)) as file:
-            file.write(text.encode())
+            file.write(safe_text(text).encode())
     except OSError as error:
         raise SceneError(str(error)) from None

@@ -5,6 +5,7 @@ The user's scene is not changed: a temporary scene links the objects to compare,
 black World, and is always removed.
 """
 
+import os
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..objects.camera import film_exposure
 from ..vdb.openvdb_module import load_openvdb
+from ..vdb.worker import utf8_link
 
 # Deviations from Cycles' defaults, which stop after 0 volume bounces, clamp indirect light at 10, denoise, roulette dim
 # lights, and filter over neighbouring pixels, where the layer's rays pass through pixel centres (Cycles' box filter
@@ -206,4 +208,5 @@ def _write_unit_box(path: Path, cells: int = 64) -> None:
     # OpenVDB's matrices act on row vectors; the first voxel's centre is half a cell inside.
     centred[3, :3] = -0.5 + 0.5 / cells
     grid.transform = openvdb.createLinearTransform(centred.tolist())
-    openvdb.write(str(path), grids=[grid])
+    with utf8_link(str(path.parent)) as folder:
+        openvdb.write(os.path.join(folder, path.name), grids=[grid])

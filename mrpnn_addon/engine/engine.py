@@ -17,6 +17,7 @@ from ..objects.camera import film_exposure, read_camera
 from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..runtime.background import Worker
+from ..runtime.text import render_status, report, utf8_names
 from ..scene.film import Background, read_background
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
@@ -80,14 +81,14 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if self.is_animation:
             try:
                 self._write_empty(depsgraph)
-                return self.report({"WARNING"}, f"frame {depsgraph.scene.frame_current} is an empty picture: {message}")
+                return report(self, "WARNING", f"frame {depsgraph.scene.frame_current} is an empty picture: {message}")
             except Cancelled:
                 return
             except Exception as error:
                 message = f"{message}; {error}"
         # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
         # would continue and write an empty image.
-        self.report({"ERROR"}, message)
+        report(self, "ERROR", message)
 
     def view_update(self, context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> None:
         """Called by Blender when something in the viewport's scene has changed."""
@@ -126,7 +127,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self._viewport.draw(size)
         self.unbind_display_space_shader()
         gpu.state.blend_set("NONE")
-        self.update_stats("", self._viewport.status)
+        render_status(self, self._viewport.status)
 
     def __del__(self) -> None:
         try:
@@ -137,13 +138,14 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if shown is not None:
             shown.close()
 
+    @utf8_names()
     def _render(self, depsgraph: "bpy.types.Depsgraph") -> None:
         cls, view_layer, started = type(self), depsgraph.view_layer, time.perf_counter()
         first = next((layer.name for layer in depsgraph.scene.view_layers if layer.use), view_layer.name)
         if view_layer.name == first or depsgraph.scene.render.use_single_layer:
             cls._asked = started
         if len(depsgraph.scene.view_layers) > 1 and not _shows_volumes(depsgraph):
-            self.report({"INFO"}, f'view layer "{view_layer.name}" shows no Volume object and stays empty')
+            report(self, "INFO", f'view layer "{view_layer.name}" shows no Volume object and stays empty')
             return self._write_empty(depsgraph)
         scene = self._read(depsgraph)
         # With a render region, Blender's result has the region's size.
@@ -164,7 +166,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         # Blender's window shows the last report only.
         missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
-            self.report({"WARNING"}, warning)
+            report(self, "WARNING", warning)
         result.finish(finished.layer, stamp(settings, finished.layer.report, time.perf_counter() - started))
         finished.seconds = time.perf_counter() - cls._asked
         remember_finished(finished)
@@ -213,7 +215,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
 
         found = read_background(depsgraph, camera, check)
         for warning in found.warnings:
-            self.report({"WARNING"}, warning)
+            report(self, "WARNING", warning)
         return found
 
     def say(self, message: str, before: str = "") -> None:
@@ -223,7 +225,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         now = time.perf_counter()
         if message != self._said[0] or now - self._said[1] > CLOCK_INTERVAL and not bpy.app.background:
             self._said = message, now
-            self.update_stats("", before + message)
+            render_status(self, before + message)
 
     def _check(self) -> None:
         if self.test_break():

@@ -12,6 +12,7 @@ from ...inference.image.layer import Layer
 from ...inference.scene import Camera
 from ..output.layer_frame import rgba
 from ..output.passes import extra_passes
+from ..runtime.text import stamp_field
 from ..scene.film import Background, over
 
 # Seconds between two pictures of an unfinished render: each costs as much as the whole image is large.
@@ -63,7 +64,7 @@ class RenderResult:
         # Only the complete result keeps stamped metadata.
         whole = self._engine.get_result()
         for name, value in stamped.items():
-            whole.stamp_data_add_field(f"mrpnn.{self._view_layer.name}.{name}", value)
+            stamp_field(whole, f"mrpnn.{self._view_layer.name}.{name}", value)
 
     def end(self) -> None:
         """Close the result; a stopped render keeps its finished parts."""

@@ -12,6 +12,7 @@ import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
 
 from ..nodes.material import shows_volume
+from ..runtime.text import utf8_names
 from .composite_nodes import build_nodes, compositor_problems, remove_nodes
 
 ENGINE = "MRPNN"
@@ -48,6 +49,7 @@ class MRPNN_PG_composite(bpy.types.PropertyGroup):
     made_tree: BoolProperty(name="Compositor Made")
 
 
+@utf8_names()
 def composite(scene, shadows: bool) -> None:
     """Composite a scene's volumes over its render by Cycles, or repair a composite.
 

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..runtime.atomic_write import atomic_write
+from ..runtime.text import safe_text
 
 MAGIC = 20000630
 VERSION = 2
@@ -75,6 +76,7 @@ def _block(rows: np.ndarray) -> bytes:
 
 
 def _header(names, width: int, height: int, attributes) -> bytes:
+    names, attributes = [safe_text(name) for name in names], {safe_text(name): of for name, of in attributes.items()}
     longest = max(len(name.encode()) for name in [*names, *attributes])
     if longest > MAX_NAME_BYTES:
         raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
@@ -105,7 +107,7 @@ def _channel(name: str) -> bytes:
 
 def _attribute(name: str, value):
     if isinstance(value, str):
-        return name, "string", value.encode()
+        return name, "string", safe_text(value).encode()
     if isinstance(value, int):
         return name, "int", struct.pack("<i", value)
     return name, "float", struct.pack("<f", value)

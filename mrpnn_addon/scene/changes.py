@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..runtime.text import text_of
 from ..settings.properties import scene_settings
 
 _HANDLERS = ("depsgraph_update_post", "frame_change_post", "load_post", "undo_post", "redo_post")
@@ -14,11 +15,11 @@ def scene_state(scene: "bpy.types.Scene") -> tuple:
     render = scene.render
     return (
         _changes,
-        scene.name,
+        text_of(scene, "name"),
         scene.frame_current,
-        scene.camera and scene.camera.name,
+        scene.camera and text_of(scene.camera, "name"),
         scene_settings(scene).settings(),
-        scene.world and scene.world.name_full,
+        scene.world and text_of(scene.world, "name_full"),
         render.resolution_x,
         render.resolution_y,
         render.resolution_percentage,

@@ -35,6 +35,7 @@ from ..objects.visibility import (
     visible_objects,
 )
 from ..objects.workload import Box, Workload, estimate_workload
+from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import read_world
@@ -106,6 +107,7 @@ class SceneDescription:
         return [mesh.surface() for mesh in self.opaque]
 
 
+@utf8_names()
 def read_frame(
     depsgraph: "bpy.types.Depsgraph",
     reader: VolumeReader | None = None,
@@ -164,6 +166,7 @@ def read_scene(
     return description
 
 
+@utf8_names()
 def read_view(
     depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D", reader: VolumeReader | None = None
 ) -> SceneDescription:

@@ -11,6 +11,7 @@ from ...inference import LitVolume
 from ...inference.baking.directional_factor import MAX_LOGARITHM, SMOOTH, DirectionalFactor, NodeGrid
 from .density_grid import VOXEL_CENTRE
 from .openvdb_module import load_openvdb
+from .worker import utf8_link
 
 #: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three in each grid.
 DENSITY, LIGHT, COLOURS = "light_density", "light", ("light_red", "light_green", "light_blue")
@@ -54,7 +55,8 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
             grids += _coefficients(openvdb, COLOURS, factor.colours, np.float32(0.0))
     unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
     try:
-        openvdb.write(unfinished, grids=grids)
+        with utf8_link(os.path.dirname(unfinished)) as folder:
+            openvdb.write(os.path.join(folder, os.path.basename(unfinished)), grids=grids)
         os.replace(unfinished, path)
     except Exception as error:
         raise OSError(f"cannot write {path}: {error}") from error

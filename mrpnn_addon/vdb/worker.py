@@ -8,8 +8,12 @@ message}, and then its pieces: number of blocks, int64, their numbers and their 
 Exit status NO_MODULE without an OpenVDB module, NO_MEMORY where reading needs more than BYTES.
 """
 
+import contextlib
 import json
+import os
 import sys
+import tempfile
+from collections.abc import Iterator
 
 NO_MODULE, NO_MEMORY = 77, 78
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
@@ -33,8 +37,37 @@ def read_grid(openvdb, path: str, name: str, most_voxels: int):
 
     Raises OpenVDB's exceptions.
     """
+    with utf8_link(path) as readable:
+        return _read_grid(openvdb, readable, name, most_voxels)
+
+
+@contextlib.contextmanager
+def utf8_link(path: str) -> Iterator[str]:
+    """The path of a file or folder, or of a link to it where the path is not UTF-8, which OpenVDB's module refuses.
+
+    Raises OSError where the link cannot be made.
+    """
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        with tempfile.TemporaryDirectory() as folder:
+            link = os.path.join(folder, "linked.vdb")
+            os.symlink(os.path.abspath(path), link)
+            yield link
+    else:
+        yield path
+
+
+def _name(grid) -> str:
+    try:
+        return grid.name
+    except UnicodeDecodeError as error:
+        return error.object.decode("utf-8", "backslashreplace")
+
+
+def _read_grid(openvdb, path: str, name: str, most_voxels: int):
     # Never readAll: it can end the whole process on unusual files.
-    headers = [(grid.name, type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
+    headers = [(_name(grid), type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
     component = None
     if name.endswith(COMPONENTS) and not any(header[0] == name for header in headers):
         name, component = name[: -len(COMPONENTS[0])], COMPONENTS.index(name[-len(COMPONENTS[0]) :])

@@ -15,6 +15,7 @@ from ..nodes.material import EmptyMaterial, VolumeMaterial, first_material, is_a
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
+from ..runtime.text import text_of
 from ..vdb.density_grid import EmptyGrid, unreadable
 from ..world.lighting import wanted_world
 from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_grids, read_grids
@@ -174,8 +175,8 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
         path = str(Path(folder, "evaluated.vdb"))
     material = VolumeMaterial(first_material(shown.object), where)
     # Names from Blender: only the other process parses files.
-    vectors = tuple(grid.name for grid in data.grids if grid.data_type.startswith("VECTOR"))
-    probe = Probe([grid.name for grid in data.grids], fills_its_bounds=False, vectors=vectors)
+    vectors = tuple(text_of(grid, "name") for grid in data.grids if grid.data_type.startswith("VECTOR"))
+    probe = Probe([text_of(grid, "name") for grid in data.grids], fills_its_bounds=False, vectors=vectors)
     material.at(probe)
     key = _key(shown, probe.placed)
     source = FileSource(key, where, material, shown.matrix, path, shown.name, probe, is_sequence)
@@ -198,8 +199,8 @@ def _load_problem(data) -> str:
     if data.grids.is_loaded:
         return "it has no grid"
     if data.is_sequence:
-        return f"this frame's file of its sequence cannot be read ({data.grids.error_message})"
-    return unreadable(bpy.path.abspath(data.filepath, library=data.library), data.grids.error_message)
+        return f"this frame's file of its sequence cannot be read ({text_of(data.grids, 'error_message')})"
+    return unreadable(bpy.path.abspath(data.filepath, library=data.library), text_of(data.grids, "error_message"))
 
 
 def _mesh_material(shown: VisibleObject, where: str) -> VolumeMaterial:
