@@ -94,8 +94,10 @@ class Preview:
             self.done = True
             return
         try:
-            check_runtime()
             for step in steps(description, camera, settings, prepared):
+                # Not before the first picture, which needs no network.
+                if step.settings.multiple:
+                    check_runtime()
                 layer = inference.render(
                     description.volumes,
                     step.lights,

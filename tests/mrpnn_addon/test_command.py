@@ -351,3 +351,22 @@ def test_a_script_in_its_own_process_ends_cleanly(blend):
     by_command, by_operator = (read_exr(folder / f"{name}.exr")[0] for name in ("command", "operator"))
     for name, values in by_command.items():
         np.testing.assert_array_equal(values, by_operator[name])
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="file names are bytes on Linux only")
+def test_paths_may_hold_bytes_that_are_not_utf8(command, blend, capsys):
+    folder = blend.parent / os.fsdecode(b"odd\xff")
+    folder.mkdir()
+    for path in [blend, *blend.parent.glob("fog_*")]:
+        shutil.copy(path, folder)
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    assert command(["render", "--output", str(folder / "a.exr"), "--json", str(folder / "facts.json")]) == 0
+    assert r"odd\xff/a.exr" in capsys.readouterr().out
+    assert json.loads((folder / "facts.json").read_text())["blend"] == str(folder / "scene.blend")
+    for name in ("a.exr", "facts.json"):
+        assert (folder / name).stat().st_size > 0
+    (folder / "fog_1.vdb").write_bytes(b"no volume")
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    command(["render", "--output", str(folder / "b.exr"), "--progress", "json"])
+    said = capsys.readouterr()
+    assert "fog_1.vdb" in said.out + said.err

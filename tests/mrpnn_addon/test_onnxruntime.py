@@ -58,14 +58,16 @@ CASES = {
 }
 
 SCRIPT = """
-    import json, pathlib, sys
+    import json, pathlib, sys, time
     import bpy
     from benchmarks.support.extension import extension
+    from inference import RenderCache
     from tests.support import blender_scenes
 
     folder, root = pathlib.Path(sys.argv[1]), extension()
-    check = root.mrpnn_addon.runtime.onnxruntime_version
+    check, preview = root.mrpnn_addon.runtime.onnxruntime_version, root.mrpnn_addon.engine.preview
     blender_scenes.cloud_scene(blender_scenes.empty_scene(), folder)
+    bpy.context.scene.render.resolution_x = bpy.context.scene.render.resolution_y = 16
     searched, said = list(sys.path), {}
 
     def told(door):
@@ -74,9 +76,17 @@ SCRIPT = """
         except RuntimeError as error:
             return str(error)
 
+    def shown():
+        described = root.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+        camera, settings = described.camera, bpy.context.scene.mrpnn.settings()
+        rendered = preview.Preview(described, camera, settings, preview.Prepared(RenderCache()))
+        while not rendered.done:
+            time.sleep(0.01)
+        return rendered.message
+
     for case in json.loads((folder / "cases.json").read_text()):
         sys.path[:] = [case["site"], *searched]
-        said[case["name"]] = [told(bpy.ops.mrpnn.check), told(bpy.ops.mrpnn.render)]
+        said[case["name"]] = [told(bpy.ops.mrpnn.check), told(bpy.ops.mrpnn.render), shown()]
         assert not [name for name in sys.modules if name.startswith("onnxruntime")]
     # One that loads, of another extension: its files are those of this environment.
     sys.path[:] = [sys.argv[2], *searched]
