@@ -31,8 +31,8 @@ class Closure:
     phase: phase function.
     grid: name of the grid whose values are `weight`, or "".
     emission: (n, 3) or (1, 3), radiance per world unit, not scaled by the weight.
-    hot: whether a grid drives a blackbody's temperature. phase_varies: whether the phase function, here the mean over
-    what the points scatter, varies in space.
+    blackbody: the part of the emission of a blackbody whose temperature a grid drives, or None. phase_varies: whether
+    the phase function, here the mean over what the points scatter, varies in space.
     """
 
     weight: np.ndarray
@@ -41,7 +41,7 @@ class Closure:
     phase: PhaseFunction = phase_function("HENYEY_GREENSTEIN", 0.0)
     grid: str = ""
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
-    hot: bool = False
+    blackbody: np.ndarray | None = None
     phase_varies: bool = False
 
 
@@ -49,14 +49,14 @@ class Closure:
 class Shading:
     """All shaders of a material at n points.
 
-    closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. hot: whether any of them is. notes:
+    closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. blackbody: as of Closure. notes:
     deviations from Cycles.
     """
 
     closures: list[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: list[str] = field(default_factory=list)
-    hot: bool = False
+    blackbody: np.ndarray | None = None
 
 
 class EmptyMaterial(SceneError):
@@ -171,7 +171,9 @@ def _add(shading: Shading, values: NodeEvaluator, source: Source, weight: np.nda
     elif node.bl_idname in CLOSURES:
         closure = CLOSURES[node.bl_idname](shading, values, node, groups)
         shading.emission = shading.emission + weight * closure.emission
-        shading.hot = shading.hot or closure.hot
+        if closure.blackbody is not None:
+            before = 0.0 if shading.blackbody is None else shading.blackbody
+            shading.blackbody = before + weight * closure.blackbody
         # Skip closures that are 0 everywhere, not only at these points.
         if len(closure.scatter) + len(closure.absorb) > 2 or closure.scatter.any() or closure.absorb.any():
             closure.grid = closure.grid if np.all(weight == 1.0) else ""
@@ -188,11 +190,12 @@ def _principled(shading: Shading, values: NodeEvaluator, node: Node, groups: Gro
     density = np.maximum(values.number(node, "Density", groups), 0.0)
     names = {name: _text(node, f"{name} Attribute", groups) for name in ("Density", "Color", "Temperature")}
     emission = strength_and_colour(values, node, "Emission Strength", "Emission Color", groups)
-    emission = emission + blackbody(values, node, groups, names["Temperature"])
-    hot = reads_temperature(values, node, groups, names["Temperature"])
+    glow = blackbody(values, node, groups, names["Temperature"])
+    emission = emission + glow
+    hot = glow if reads_temperature(values, node, groups, names["Temperature"]) else None
     shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
     if not shaped and not density.max() > 0.0:
-        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, hot=hot)
+        return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, blackbody=hot)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
     points: Any = values.points
     if names["Color"] and points.has(names["Color"]):

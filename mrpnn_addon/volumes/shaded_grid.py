@@ -16,7 +16,9 @@ from .voxel_points import Probe, VoxelDomain, VoxelPoints
 VOXELS_PER_BATCH = 1 << 17
 # Tolerated variation of colour between voxels, relative to a coefficient's root mean square.
 COLOUR_TOLERANCE = 0.01
-# Whether Cycles interpolates a blackbody's emission, as 5.0.1 does, rather than its temperature, as 4.5 does.
+# A blackbody emits this power of its temperature. Whether Cycles interpolates its emission, as 5.0.1 does, rather than
+# its temperature, as 4.5 does.
+BLACKBODY_POWER = 4
 INTERPOLATES_EMISSION = bpy.app.version >= (5, 0, 0)
 
 
@@ -25,7 +27,8 @@ class ShadedGrid:
     """density: float32 (nx, ny, nz), or a SparseGrid. sigma_t: float64 (3,), extinction per unit density. albedo:
     float64 (3,), or grids where it varies, see `Medium`. anisotropy: mean cosine. phase: see `Medium`. notes:
     deviations from Cycles. emission: see `Volume`. extinction: where its colour varies, that of each colour channel, as
-    `density`, which then is the largest of them; the albedo is three grids.
+    `density`, which then is the largest of them; the albedo is three grids. blackbody: further emission, as roots of
+    degree BLACKBODY_POWER, which are interpolated as temperatures.
     """
 
     density: np.ndarray | SparseGrid
@@ -37,9 +40,14 @@ class ShadedGrid:
     phase: PhaseFunction | None = None
     emission_power: int = 1
     extinction: None | tuple[np.ndarray | SparseGrid, ...] = None
+    blackbody: None | np.ndarray | tuple[SparseGrid, ...] = None
 
     def parts(self) -> list["ShadedGrid"]:
-        """Itself, or where the colour of the extinction varies, what each colour channel attenuates and emits."""
+        """Itself, or where the colour of the extinction varies, what each colour channel attenuates and emits; and the
+        light of a blackbody that shines beside other emission.
+        """
+        if self.blackbody is not None:
+            return [*replace(self, blackbody=None).parts(), self._glow()]
         if self.extinction is None:
             return [self]
         found = []
@@ -49,6 +57,13 @@ class ShadedGrid:
                 one = replace(self, density=density, sigma_t=np.eye(3)[c], albedo=(albedo,), extinction=None)
                 found.append(replace(one, emission=emission))
         return found
+
+    def _glow(self) -> "ShadedGrid":
+        """The blackbody alone, where nothing scatters or absorbs."""
+        sparse, nothing = isinstance(self.density, SparseGrid), np.zeros(3)
+        empty = self.density.with_values(0.0 * self.density.values) if sparse else np.zeros_like(self.density)
+        alone = replace(self, density=empty, sigma_t=nothing, albedo=nothing, extinction=None, blackbody=None)
+        return replace(alone, emission=self.blackbody, emission_power=BLACKBODY_POWER)
 
 
 def _one_channel(emission, channel: int):
@@ -125,12 +140,23 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         density = by_channel.max(axis=0)
     notes = shading.notes
     emitting = inside if domain.emitting is None else domain.emitting
-    emission = _emission(at, shape, _chunks(grids, placed, emitting), check) if emits else None
-    if emission is not None and emitting is not None:
-        emission *= emitting[..., None]
-    power = 4 if shading.hot and not INTERPOLATES_EMISSION else 1
-    if emission is not None and power != 1:
-        emission = np.sign(emission) * np.abs(emission) ** np.float32(1.0 / power)
+    emission, glow, power = None, None, 1
+    apart = shading.blackbody is not None and not INTERPOLATES_EMISSION
+
+    def radiance(voxels):
+        found = at(voxels)[1]
+        return found.emission - found.blackbody if apart else found.emission
+
+    if emits:
+        emission = _emission(radiance, emitting, shape, _chunks(grids, placed, emitting), check)
+    if emits and apart:
+        glow = _emission(
+            lambda voxels: at(voxels)[1].blackbody, emitting, shape, _chunks(grids, placed, emitting), check
+        )
+        # Cycles interpolates temperatures: the roots of what they emit.
+        glow = None if glow is None else np.sign(glow) * np.abs(glow) ** np.float32(1.0 / BLACKBODY_POWER)
+    if emission is None and glow is not None:
+        emission, glow, power = glow, None, BLACKBODY_POWER
     if len(phases) > 1 and len(shading.closures) > 1:
         notes = notes + [
             "phase functions of several shaders are mixed in the same shares everywhere, and multiple "
@@ -149,6 +175,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         None if phase.is_henyey_greenstein else phase,
         power,
         None if by_channel is None else tuple(by_channel),
+        glow,
     )
 
 
@@ -173,13 +200,19 @@ def _albedo(at, shape, chunks, count: int, check) -> tuple[np.ndarray, ...]:
     return tuple(albedo.reshape(count, *shape))
 
 
-def _emission(at, shape, chunks, check) -> np.ndarray | None:
-    """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0."""
+def _emission(radiance, emitting, shape, chunks, check) -> np.ndarray | None:
+    """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0.
+
+    radiance: of voxels. emitting: see VoxelDomain.
+    """
     emission = np.zeros((int(np.prod(shape)), 3), np.float32)
     for voxels in chunks:
         check()
-        emission[voxels] = at(voxels)[1].emission
-    return emission.reshape(*shape, 3) if emission.any() else None
+        emission[voxels] = radiance(voxels)
+    emission = emission.reshape(*shape, 3)
+    if emitting is not None:
+        emission *= emitting[..., None]
+    return emission if emission.any() else None
 
 
 def _chunks(grids, placed: bool, inside):
@@ -256,7 +289,7 @@ def _coefficients_at(material, probe: Probe, value: float) -> np.ndarray:
     frames = {kind: np.eye(4) for kind in ("object", "world")}
     domain = VoxelDomain(grids, frames, vectors=probe.vectors)
     shading = material.at(VoxelPoints(domain, np.zeros(1, int)))
-    emits = np.zeros(3) if shading.hot and INTERPOLATES_EMISSION else shading.emission[0]
+    emits = np.zeros(3) if shading.blackbody is not None and INTERPOLATES_EMISSION else shading.emission[0]
     return np.concatenate([_coefficients(shading)[0], emits])
 
 

@@ -120,7 +120,7 @@ class FileSource(VolumeSource):
             filled = None if filled is None else refine(filled)
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
             object_from_index[:3, :3] *= 0.5
-            if at_zero.hot and INTERPOLATES_EMISSION:
+            if at_zero.blackbody is not None and INTERPOLATES_EMISSION:
                 notes = [
                     "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
                     "is darker"
@@ -154,8 +154,11 @@ class FileSource(VolumeSource):
             shaded.extinction = tuple(shaded.density.with_rows(channel) for channel in shaded.extinction)
         if isinstance(shaded.albedo, tuple):
             shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
-        if shaded.emission is not None:
-            shaded.emission = tuple(shaded.density.with_rows(shaded.emission[..., channel]) for channel in range(3))
+        for name in ("emission", "blackbody"):
+            emission = getattr(shaded, name)
+            if emission is not None:
+                channels = tuple(shaded.density.with_rows(emission[..., channel]) for channel in range(3))
+                setattr(shaded, name, channels)
         return shaded
 
     def _aligned(self, started):

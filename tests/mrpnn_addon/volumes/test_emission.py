@@ -26,6 +26,7 @@ def fire(tmp_path_factory):
         ("flame", np.roll(blob, 4, axis=0)),
         ("temperature", smooth),
         ("nothing", 0.0 * blob),
+        ("embers", np.random.default_rng(4).uniform(0.0, 2.0, blob.shape) * (blob > 0.0)),
     ):
         grid = vdb.FloatGrid()
         grid.copyFromArray(np.ascontiguousarray(values, np.float32))
@@ -81,6 +82,14 @@ def flames(node):
     linked(warmth, "ShaderNodeAttribute", "Fac", 0, attribute_name="temperature")
 
 
+def embers_beside_a_black_body(node):
+    """Cycles interpolates the emission of one and the temperature of the other."""
+    black_body(node)
+    node.inputs["Temperature Attribute"].default_value = "embers"
+    node.inputs["Temperature"].default_value = 1300.0
+    linked(node, "ShaderNodeAttribute", "Fac", "Emission Strength", attribute_name="embers")
+
+
 def emission_node_mixed_in(node):
     tree = node.id_data
     mixed = tree.nodes.new("ShaderNodeMixShader")
@@ -114,7 +123,16 @@ def assert_cycles_agrees(addon, scene, folder, bias):
 
 
 @pytest.mark.parametrize(
-    "setup", [even, black_body, black_body_without_a_grid, light_without_smoke, flames, emission_node_mixed_in]
+    "setup",
+    [
+        even,
+        black_body,
+        black_body_without_a_grid,
+        light_without_smoke,
+        flames,
+        embers_beside_a_black_body,
+        emission_node_mixed_in,
+    ],
 )
 @pytest.mark.parametrize("space", ["WORLD", pytest.param("OBJECT", marks=pytest.mark.slow)])
 def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path, setup, space):
