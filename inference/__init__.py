@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volumetric rendering with predicted multiple scattering; numpy and onnxruntime only.
+"""Volumetric rendering with predicted multiple scattering; with numpy, and onnxruntime where it is installed.
 
 layer = render([(volume, medium)], [sun], camera, Settings())
 """

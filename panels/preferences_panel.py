@@ -3,8 +3,12 @@
 
 import bpy
 
-from ..inference.scene import SceneError
-from ..mrpnn_addon.runtime.onnxruntime_version import check_runtime, missing_provider, runtime_version
+from ..mrpnn_addon.runtime.onnxruntime_version import (
+    check_runtime,
+    missing_provider,
+    runtime_problem,
+    runtime_version,
+)
 from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.settings.preferences import EXTENSION, PreferenceProperties
 from ..operators.documentation import MRPNN_OT_documentation
@@ -22,13 +26,13 @@ class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
         column.prop(self, "memory_limit")
         column.prop(self, "model")
         column.prop(self, "provider")
-        try:
-            problems = check_runtime() + missing_provider(self.provider)
+        if problem := runtime_problem():
+            label(layout, "The networks run without onnxruntime", icon="CHECKMARK")
+            draw_text(context, layout, problem, "INFO")
+        else:
             label(layout, f"onnxruntime {runtime_version()}", icon="CHECKMARK")
-        except SceneError as error:
-            problems = [str(error)]
-        for problem in problems:
-            draw_text(context, layout, problem, "ERROR")
+        for warning in check_runtime() + missing_provider(self.provider):
+            draw_text(context, layout, warning, "ERROR")
         layout.operator(MRPNN_OT_documentation.bl_idname, icon="HELP")
 
 

@@ -40,6 +40,7 @@ VARYING = (
     "nearby.c",
     "paths.c",
     "photons.c",
+    "products.c",
     "pyramid.c",
     "sweeps.c",
 )

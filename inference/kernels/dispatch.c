@@ -33,7 +33,8 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
     int64_t lamp_beam_##variant(const LampBeam *data);                                     \
     int64_t lamp_fluence_##variant(const LampFluence *data);                               \
     int64_t scatter_nearby_##variant(const NearbyLight *data);                             \
-    int64_t gather_light_##variant(const LightGather *data);
+    int64_t gather_light_##variant(const LightGather *data);                               \
+    int64_t multiply_##variant(const MatrixProduct *data);
 DECLARE(baseline)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
@@ -135,3 +136,4 @@ PREPARE(lamp_beam, const LampBeam)
 PREPARE(lamp_fluence, const LampFluence)
 PREPARE(scatter_nearby, const NearbyLight)
 PREPARE(gather_light, const LightGather)
+PREPARE(multiply, const MatrixProduct)

@@ -360,6 +360,21 @@ class LightGather(Shared):
     ]
 
 
+#: Columns that lie together in the right matrix of a product: MRPNN_PANEL.
+PANEL = 16
+
+
+class MatrixProduct(Shared):
+    _fields_ = [
+        ("rows", c_int64),
+        ("inner", c_int64),
+        ("columns", c_int64),
+        ("left", c_void_p),
+        ("right", c_void_p),
+        ("out", c_void_p),
+    ]
+
+
 #: Functions of the library that take one structure.
 FUNCTIONS = {
     "sweep_columns": ColumnSweep,
@@ -381,4 +396,5 @@ FUNCTIONS = {
     "lamp_fluence": LampFluence,
     "scatter_nearby": NearbyLight,
     "gather_light": LightGather,
+    "multiply": MatrixProduct,
 }

@@ -319,4 +319,15 @@ typedef struct {
     float *out;                  /* (points, rays, 4) */
 } LightGather;
 
+/* Columns that lie together in the right matrix of a product. */
+#define MRPNN_PANEL 16
+
+/* Product of two matrices: product. */
+typedef struct {
+    int64_t rows, inner, columns;
+    const float *left;           /* (rows, inner) */
+    const float *right;          /* (panels, inner, MRPNN_PANEL), 0 beyond `columns` */
+    float *out;                  /* (rows, columns) */
+} MatrixProduct;
+
 #endif

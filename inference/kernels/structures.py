@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 19
+INTERFACE = 20
 CHANNELS = 3
 PHASES = 8192
 

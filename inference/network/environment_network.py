@@ -26,7 +26,7 @@ FOLDER = "environment"
 
 @dataclass
 class EnvironmentNetwork:
-    """A loaded network. session: of onnxruntime. checksum: SHA-256 of its file. lock: held while it runs."""
+    """A loaded network. session: of `open_session`. checksum: SHA-256 of its file. lock: held while it runs."""
 
     session: Any
     configuration: dict[str, Any]

@@ -58,7 +58,7 @@ def available_models() -> list[str]:
 class Network:
     """A loaded network with the points around x that it was trained with; a `System`.
 
-    session: of onnxruntime. kind: of KINDS. points: the network's stencil or lattice, from the weights file.
+    session: of `open_session`. kind: of KINDS. points: the network's stencil or lattice, from the weights file.
     configuration: of the training. checksum: SHA-256 of the file. provider: execution provider that runs it. warnings:
     why that is not the one asked for. lock: held while it runs, for providers that do not support concurrent calls.
     """
@@ -133,8 +133,8 @@ def load_network(name: str, provider: str = "CPU") -> System:
     provider: of `provider.PROVIDERS`, for networks; if it is unavailable the processor runs the network, and a warning
     says so.
 
-    Raises SceneError if the name is unknown, if the file is damaged, does not match its checksum, does not match its
-    points or refers to other files, and if onnxruntime is missing.
+    Raises SceneError if the name is unknown, and if the file is damaged, does not match its checksum, does not match
+    its points or refers to other files.
     """
     if name in _systems:
         return _systems[name]()

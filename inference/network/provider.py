@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""onnxruntime's execution providers: which one the user wants, and whether it is available and accurate."""
+"""What runs networks: one of onnxruntime's execution providers, or this project's own evaluation without it."""
 
 import contextlib
+import importlib
+import re
+import sys
 import threading
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from ..kernels.library import Kernels, Unavailable, load_kernels, wanted
+from ..onnx.session import Session
 from ..scene.errors import SceneError
 
 # By the names in Settings. The shipped onnxruntime has CPU alone, and CoreML on macOS.
@@ -18,6 +24,10 @@ PROVIDERS = {
     "COREML": "CoreMLExecutionProvider",
     "OPENVINO": "OpenVINOExecutionProvider",
 }
+#: What runs networks where there is no onnxruntime, as reports name it.
+BUILT_IN = "built-in"
+#: The oldest onnxruntime that runs the networks' ONNX opset 17.
+OLDEST = (1, 12)
 # Tolerated difference from the processor: root mean square over random inputs, relative to that of the processor.
 TOLERANCE = 0.01
 TRIAL_POINTS = 64
@@ -25,10 +35,10 @@ TRIAL_POINTS = 64
 
 @dataclass
 class OpenedSession:
-    """An onnxruntime session.
+    """A network that is ready to run.
 
-    provider: key of PROVIDERS that runs it. warnings: why that is not the one asked for. lock: to be held while it
-    runs.
+    session: of onnxruntime, or `onnx.session.Session`. provider: key of PROVIDERS that runs it, or BUILT_IN. warnings:
+    why that is not the one asked for. lock: to be held while it runs.
     """
 
     session: Any
@@ -40,15 +50,18 @@ class OpenedSession:
 def open_session(content: bytes, provider: str) -> OpenedSession:
     """Open the network in an ONNX file's `content` with a provider.
 
-    The processor takes the place of a provider that is unavailable or inaccurate. Raises SceneError for an unknown
-    provider and if onnxruntime is missing, and onnxruntime's own errors.
+    The processor takes the place of a provider that is unavailable or inaccurate, and the built-in evaluation that of
+    onnxruntime where it is missing. Raises SceneError for an unknown provider, MalformedFile, and onnxruntime's own
+    errors.
     """
     if provider not in PROVIDERS:
         raise SceneError(f"there is no provider called {provider!r}; there are: {', '.join(PROVIDERS)}")
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise SceneError("onnxruntime cannot be imported; install it for this Python") from error
+    onnxruntime = load_onnxruntime()
+    if onnxruntime is None:
+        said = f"the network runs on the processor instead of {provider}: there is no onnxruntime that loads"
+        return OpenedSession(
+            Session(content, _kernels()), BUILT_IN, [said] if provider != "CPU" else [], contextlib.nullcontext()
+        )
     processor = _session(onnxruntime, content, "CPU")
     if provider == "CPU":
         return OpenedSession(processor, "CPU", [], contextlib.nullcontext())
@@ -70,6 +83,47 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
         return OpenedSession(session, provider, [], threading.Lock())
     warning = f"the network runs on the processor instead of {provider}: {problem}"
     return OpenedSession(processor, "CPU", [warning], contextlib.nullcontext())
+
+
+def import_onnxruntime() -> ModuleType:
+    """The module onnxruntime. Raises whatever its import raises; nothing of it is left behind then."""
+    try:
+        return importlib.import_module("onnxruntime")
+    except Exception:
+        # Parts that were imported would be mixed with those of another folder.
+        forget_onnxruntime()
+        raise
+
+
+def forget_onnxruntime() -> None:
+    """Let the next import start from nothing."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
+        del sys.modules[name]
+
+
+def load_onnxruntime() -> ModuleType | None:
+    """The module onnxruntime; None where it is missing, cannot be loaded or is too old."""
+    try:
+        found = import_onnxruntime()
+    except Exception:  # A package may raise anything.
+        return None
+    # A folder of that name is a module, too.
+    if hasattr(found, "InferenceSession") and is_recent(getattr(found, "__version__", "0")):
+        return found
+    forget_onnxruntime()
+    return None
+
+
+def is_recent(version: str) -> bool:
+    """Whether an onnxruntime of a version runs the networks."""
+    return tuple(map(int, re.findall(r"\d+", version)[:2])) >= OLDEST
+
+
+def _kernels() -> Kernels | None:
+    try:
+        return load_kernels() if wanted(True) else None
+    except Unavailable:
+        return None
 
 
 def _session(onnxruntime: Any, content: bytes, provider: str) -> Any:

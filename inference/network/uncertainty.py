@@ -64,7 +64,7 @@ def inputs(
 
 @dataclass
 class UncertaintyNetwork:
-    """A loaded network. session: of onnxruntime. checksum: SHA-256 of its file. lock: held while it runs."""
+    """A loaded network. session: of `open_session`. checksum: SHA-256 of its file. lock: held while it runs."""
 
     session: Any
     configuration: dict[str, Any]

@@ -13,7 +13,6 @@ from ...inference import RenderCache
 from ...inference.plan.lights import Light, brightest_light
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..output.layer_frame import rgba
-from ..runtime.onnxruntime_version import check_runtime
 from ..scene.reader import SceneDescription
 
 # Pixels of the pictures before the last, which has the region's resolution.
@@ -95,9 +94,6 @@ class Preview:
             return
         try:
             for step in steps(description, camera, settings, prepared):
-                # Not before the first picture, which needs no network.
-                if step.settings.multiple:
-                    check_runtime()
                 layer = inference.render(
                     description.volumes,
                     step.lights,

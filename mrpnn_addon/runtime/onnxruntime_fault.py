@@ -2,11 +2,12 @@
 """Why onnxruntime cannot be imported, by what the system's loader says."""
 
 import ctypes
-import importlib
 import re
 import sys
 import traceback
 from functools import cache
+
+from ...inference.network.provider import forget_onnxruntime, import_onnxruntime
 
 # Parts of the loaders' sentences, in English. On Windows they are in the user's language, see `_windows_error`.
 LOADERS = {
@@ -42,17 +43,14 @@ def import_fault(folder: str, version: str | None) -> tuple[str, str] | None:
     of the onnxruntime that is found; what failed is not tried again while they stay.
     """
     try:
-        if hasattr(importlib.import_module("onnxruntime"), "InferenceSession"):
+        if hasattr(import_onnxruntime(), "InferenceSession"):
             return None
-        found = "damaged", ""
+        forget_onnxruntime()
+        return "damaged", ""
     except Exception as error:  # A package may raise anything.
         print(f"onnxruntime {version} in {folder} cannot be imported:", file=sys.stderr)
         traceback.print_exc()
-        found = _kind(error)
-    # Parts that were imported would be mixed with those of another folder.
-    for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
-        del sys.modules[name]
-    return found
+        return _kind(error)
 
 
 def _kind(error: Exception) -> tuple[str, str]:

@@ -12,16 +12,13 @@ from pathlib import Path
 
 import bpy
 
-from ...inference.network.provider import PROVIDERS
-from ...inference.scene import SceneError
+from ...inference.network.provider import OLDEST, PROVIDERS, is_recent
 from .onnxruntime_fault import import_fault
 
 MANIFEST = Path(__file__).resolve().parents[2] / "blender_manifest.toml"
 # How the names of wheels call `sys.platform`, and how users call the platforms of the zips.
 SYSTEMS = {"linux": "manylinux", "win32": "win", "darwin": "macosx"}
 ZIPS = {"linux": "Linux (x64)", "win32": "Windows (x64)", "darwin": "macOS (Apple silicon)"}
-# The oldest release that runs the networks' ONNX opset 17.
-OLDEST = (1, 12)
 # Packages that contain the module onnxruntime, with different providers.
 PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
 # Extensions have a folder for each repository, with a folder for each extension. Blender installs their packages into
@@ -55,22 +52,28 @@ def runtime_folder() -> str:
     return _folder("onnxruntime")
 
 
-def check_runtime() -> list[str]:
-    """Import onnxruntime; returns warnings about one other than the shipped one.
+def runtime_problem() -> str:
+    """Why there is no onnxruntime that runs networks, and what helps; "" where there is one.
 
-    All extensions share one folder of packages, where the highest version wins.
-
-    Raises SceneError where onnxruntime is missing, too old or cannot be imported; says why, and what helps.
+    Networks then run without it, at about the same speed.
     """
     version, folder = runtime_version(), runtime_folder()
     if not folder:
-        raise SceneError(_missing())
-    if version and tuple(map(int, re.findall(r"\d+", version)[:2])) < OLDEST:
+        return _missing()
+    if version and not is_recent(version):
         oldest = ".".join(map(str, OLDEST))
-        raise SceneError(f"onnxruntime {version} is too old: {oldest} or later is needed. {_remedy(version, folder)}")
-    if fault := import_fault(folder, version):
-        raise SceneError(_explained(*fault, version, folder))
-    if version in (None, shipped_version()):
+        return f"onnxruntime {version} is too old: {oldest} or later is needed. {_remedy(version, folder)}"
+    fault = import_fault(folder, version)
+    return _explained(*fault, version, folder) if fault else ""
+
+
+def check_runtime() -> list[str]:
+    """Import onnxruntime; returns warnings about one that loads and is not the shipped one.
+
+    All extensions share one folder of packages, where the highest version wins.
+    """
+    version, folder = runtime_version(), runtime_folder()
+    if runtime_problem() or version in (None, shipped_version()):
         return []
     return [
         f"onnxruntime {version}{_brought(version, folder)} is used; "

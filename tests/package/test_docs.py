@@ -75,7 +75,7 @@ def test_lists_are_those_of_the_code(addon, name):
 def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
     code = " ".join(
         path.read_text()
-        for folder in ("inference", "mrpnn_addon", "operators")
+        for folder in ("inference", "mrpnn_addon", "operators", "panels")
         for path in (ROOT / folder).rglob("*.py")
     )
     # Literals that go on in the next line are one.

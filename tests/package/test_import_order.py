@@ -27,6 +27,7 @@ ROOMS = {
         "numerics",
         "runtime",
         "kernels",
+        "onnx",
         "scene",
         "occluders",
         "plan",

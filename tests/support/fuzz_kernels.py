@@ -32,6 +32,7 @@ from inference.marching.light_paths import PathTracer, ScatteringMedia
 from inference.marching.ray_steps import RayBatch
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.occluders.lamp_shadow_map import LampShadowMap
+from inference.onnx.products import Weights
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.diffusion import couple, solve
@@ -74,6 +75,8 @@ def random_recipe(random: np.random.Generator) -> Recipe:
 def spoil(random: np.random.Generator, values: np.ndarray) -> None:
     """Replace some of the values, in place."""
     flat = values.reshape(-1)
+    if not flat.size:
+        return
     places = random.integers(0, len(flat), max(len(flat) // 20, 1))
     if values.dtype.kind == "f":
         with np.errstate(over="ignore"):
@@ -324,7 +327,13 @@ def paths(kernels: Kernels, random: np.random.Generator) -> None:
     tracer.trace(rays, numbers, 3)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths)
+def products(kernels: Kernels, random: np.random.Generator) -> None:
+    """Matrices of any size and contents."""
+    rows, inner, columns = random.integers(0, 60, 3).tolist()
+    Weights(spoiled(random, (inner, columns)), kernels).product(spoiled(random, (rows, inner)))
+
+
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths, products)
 
 
 def fuzz(library: str, seconds: float, seed: int) -> int:

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The operators of the networks' graphs, as ONNX defines them (https://onnx.ai/onnx/operators/), opset 17.
+
+Each takes a node's inputs, arrays or None, and its attributes, and returns its output or a list of outputs.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+
+
+def _gemm(a: Array, b: Array, c: Array | None = None, **options: Any) -> Array:
+    if options.get("alpha", 1.0) != 1.0 or options.get("beta", 1.0) != 1.0:
+        raise ValueError("Gemm with factors is unknown")
+    product = (a.T if options.get("transA", 0) else a) @ (b.T if options.get("transB", 0) else b)
+    return product if c is None else np.add(product, c, out=product)
+
+
+def _relu(x: Array, out: Array | None = None) -> Array:
+    return np.maximum(x, np.float32(0.0), out=out)
+
+
+def _sigmoid(x: Array) -> Array:
+    return np.float32(1.0) / (np.float32(1.0) + np.exp(-x))
+
+
+def _softmax(x: Array, axis: int = -1) -> Array:
+    powers = x - x.max(axis=axis, keepdims=True)
+    np.exp(powers, out=powers)
+    powers /= powers.sum(axis=axis, keepdims=True)
+    return powers
+
+
+def _clip(x: Array, low: Array | None = None, high: Array | None = None) -> Array:
+    return np.clip(x, None if low is None else low.reshape(()), None if high is None else high.reshape(()))
+
+
+def _reshape(x: Array, shape: Array, allowzero: int = 0) -> Array:
+    sizes = [x.shape[axis] if size == 0 and not allowzero else int(size) for axis, size in enumerate(shape)]
+    return x.reshape(sizes)
+
+
+def _split(x: Array, sizes: Array, axis: int = 0) -> list[Array]:
+    return np.split(x, np.cumsum(sizes)[:-1], axis)
+
+
+def _expand(x: Array, shape: Array) -> Array:
+    return np.broadcast_to(x, np.broadcast_shapes(x.shape, tuple(int(size) for size in shape)))
+
+
+def _unsqueeze(x: Array, axes: Array) -> Array:
+    return np.expand_dims(x, tuple(int(axis) for axis in axes))
+
+
+def _shape(x: Array, start: int = 0, end: int | None = None) -> Array:
+    return np.array(x.shape[start:end], np.int64)
+
+
+def _reduced(reduce: Callable[..., Any]) -> Callable[..., Array]:
+    def function(x: Array, axes: tuple[int, ...] | None = None, keepdims: int = 1) -> Array:
+        return np.asarray(reduce(x, axis=axes, keepdims=bool(keepdims)))
+
+    return function
+
+
+#: Operators that can write over one of their inputs, as `out`, and those whose outputs share no memory with inputs.
+IN_PLACE = {"Abs", "Add", "Cos", "Div", "Exp", "Log", "Max", "Min", "Mul", "Pow", "Relu", "Sin", "Sub", "Tanh"}
+NEW_MEMORY = {*IN_PLACE, "Clip", "Concat", "Gather", "Gemm", "MatMul", "ReduceMax", "ReduceMean", "Sigmoid", "Softmax"}
+
+OPERATORS: dict[str, Callable[..., Any]] = {
+    "Abs": np.abs,
+    "Add": np.add,
+    "Clip": _clip,
+    "Concat": lambda *parts, axis: np.concatenate(parts, axis),
+    "Cos": np.cos,
+    "Div": np.divide,
+    "Exp": np.exp,
+    "Expand": _expand,
+    "Gather": lambda x, indices, axis=0: np.take(x, indices, axis),
+    "Gemm": _gemm,
+    "Identity": lambda x: x,
+    "Log": np.log,
+    "MatMul": np.matmul,
+    "Max": np.maximum,
+    "Min": np.minimum,
+    "Mul": np.multiply,
+    "Pow": np.power,
+    "ReduceMax": _reduced(np.max),
+    "ReduceMean": _reduced(np.mean),
+    "Relu": _relu,
+    "Reshape": _reshape,
+    "Shape": _shape,
+    "Sigmoid": _sigmoid,
+    "Sin": np.sin,
+    "Softmax": _softmax,
+    "Split": _split,
+    "Sub": np.subtract,
+    "Tanh": np.tanh,
+    "Transpose": lambda x, perm=None: np.transpose(x, perm),
+    "Unsqueeze": _unsqueeze,
+}
